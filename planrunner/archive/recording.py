@@ -1,0 +1,60 @@
+"""A recording as estimators see it: segments with their planned state, statistics made in one pass, and samples in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Block
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """One-pass statistics of one segment. Arrays run over `channels`; values are in the channels' units.
+
+    count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,).
+    covariance: (k, k) between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, so
+    that noise correlated within a batch is accounted for. start, end: s; largest_gap: s between consecutive samples.
+    """
+
+    channels: tuple[str, ...]
+    count: int
+    rejected: int
+    mean: Array
+    minimum: Array
+    maximum: Array
+    covariance: Array
+    standard_error: Array
+    batches: int
+    start: float
+    end: float
+    largest_gap: float
+
+    def of(self, channel: str) -> int:
+        """The index of a channel. Raises KeyError."""
+        try:
+            return self.channels.index(channel)
+        except ValueError:
+            raise KeyError(channel) from None
+
+
+@dataclass(frozen=True)
+class RecordedSegment:
+    """A segment as carried out. `statistics` were made in one pass; `blocks()` reads the samples again, block by block."""
+
+    segment: Segment
+    units: dict[str, str]
+    statistics: Statistics
+    blocks: Callable[[Sequence[str]], Iterator[Block]] = field(repr=False)
+    truncated: bool = False
+    readings: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        return self.segment.label

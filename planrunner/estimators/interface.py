@@ -1,0 +1,154 @@
+"""What an estimator is given and what it returns.
+
+An estimator is a class found through the entry-point group `planrunner.estimators`:
+
+    class MyEstimator:
+        summary = "one line"
+        Parameters = MyParameters                     # a Record: its keys beside `estimator`, `segments`, `uses`
+        def design(self, request: DesignRequest) -> Design | None      # before anything moves
+        def estimate(self, request: EstimateRequest) -> Estimate       # from the recording
+
+Values in an `Estimate` are in the field's units, each named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.instruments.models import SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.kinds import Record
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+
+
+class EstimationError(Exception):
+    """The data or the segments cannot give this estimate. The message says why, for a quality engineer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """One estimated quantity with its standard uncertainty, both in `unit`."""
+
+    name: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+    degrees_of_freedom: float = math.inf
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table for people: column titles with units, rows of text or numbers."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """Points for people, one per label or over x: series name → values, with optional standard uncertainties."""
+
+    title: str
+    x_title: str
+    y_title: str
+    x: tuple[Any, ...]
+    series: Mapping[str, tuple[float, ...]]
+    uncertainties: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Coefficients, their covariance (m, m) in the products of their units, and what a reader needs to judge them.
+
+    headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties).
+    """
+
+    name: str
+    estimator: str
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    headline: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    tables: tuple[Table, ...] = ()
+    plots: tuple[Plot, ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    segments: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Coefficient:
+        for item in self.coefficients:
+            if item.name == name:
+                return item
+        raise KeyError(name)
+
+    def values(self, *names: str) -> Array:
+        return np.array([self[name].value for name in names])
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateRequest:
+    """name: of this estimate in the plan. uses: the estimates that it builds on, by their names in the plan."""
+
+    name: str
+    segments: tuple[RecordedSegment, ...]
+    parameters: Any
+    site: Site
+    sensor: SensorModel
+    uses: Mapping[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class DesignRequest:
+    """The same before anything is recorded. `uses` holds the designs of the estimates that this one builds on."""
+
+    name: str
+    segments: tuple[Segment, ...]
+    parameters: Any
+    site: Site
+    sensor: SensorModel
+    uses: Mapping[str, Design] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class DesignBlock:
+    """The linear model of one output at the planned stimulus.
+
+    matrix: (n, p), SI; terms: the p column names; magnitudes: (p,) declared size of each column (Earth rate, g …), by which columns
+    are divided before rank and condition are judged; sigma: (n,) predicted standard uncertainty of each observation, output units.
+    """
+
+    output: str
+    terms: tuple[str, ...]
+    matrix: Array
+    magnitudes: Array
+    sigma: Array
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """blocks: one an output. predicted: coefficients at their nominal values with the standard uncertainty to expect."""
+
+    blocks: tuple[DesignBlock, ...]
+    predicted: tuple[Coefficient, ...] = ()
+    notes: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Estimator(Protocol):
+    summary: str
+    Parameters: type[Record]
+
+    def design(self, request: DesignRequest) -> Design | None: ...
+    def estimate(self, request: EstimateRequest) -> Estimate: ...

@@ -1,0 +1,143 @@
+"""What an instrument can do: small protocols; a driver fills those that it can.
+
+A driver is a class found through the entry-point group `planrunner.instruments`:
+
+    class MyTable:
+        role = "table"                       # table, chamber, sensor or monitor
+        Parameters = MyTableParameters       # a Record: its keys in the bench file
+
+        @classmethod
+        def model(cls, parameters) -> TableModel      # known without connecting
+        @classmethod
+        def connect(cls, parameters, surroundings) -> MyTable
+
+Commands return at once with the seconds they are expected to take; the executor waits on its clock and asks `holding()`.
+Every failure is an `InstrumentError`; whatever happens, the executor then calls `make_safe` on every instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
+from planrunner.physics.earth import Site
+from planrunner.plan.kinds import Record
+from planrunner.plan.schedule import Motion, Segment
+
+Array = NDArray[np.float64]
+
+
+class InstrumentError(Exception):
+    """An instrument did not do what was asked. The message says which, what and what to look at."""
+
+
+class Clock(Protocol):
+    """Time for whoever must not know whether it is simulated."""
+
+    def now(self) -> float:
+        """Seconds since the run began."""
+
+    def sleep(self, seconds: float) -> None: ...
+
+
+@dataclass(slots=True)
+class Surroundings:
+    """What a driver is given to connect: clock, site, the root that data paths must stay beneath, the run's seed, and the other
+    instruments by role. `world` is shared by the drivers of a virtual bench; real drivers leave it alone."""
+
+    clock: Clock
+    site: Site
+    data_root: Path | None = None
+    seed: int = 0
+    world: Any = None
+    instruments: dict[str, Any] = field(default_factory=dict)
+
+
+class Driver(Protocol):
+    """The class-level side of a plug-in."""
+
+    role: str
+    Parameters: type[Record]
+
+    @classmethod
+    def model(cls, parameters: Any) -> TableModel | ChamberModel | SensorModel | None: ...
+    @classmethod
+    def connect(cls, parameters: Any, surroundings: Surroundings) -> Instrument: ...
+
+
+@runtime_checkable
+class Instrument(Protocol):
+    """What every instrument can do."""
+
+    def identify(self) -> Mapping[str, str]:
+        """Manufacturer, model, serial …, as it says itself."""
+
+    def make_safe(self) -> None:
+        """Bring it to its safe state (table stopped, chamber to ambient). Never raises twice for the same reason; idempotent."""
+
+    def close(self) -> None: ...
+
+
+@runtime_checkable
+class HoldsOrientation(Protocol):
+    def orient(self, attitude: Array) -> float:
+        """Start moving to an attitude (3, 3) at rest; expected seconds."""
+
+    def holding(self) -> bool:
+        """Whether the commanded state is reached and held."""
+
+
+@runtime_checkable
+class Moves(Protocol):
+    def begin_motion(self, motion: Motion, seconds: float) -> float:
+        """Start a spin, rock or cycle that will be held for `seconds`; expected seconds until it is steady."""
+
+    def end_motion(self) -> float:
+        """Come to rest; expected seconds."""
+
+
+@runtime_checkable
+class HoldsTemperature(Protocol):
+    def set_temperature(self, kelvin: float) -> float:
+        """Start towards a temperature; expected seconds until the air is there."""
+
+    def at_temperature(self) -> bool: ...
+
+
+@runtime_checkable
+class Readable(Protocol):
+    def read(self) -> Mapping[str, float]:
+        """A few readings now (name_unit → value), kept in the journal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Consecutive samples: `time` (n,) in s since power-on, strictly increasing, and each channel (n,) in its unit."""
+
+    time: Array
+    channels: Mapping[str, Array]
+
+
+@runtime_checkable
+class StreamsSamples(Protocol):
+    def channels(self) -> Mapping[str, str]:
+        """Channel name → unit, in the order of the recording's columns."""
+
+    def stream(self, segment: Segment) -> Iterator[Block]:
+        """The samples of one segment's dwell as blocks of bounded size, as they come. Ends when the dwell is over."""
+
+
+@runtime_checkable
+class Resumable(Protocol):
+    """A simulated instrument whose state must come back after a crash. Real instruments have nothing to restore."""
+
+    def checkpoint(self) -> Mapping[str, Any]:
+        """The state as JSON data."""
+
+    def restore(self, state: Mapping[str, Any]) -> None: ...

@@ -1,0 +1,78 @@
+"""What is known of an instrument without connecting to it: the frozen models that checker, schedule, design and estimators use.
+
+SI units with radians throughout, except a sensor's outputs, which have a unit of their own, always named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from planrunner.physics.kinematics import TableAxis
+
+__all__ = ["ChamberModel", "NoiseModel", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
+
+
+@dataclass(frozen=True, slots=True)
+class TableModel:
+    """A position/rate table. axes: outermost first. position_uncertainty: standard, rad; rate_stability: relative."""
+
+    axes: tuple[TableAxis, ...]
+    position_uncertainty: float = 0.0
+    rate_stability: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChamberModel:
+    """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, where it is left."""
+
+    lowest: float
+    highest: float
+    ramp: float
+    ambient: float = 298.15
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Noise of one output, in output units.
+
+    white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T.
+    bias_instability: flicker floor [unit]; resolution: one count [unit].
+    """
+
+    white: float = 0.0
+    bias_instability: float = 0.0
+    resolution: float = 0.0
+
+    def standard_error(self, seconds: float, rate_hz: float) -> float:
+        """Standard uncertainty of the mean over `seconds` of samples at `rate_hz`."""
+        samples = max(1.0, seconds * rate_hz)
+        white = self.white**2 / max(seconds, 1.0 / rate_hz)
+        per_sample = self.white**2 * rate_hz
+        dithered = per_sample > (self.resolution / 2) ** 2
+        rounding = self.resolution**2 / 12 / (samples if dithered else 1.0)
+        return math.sqrt(white + rounding + self.bias_instability**2)
+
+
+@dataclass(frozen=True, slots=True)
+class OutputModel:
+    """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise."""
+
+    name: str
+    unit: str
+    full_scale: float = math.inf
+    noise: NoiseModel = field(default_factory=NoiseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorModel:
+    """The sensor under test. `nominal` holds declared coefficients (name → SI value) that predictions are linearised at."""
+
+    kind: str
+    outputs: tuple[OutputModel, ...]
+    sample_rate: float
+    nominal: Mapping[str, float] = field(default_factory=dict)
+
+    def output(self, name: str) -> OutputModel | None:
+        return next((item for item in self.outputs if item.name == name), None)

@@ -1,0 +1,35 @@
+"""The Earth as a test site feels it: rotation and gravity in East-North-Up axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.041067 deg/h
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Where the bench stands. latitude, azimuth: rad; gravity: m/s^2.
+
+    azimuth: of the table's reference direction, from true north, positive clockwise seen from above (towards east). Orientation
+    words in plans mean true directions; the table's joint angles take the azimuth into account.
+    """
+
+    latitude: float
+    gravity: float = 9.80665
+    azimuth: float = 0.0
+    earth_rate: float = EARTH_RATE
+
+    @property
+    def earth_rate_enu(self) -> NDArray[np.float64]:
+        """Earth rotation in ENU, shape (3,), rad/s."""
+        return self.earth_rate * np.array([0.0, math.cos(self.latitude), math.sin(self.latitude)])
+
+    @property
+    def specific_force_enu(self) -> NDArray[np.float64]:
+        """Specific force at rest in ENU, shape (3,), m/s^2: an axis pointing up reads +g."""
+        return np.array([0.0, 0.0, self.gravity])

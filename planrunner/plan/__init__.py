@@ -1,0 +1,1 @@
+"""The plan language: text with source positions, quantities, orientations, checks and the schedule."""

@@ -1,0 +1,194 @@
+"""Units: what a unit's text means. pint resolves it, within definitions of our own.
+
+Own definitions, because in this field `g` is standard gravity (not gram), an angle is a dimension (so that a frequency in Hz
+is not taken for a rate in deg/s), and outputs come in pulses. The units met daily are listed in `_DAILY` so that checking a
+plan need not start pint; a test holds the list equal to what pint resolves.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
+
+# Base units are SI-coherent: m, kg, s, K, A, rad, pulse, count. An angle is a dimension here.
+DEFINITIONS = f"""
+pico- = 1e-12 = p-
+nano- = 1e-9 = n-
+micro- = 1e-6 = µ- = μ- = u-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+meter = [length] = m = metre
+second = [time] = s = sec
+kilogram = [mass] = kg
+kelvin = [temperature]; offset: 0 = K
+ampere = [current] = A
+radian = [angle] = rad
+pulse = [pulse]
+count = [count] = LSB
+local_g = [local_gravity]
+percent = 0.01 = _ = %
+ppm = 1e-6
+minute = 60 * second = min
+hour = 60 * minute = h = hr
+day = 24 * hour = d
+degree = {math.pi!r} / 180 * radian = deg = °
+arcmin = degree / 60 = arcminute
+arcsec = arcmin / 60 = arcsecond
+turn = 360 * degree = rev = revolution
+mil = 0.001 * radian
+hertz = 1 / second = Hz
+g = {STANDARD_GRAVITY!r} * meter / second ** 2 = standard_gravity
+gal = 0.01 * meter / second ** 2 = Gal
+newton = kilogram * meter / second ** 2 = N
+pascal = newton / meter ** 2 = Pa
+volt = kilogram * meter ** 2 / ampere / second ** 3 = V
+tesla = kilogram / ampere / second ** 2 = T
+degC = kelvin; offset: 273.15 = °C = celsius
+degF = 5 / 9 * kelvin; offset: 233.15 + 200 / 9 = °F = fahrenheit
+"""
+
+Dimension = tuple[tuple[str, float], ...]
+
+DIMENSIONS: dict[str, Dimension] = {
+    "ratio": (),
+    "angle": (("angle", 1.0),),
+    "angular rate": (("angle", 1.0), ("time", -1.0)),
+    "angular acceleration": (("angle", 1.0), ("time", -2.0)),
+    "time": (("time", 1.0),),
+    "frequency": (("time", -1.0),),
+    "temperature": (("temperature", 1.0),),
+    "temperature rate": (("temperature", 1.0), ("time", -1.0)),
+    "acceleration": (("length", 1.0), ("time", -2.0)),
+    "length": (("length", 1.0),),
+    "pressure": (("length", -1.0), ("mass", 1.0), ("time", -2.0)),
+}
+EXAMPLES = {
+    "ratio": "0.5 %",
+    "angle": "5 arcmin",
+    "angular rate": "300 deg/s",
+    "angular acceleration": "50 deg/s^2",
+    "time": "2 min",
+    "frequency": "0.2 Hz",
+    "temperature": "25 degC",
+    "temperature rate": "3 K/min",
+    "acceleration": "1 g",
+    "length": "12 mm",
+    "pressure": "101.3 kPa",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A resolved unit: SI value = written value × factor + offset."""
+
+    text: str
+    factor: float
+    dimension: Dimension
+    offset: float = 0.0
+
+    def to_si(self, value: float) -> float:
+        return value * self.factor + self.offset
+
+    def from_si(self, value: float) -> float:
+        return (value - self.offset) / self.factor
+
+
+class UnknownUnitError(ValueError):
+    """The text is not a unit; the message says so in the user's words."""
+
+
+_DEG = math.pi / 180
+_ANGLE, _RATE, _TIME = DIMENSIONS["angle"], DIMENSIONS["angular rate"], DIMENSIONS["time"]
+_ACCEL = DIMENSIONS["acceleration"]
+_DAILY = {
+    unit.text: unit
+    for unit in (
+        Unit("1", 1.0, ()),
+        Unit("%", 0.01, ()),
+        Unit("ppm", 1e-6, ()),
+        Unit("deg", _DEG, _ANGLE),
+        Unit("rad", 1.0, _ANGLE),
+        Unit("arcmin", _DEG / 60, _ANGLE),
+        Unit("arcsec", _DEG / 3600, _ANGLE),
+        Unit("deg/s", _DEG, _RATE),
+        Unit("deg/h", _DEG / 3600, _RATE),
+        Unit("rad/s", 1.0, _RATE),
+        Unit("deg/s^2", _DEG, DIMENSIONS["angular acceleration"]),
+        Unit("s", 1.0, _TIME),
+        Unit("min", 60.0, _TIME),
+        Unit("h", 3600.0, _TIME),
+        Unit("Hz", 1.0, DIMENSIONS["frequency"]),
+        Unit("degC", 1.0, DIMENSIONS["temperature"], 273.15),
+        Unit("K", 1.0, DIMENSIONS["temperature"]),
+        Unit("K/min", 1 / 60, DIMENSIONS["temperature rate"]),
+        Unit("m", 1.0, DIMENSIONS["length"]),
+        Unit("m/s^2", 1.0, _ACCEL),
+        Unit("g", STANDARD_GRAVITY, _ACCEL),
+        Unit("mg", STANDARD_GRAVITY / 1000, _ACCEL),
+        Unit("pulse/s", 1.0, (("pulse", 1.0), ("time", -1.0))),
+        Unit("pulse", 1.0, (("pulse", 1.0),)),
+        Unit("(deg/h)/(pulse/s)", _DEG / 3600, (("angle", 1.0), ("pulse", -1.0))),
+        Unit("deg/h/g", _DEG / 3600 / STANDARD_GRAVITY, (("angle", 1.0), ("length", -1.0), ("time", 1.0))),
+        Unit("pulse/sqrt(s)", 1.0, (("pulse", 1.0), ("time", -0.5))),
+    )
+}
+
+# Names, products, quotients, small integer powers, sqrt() and parentheses: nothing that computes at length.
+_SHAPE = re.compile(r"(?:[A-Za-zµμ°%_]{1,24}|sqrt(?=\()|1(?![0-9.])|\^-?[1-6]|\*\*-?[1-6]|[*/·() ])+")
+_MAX_TEXT = 60
+
+
+@lru_cache(maxsize=4096)
+def unit(text: str) -> Unit:
+    """The unit that `text` names, for example `deg/s`. Raises `UnknownUnitError`."""
+    text = text.strip()
+    if text in _DAILY:
+        return _DAILY[text]
+    if len(text) > _MAX_TEXT or not _SHAPE.fullmatch(text) or text.count("(") > 6:
+        raise UnknownUnitError(f"'{text[:40]}' is not a unit")
+    written = text.replace("·", "*").replace("sqrt(", "sqrt (")
+    written = re.sub(r"sqrt \(([A-Za-zµμ°*/ ]*)\)", r"(\1)**0.5", written)
+    try:
+        parsed = _registry().parse_units(written) if written else _registry().parse_units("")
+        factor, root = _registry().get_base_units(parsed)
+        dimension = {name.strip("[]"): float(power) for name, power in root.dimensionality.items()}
+    except Exception:
+        raise UnknownUnitError(f"'{text[:40]}' is not a unit") from None
+    offset = 0.0
+    if str(parsed) in ("degC", "degF"):
+        zero = _registry().Quantity(0.0, parsed).to("kelvin").magnitude
+        offset, factor = zero, _registry().Quantity(1.0, parsed).to("kelvin").magnitude - zero
+    return Unit(text, float(factor), tuple(sorted(dimension.items())), float(offset))
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    import pint
+
+    registry: Any = pint.UnitRegistry(None, autoconvert_offset_to_baseunit=True)
+    for line in DEFINITIONS.strip().splitlines():
+        registry.define(line)
+    return registry
+
+
+def convert(value: float, from_unit: str, to_unit: str) -> float:
+    """`value` in another unit of the same dimension. Raises `UnknownUnitError` for a unit or a dimension that does not fit."""
+    source, target = unit(from_unit), unit(to_unit)
+    if source.dimension != target.dimension:
+        raise UnknownUnitError(f"{from_unit} cannot be expressed in {to_unit}")
+    return target.from_si(source.to_si(value))
+
+
+def dimension_name(dimension: Dimension) -> str:
+    """The field's word for a dimension, or its exponents written out."""
+    for name, known in DIMENSIONS.items():
+        if known == dimension:
+            return name
+    return " ".join(f"{base}^{power:g}" for base, power in dimension) or "ratio"
