@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, dataclass_transform
 
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, Mark, closest
+from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.quantity import Quantity, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema
 
@@ -406,7 +406,12 @@ class Plugged:
             message = f"unknown {self.selector} '{chosen.text[:60]}'"
             log.error(self.code, chosen.mark, message, closest(chosen.text, self.names()))
             return None
-        plugin = self.load(chosen.text)
+        try:
+            plugin = self.load(chosen.text)
+        except InputError as error:
+            for finding in error.findings:
+                log.error(finding.code, chosen.mark, finding.message, finding.hint)
+            return None
         own = keys_of(plugin.Parameters)
         fields = {**common, **own}
         values = read_keys(node, fields, log)

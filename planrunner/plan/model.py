@@ -1,0 +1,300 @@
+"""The plan as data: the records of the language, each key with its description and an example.
+
+These records are the one source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from planrunner import plugins
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, Mark
+from planrunner.plan.kinds import (
+    ByShape,
+    Choice,
+    Kind,
+    ListOf,
+    MapOf,
+    Number,
+    Plugged,
+    QuantityOf,
+    Record,
+    RecordOf,
+    Schema,
+    Text,
+    WordOr,
+    key,
+)
+from planrunner.plan.orientation import Orientation, OrientationKind
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.selection import Detection, SelectionKind
+from planrunner.plan.sweep import ForEachKind, Sweep
+
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
+FILE_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}"
+
+
+class Sensor(Record):
+    """The sensor under test, as the plan expects it."""
+
+    kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that the plan is for; the bench must carry one.", "flexure-gyro")
+    outputs: tuple[str, ...] = key(
+        ListOf(Text(NAME, "an output's name"), minimum=1), "Outputs that are recorded and used.", ["torquer_x", "torquer_y"]
+    )
+
+
+class MountedAxis(Record):
+    """How one input axis stands in a tilted fixture."""
+
+    angle: Quantity = key(QuantityOf("angle"), "Angle between the input axis and the rotation axis.", "54.7356 deg ± 20 arcsec")
+    azimuth: Quantity | None = key(QuantityOf("angle"), "Azimuth of the input axis about the rotation axis, at home.", "120 deg", None)
+
+
+# -- motion ----------------------------------------------------------------------------------------------------------
+
+
+class RockSpec(Record):
+    """Sinusoidal rocking of the table's rings."""
+
+    amplitude: Quantity = key(QuantityOf("angle", "positive"), "Amplitude of each ring.", "3 deg")
+    frequency: Quantity = key(QuantityOf("frequency", "positive"), "Frequency of all rings.", "0.2 Hz")
+    phases: tuple[Quantity, ...] = key(
+        ListOf(QuantityOf("angle"), single=True, minimum=1),
+        "Phase of each ring, outermost first.",
+        ["0 deg", "45 deg", "90 deg"],
+        default_factory=tuple,
+    )
+
+
+MOVE = r"\s*(?P<start>\S{1,20})\s+(?P<turn>[+-]?[0-9.]{1,10})\s*(?:deg)?\s+(?P<end>\S{1,20})\s*"
+
+
+class Motion(Record):
+    """What the table does while the segment records. One of rate, rock and cycle; at rest without any."""
+
+    rate: Quantity | None = key(QuantityOf("angular rate"), "Constant rate about the rotation axis.", "300 deg/s", None)
+    about: str = key(
+        Choice(("up", "down", "north", "south", "east", "west")), "Site direction the table spins about.", "up", "up"
+    )
+    rock: RockSpec | None = key(
+        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, None
+    )
+    for_: Quantity | None = key(
+        QuantityOf("time", "positive"), "Rock for this part of the dwell only, then stand still.", "8 min", None, name="for"
+    )
+    cycle: dict[str, Quantity] | None = key(
+        MapOf(QuantityOf("angle"), pattern=r"\S{1,20}"),
+        "Named positions of an indexing cycle.",
+        {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
+        None,
+    )
+    moves: tuple[str, ...] = key(
+        ListOf(Text(MOVE, "a move such as 'A +180 C'"), minimum=1),
+        "Moves of one cycle in order: from, turn in degrees, to.",
+        ["A +180 C", "C -180 A"],
+        default_factory=tuple,
+    )
+    turn_rate: Quantity | None = key(QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", None)
+    stop: Quantity | None = key(QuantityOf("time", "positive"), "Time at each stop.", "5 min", None)
+    sense: str = key(
+        Choice(("counterclockwise", "clockwise")),
+        "Which way positive angles turn, seen against the rotation axis.",
+        "clockwise",
+        "counterclockwise",
+    )
+
+
+class Ramp(Record):
+    """A temperature that moves while the segment records."""
+
+    ramp_to: Quantity = key(QuantityOf("temperature"), "Set this temperature as recording begins.", "60 degC")
+
+
+class Turns(Record):
+    """A dwell counted in whole turns of the table."""
+
+    turns: int = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
+    at_least: Quantity | None = key(
+        QuantityOf("time", "positive"), "Add whole turns until the dwell lasts this long.", "30 s", None
+    )
+
+
+# -- segments --------------------------------------------------------------------------------------------------------
+
+
+class State(Record):
+    """A state to reach and hold. Nested steps inherit what they do not say."""
+
+    orientation: Orientation | None = key(
+        OrientationKind(),
+        "Where the sensor's axes point, in words or as a rotation; 'unknown' for hand-held recordings.",
+        {"x": "up", "y": "north", "z": "west"},
+        None,
+    )
+    rate: Quantity | None = key(QuantityOf("angular rate"), "Constant rate about up; short for motion: {rate: …}.", "10 deg/s", None)
+    motion: Motion | None = key(
+        WordOr(("rest",), RecordOf(Motion)), "What the table does while recording; at rest without it.", {"rate": "10 deg/s"}, None
+    )
+    temperature: Quantity | Ramp | None = key(
+        ByShape(QuantityOf("temperature"), RecordOf(Ramp), what="a temperature or {ramp_to: …}"),
+        "Chamber temperature to hold, or a ramp that is recorded while it happens.",
+        "25 degC",
+        None,
+    )
+    soak: Quantity | None = key(QuantityOf("time", "not negative"), "Wait after a new temperature is reached.", "60 min", None)
+    settle: Quantity | None = key(QuantityOf("time", "not negative"), "Wait after the motion is steady, before recording.", "30 s", None)
+    dwell: Quantity | Turns | str | None = key(
+        WordOr(("recorded",), ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time or {turns: …}")),
+        "How long to record: a time, whole turns, or 'recorded' for as long as a played-back segment lasts.",
+        "2 min",
+        None,
+    )
+    sample_rate: Quantity | None = key(QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None)
+    on_break: str | None = key(
+        Choice(("retake", "keep")), "What to do with a segment cut short by a crash when the run is resumed.", "keep", None
+    )
+
+
+class SegmentKind:
+    """A segment, whose steps are segments again."""
+
+    def read(self, node: source.Node, log: Findings) -> Any:
+        before = len(log.errors)
+        spec = RecordOf(SegmentSpec).read(node, log)
+        if spec is not None and len(log.errors) > before:
+            object.__setattr__(spec, "sound", False)
+        return spec
+
+    def schema(self) -> Schema:
+        return {"$ref": "#/$defs/segment"}
+
+
+class SegmentSpec(State):
+    """One entry of `segments`: a state, or a sweep over states, or steps that share one."""
+
+    label: str | None = key(
+        Text(r"[^\x00-\x1f]{1,80}", "a label"),
+        "Name of the segment; {rate}, {temperature} … stand for the swept value.",
+        "start-zero",
+        None,
+    )
+    for_each: Sweep | None = key(
+        ForEachKind(), "Repeat for every value; several keys multiply, the first changing slowest.", {"rate": "±300, ±150 deg/s"}, None
+    )
+    order: str = key(
+        Choice(("as_written", "reversed", "serpentine", "shuffled")),
+        "Order of the sweep: serpentine reverses every other inner pass; shuffled draws from 'shuffle_seed'.",
+        "as_written",
+        "as_written",
+    )
+    shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, 0)
+    repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, 1)
+    steps: tuple[SegmentSpec, ...] = key(
+        ListOf(SegmentKind(), minimum=1), "Segments that share this state.", [{"label": "start-zero", "dwell": "60 s"}], default_factory=tuple
+    )
+    sound: bool = field(default=True, compare=False)
+
+
+# -- what is learnt --------------------------------------------------------------------------------------------------
+
+
+class EstimateSpec(Record):
+    """One estimate: an estimator on a choice of segments. The estimator's own keys stand beside these."""
+
+    estimator: str = key(Text(NAME, "an estimator's name"), "Estimator to use.", "flexure_gyro_static")
+    segments: tuple[str, ...] | Detection = key(
+        SelectionKind(), "Labels of the segments to use, with * and ?; or {detect: still}.", "P*", ("*",)
+    )
+    uses: tuple[str, ...] = key(
+        ListOf(Text(NAME, "an estimate's name"), single=True), "Earlier estimates that this one builds on.", "drift", default_factory=tuple
+    )
+    parameters: Any = field(default=None)
+
+
+class Limit(Record):
+    """A requirement on one quantity; its verdict decides the exit code."""
+
+    quantity: str = key(Text(rf"{NAME}\.\S{{1,60}}", "estimate.coefficient"), "Which coefficient of which estimate.", "drift.D_X_F")
+    within: str | None = key(Text("", "a limit such as ±0.5 deg/h"), "Symmetric about zero.", "±0.5 deg/h", None)
+    at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", "0.99 1", None)
+    at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", "1.01 1", None)
+    rule: str = key(
+        Choice(("simple", "guarded")),
+        "Decision rule (JCGM 106): simple compares the value, guarded keeps the expanded uncertainty inside as well.",
+        "guarded",
+        "guarded",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RunItem:
+    """One piece of run information that the plan asks for."""
+
+    required: bool
+    mark: Mark
+
+
+class RunItemKind:
+    def read(self, node: source.Node, log: Findings) -> RunItem | None:
+        word = Choice(("required", "optional")).read(node, log)
+        return None if word is None else RunItem(word == "required", node.mark)
+
+    def schema(self) -> Schema:
+        return Choice(("required", "optional")).schema()
+
+
+ESTIMATE: Kind = Plugged(
+    EstimateSpec,
+    "estimator",
+    lambda: plugins.names(plugins.ESTIMATORS),
+    lambda name: plugins.load(plugins.ESTIMATORS, name),
+    "meaning-unknown-estimator",
+)
+
+
+class Plan(Record):
+    """A test plan."""
+
+    planrunner: int = key(Number(1, 1, integer=True), "Version of the plan language.", 1)
+    title: str = key(Text(r"[^\x00-\x1f]{1,200}", "a title"), "One line that says what the test is.", "Eight-position calibration")
+    description: str = key(Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", "")
+    bench: str = key(
+        Text(r"[^\x00-\x1f]{1,200}", "a bench's name or file"), "Bench to run on: a shipped one by name, or a file.", "virtual", "virtual"
+    )
+    sensor: Sensor = key(RecordOf(Sensor), "The sensor that the plan is for.", {"kind": "flexure-gyro", "outputs": ["torquer_x"]})
+    record: dict[str, RunItem] = key(
+        MapOf(RunItemKind(), pattern=NAME),
+        "Run information to be given with --set or --info, kept in the run folder.",
+        {"device_serial": "required", "operator": "optional"},
+        default_factory=dict,
+    )
+    mounting: dict[str, MountedAxis] = key(
+        MapOf(RecordOf(MountedAxis), pattern=NAME),
+        "How each input axis stands in a tilted fixture.",
+        {"x": {"angle": "54.7356 deg ± 20 arcsec", "azimuth": "0 deg"}},
+        default_factory=dict,
+    )
+    defaults: State | None = key(RecordOf(State), "State that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, None)
+    segments: tuple[SegmentSpec, ...] = key(
+        ListOf(SegmentKind(), minimum=1), "What to do, in order.", [{"label": "zero", "orientation": {"x": "up", "y": "north"}}]
+    )
+    estimates: dict[str, EstimateSpec] = key(
+        MapOf(ESTIMATE, pattern=NAME),
+        "What to learn from the recording, by name.",
+        {"drift": {"estimator": "flexure_gyro_static", "segments": "P*"}},
+        default_factory=dict,
+    )
+    limits: tuple[Limit, ...] = key(
+        ListOf(RecordOf(Limit)), "Requirements on what was learnt.", [{"quantity": "drift.D_X_F", "within": "±0.5 deg/h"}], default_factory=tuple
+    )
+    report: tuple[str, ...] = key(
+        ListOf(Text(FILE_NAME, "a file name")),
+        "Reports to write: names of templates, without their .j2 ending.",
+        ["report.html", "summary.md"],
+        ("report.html", "summary.md"),
+    )
+
+
+STATE_KEYS = ("orientation", "rate", "motion", "temperature", "soak", "settle", "dwell", "sample_rate", "on_break")

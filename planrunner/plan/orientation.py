@@ -1,0 +1,248 @@
+"""Orientations: where the sensor's axes point on the site, in words or as rotations.
+
+    {x: up, y: north, z: west}                       words, at least two axes
+    {from: {x: up, y: north}, rotate: [x 30 deg, z -45 deg]}   then turned about its own axes, in order
+    {quaternion: [w, x, y, z]}                       of the rotation that takes site (ENU) components to sensor components
+    unknown                                          found in the data
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.plan.findings import Findings, closest
+from planrunner.plan.quantity import QuantityError, parse_quantity
+from planrunner.plan.source import Mapping, Node, Scalar, Sequence
+
+Matrix = NDArray[np.float64]
+
+DIRECTIONS: dict[str, tuple[int, int, int]] = {
+    "east": (1, 0, 0),
+    "west": (-1, 0, 0),
+    "north": (0, 1, 0),
+    "south": (0, -1, 0),
+    "up": (0, 0, 1),
+    "down": (0, 0, -1),
+}
+AXES = ("x", "y", "z")
+_WORD = {vector: word for word, vector in DIRECTIONS.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation:
+    """`text` as reviewed; `matrix` (3, 3) as nested tuples, rows are the sensor axes in East-North-Up, or None for unknown."""
+
+    text: str
+    matrix: tuple[tuple[float, ...], ...] | None
+
+    @property
+    def attitude(self) -> Matrix | None:
+        return None if self.matrix is None else np.array(self.matrix, dtype=float)
+
+
+UNKNOWN = Orientation("unknown", None)
+
+
+def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
+    """`x up, y north, z west` for a cardinal attitude, else the axes' directions as numbers."""
+    parts = []
+    for axis, row in zip(AXES, attitude, strict=True):
+        rounded = tuple(int(v) for v in np.rint(row))
+        if rounded in _WORD and np.abs(row - rounded).max() < tolerance:
+            parts.append(f"{axis} {_WORD[rounded]}")
+        else:
+            parts.append(f"{axis} ({row[0]:+.3f} E, {row[1]:+.3f} N, {row[2]:+.3f} U)")
+    return ", ".join(parts)
+
+
+def rotation(axis: int, angle: float) -> Matrix:
+    """Sensor-to-sensor rotation by `angle` [rad] about the sensor's own axis 0, 1 or 2: v_new = R @ v_old components."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    result = np.eye(3)
+    result[i, i] = result[j, j] = c
+    result[i, j], result[j, i] = s, -s
+    return result
+
+
+class OrientationKind:
+    """The kind of value an orientation is (see `planrunner.plan.kinds`)."""
+
+    def read(self, node: Node, log: Findings) -> Orientation | None:
+        if isinstance(node, Scalar):
+            if node.value == "unknown":
+                return UNKNOWN
+            hint = "write {x: up, y: north, z: west} or unknown"
+            log.error("form-type", node.mark, f"'{node.text[:40]}' is not an orientation", hint)
+            return None
+        if not isinstance(node, Mapping):
+            log.error("form-type", node.mark, "an orientation is a mapping", "write {x: up, y: north, z: west}")
+            return None
+        names = {key.text for key, _ in node.entries}
+        known = (*AXES, "from", "rotate", "quaternion")
+        unknown = [key for key, _ in node.entries if key.text not in known]
+        for key in unknown:
+            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, known))
+        if unknown:
+            return None
+        if "quaternion" in names:
+            return self._alone(node, "quaternion", names, log) and _read_quaternion(node, log)
+        if "rotate" in names or "from" in names:
+            return _read_rotated(node, log)
+        return _read_words(node, log)
+
+    def _alone(self, node: Mapping, key: str, names: set[str], log: Findings) -> bool:
+        if len(names) == 1:
+            return True
+        log.error("meaning-orientation", node.mark, f"'{key}' stands alone in an orientation", "remove the other keys")
+        return False
+
+    def schema(self) -> dict[str, object]:
+        word = {"enum": list(DIRECTIONS)}
+        words = {
+            "type": "object",
+            "properties": {axis: {**word, "description": f"Where the sensor's {axis} axis points."} for axis in AXES},
+            "additionalProperties": False,
+            "minProperties": 2,
+        }
+        turned = {
+            "type": "object",
+            "properties": {
+                "from": {**words, "description": "Orientation to start from; x east, y north, z up without it."},
+                "rotate": {
+                    "description": "Turns about the sensor's own axes, one after the other.",
+                    "examples": [["x 30 deg", "z -45 deg"]],
+                    "type": "array",
+                    "minItems": 1,
+                    "items": {"type": "string", "pattern": "^[xyz] "},
+                },
+            },
+            "required": ["rotate"],
+            "additionalProperties": False,
+        }
+        numbers = {
+            "type": "object",
+            "properties": {
+                "quaternion": {
+                    "description": "[w, x, y, z] of the rotation from site (ENU) to sensor components; need not be normalised.",
+                    "examples": [[1, 0, 0, 0]],
+                    "type": "array",
+                    "minItems": 4,
+                    "maxItems": 4,
+                    "items": {"type": "number"},
+                }
+            },
+            "required": ["quaternion"],
+            "additionalProperties": False,
+        }
+        return {"anyOf": [{"const": "unknown"}, words, turned, numbers]}
+
+
+def _read_words(node: Mapping, log: Findings) -> Orientation | None:
+    given: dict[str, tuple[int, int, int]] = {}
+    for key, item in node.entries:
+        word = item.text if isinstance(item, Scalar) else ""
+        if word not in DIRECTIONS:
+            shown = f"'{word[:40]}' is not a direction" if word else "a direction is expected here"
+            log.error("meaning-direction", item.mark, shown, closest(word, DIRECTIONS))
+            return None
+        given[key.text] = DIRECTIONS[word]
+    if len(given) < 2:
+        log.error("meaning-orientation", node.mark, "an orientation needs at least two axes", "write {x: up, y: north, z: west}")
+        return None
+    for first, second in combinations(given, 2):
+        if abs(np.dot(given[first], given[second])) > 0:
+            same = given[first] == given[second]
+            what = "point the same way" if same else "are opposite each other"
+            message = f"{first} and {second} {what} ({first} {_WORD[given[first]]}, {second} {_WORD[given[second]]})"
+            log.error("meaning-orientation", node.mark, message, "axes are at right angles to each other")
+            return None
+    rows = [np.array(given[axis], dtype=float) if axis in given else None for axis in AXES]
+    for index in range(3):
+        if rows[index] is None:
+            rows[index] = np.cross(rows[(index + 1) % 3], rows[(index + 2) % 3])  # type: ignore[arg-type]
+    matrix = np.array(rows)
+    if np.linalg.det(matrix) < 0:
+        third = _WORD[tuple(int(v) for v in np.rint(np.cross(matrix[0], matrix[1])))]
+        words = in_words(matrix)
+        message = f"left-handed axes ({words}): x × y points {third}, not {_WORD[tuple(int(v) for v in matrix[2])]}"
+        log.error("meaning-left-handed", node.mark, message, "right-handed are " + " or ".join(_repairs(matrix)))
+        return None
+    return Orientation(in_words(matrix), tuple(map(tuple, matrix.tolist())))
+
+
+def _repairs(matrix: Matrix) -> list[str]:
+    """The right-handed orientations one slip away: two axes exchanged, or one reversed."""
+    repairs = []
+    for i, j in ((1, 2), (0, 1), (0, 2)):
+        swapped = matrix.copy()
+        swapped[[i, j]] = swapped[[j, i]]
+        repairs.append(swapped)
+    for i in (2, 1, 0):
+        flipped = matrix.copy()
+        flipped[i] = -flipped[i]
+        repairs.append(flipped)
+    return ["{" + in_words(m).replace("x ", "x: ").replace("y ", "y: ").replace("z ", "z: ") + "}" for m in repairs]
+
+
+_TURN = re.compile(r"\s*([xyz])\s+(.+)", re.DOTALL)
+
+
+def _read_rotated(node: Mapping, log: Findings) -> Orientation | None:
+    start = node.get("from")
+    matrix, text = np.eye(3), "x east, y north, z up"
+    if start is not None:
+        base = _read_words(start, log) if isinstance(start, Mapping) else None
+        if base is None:
+            if not isinstance(start, Mapping):
+                log.error("form-type", start.mark, "axes as words are expected here", "write {x: up, y: north, z: west}")
+            return None
+        matrix, text = np.array(base.matrix), base.text
+    turns = node.get("rotate")
+    if any(key.text in AXES for key, _ in node.entries):
+        log.error("meaning-orientation", node.mark, "axes stand under 'from' when 'rotate' is given", "write {from: {x: …}, rotate: […]}")
+        return None
+    if not isinstance(turns, Sequence) or not turns.items:
+        at = turns.mark if turns else node.mark
+        log.error("form-type", at, "a list of turns is expected in 'rotate'", "write [x 30 deg, z -45 deg]")
+        return None
+    for turn in turns.items:
+        match = _TURN.fullmatch(turn.text) if isinstance(turn, Scalar) else None
+        if not match:
+            log.error("meaning-turn", turn.mark, "a turn is an axis and an angle", "write for example 'x 30 deg'")
+            return None
+        try:
+            angle = parse_quantity(match[2], "angle")
+        except QuantityError as error:
+            log.error(error.code, turn.mark, str(error), error.hint)
+            return None
+        matrix = rotation(AXES.index(match[1]), angle.value) @ matrix
+        text += f", then {match[1]} {angle}"
+    return Orientation(text, tuple(map(tuple, matrix.tolist())))
+
+
+def _read_quaternion(node: Mapping, log: Findings) -> Orientation | None:
+    numbers = node.get("quaternion")
+    items = numbers.items if isinstance(numbers, Sequence) else ()
+    values = [item.value for item in items if isinstance(item, Scalar)]
+    good = len(values) == 4 and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values)
+    norm = math.sqrt(sum(float(v) ** 2 for v in values)) if good else 0.0  # type: ignore[arg-type]
+    if not good or not 1e-6 < norm < 1e6:
+        at = numbers.mark if numbers else node.mark
+        log.error("meaning-quaternion", at, "a quaternion is four finite numbers [w, x, y, z], not all zero", "write [1, 0, 0, 0]")
+        return None
+    w, x, y, z = (float(v) / norm for v in values)  # type: ignore[arg-type]
+    matrix = np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+    return Orientation(in_words(matrix), tuple(map(tuple, matrix.tolist())))

@@ -1,0 +1,31 @@
+"""Plan files to `Plan` records, with every finding of form and of the meaning of single values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, InputError
+from planrunner.plan.kinds import RecordOf
+from planrunner.plan.model import Plan
+
+
+def read_plan(root: source.Mapping) -> tuple[Plan | None, Findings]:
+    """The plan that a document holds, as far as it can be read, and what is wrong with it.
+
+    A part with an error is left out (a segment is marked as not sound), so that all other parts can still be checked.
+    """
+    log = Findings()
+    if root.get("planrunner") is None and root.get("planrunner_bench") is not None:
+        log.error("form-bench", root.mark, "this is a bench file, not a plan", "give it with --bench")
+        return None, log
+    return RecordOf(Plan).read(root, log), log
+
+
+def load_plan(path: Path, shown: str | None = None) -> tuple[Plan | None, Findings]:
+    """As `read_plan`, from a file. Never raises for what the file holds."""
+    try:
+        root = source.load(path, shown)
+    except InputError as error:
+        return None, Findings(error.findings)
+    return read_plan(root)

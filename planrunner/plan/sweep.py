@@ -1,0 +1,185 @@
+"""`for_each`: sweeps over states. Several keys multiply, the first changing slowest.
+
+    for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
+    for_each: {temperature: [-40 degC, 20 degC]}
+    for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, Mark, closest
+from planrunner.plan.kinds import QuantityOf, Record, Schema, WordOr, keys_of
+from planrunner.plan.quantity import Quantity, QuantityError, parse_sweep
+
+
+@dataclass(frozen=True, slots=True)
+class SweepValue:
+    """One value of a sweep: `name` is its part of the label, `short` what a label's {placeholder} becomes."""
+
+    name: str
+    short: str
+    value: Any
+    mark: Mark
+
+
+@dataclass(frozen=True, slots=True)
+class SweepAxis:
+    key: str
+    values: tuple[SweepValue, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    mark: Mark
+    axes: tuple[SweepAxis, ...]
+
+    @property
+    def size(self) -> int:
+        size = 1
+        for axis in self.axes:
+            size *= len(axis.values)
+        return size
+
+    def combinations(self, order: str, seed: int) -> Iterator[tuple[SweepValue, ...]]:
+        """Every combination, one value an axis, in the order asked for."""
+        rows = list(_product(self.axes, serpentine=order == "serpentine"))
+        if order == "reversed":
+            rows.reverse()
+        elif order == "shuffled":
+            random.Random(seed).shuffle(rows)
+        return iter(rows)
+
+
+def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[SweepValue, ...]]:
+    if not axes:
+        yield ()
+        return
+    for index, value in enumerate(axes[0].values):
+        rest = _product(axes[1:], serpentine)
+        if serpentine and index % 2:
+            rest = iter(list(rest)[::-1])
+        for row in rest:
+            yield (value, *row)
+
+
+SWEPT = ("orientation", "rate", "motion", "temperature", "soak", "settle", "dwell", "sample_rate")
+
+
+def _state_kinds() -> dict[str, Any]:
+    from planrunner.plan.model import State
+
+    state: type[Record] = State
+    return {name: item.metadata["kind"] for name, item in keys_of(state).items() if name in SWEPT}
+
+
+_QUANTITY_KEYS = {"rate": "angular rate", "temperature": "temperature", "soak": "time", "settle": "time", "dwell": "time", "sample_rate": "frequency"}
+
+
+class ForEachKind:
+    """The kind of value of `for_each`."""
+
+    def read(self, node: source.Node, log: Findings) -> Sweep | None:
+        if not isinstance(node, source.Mapping) or not node.entries:
+            log.error("form-type", node.mark, "for_each is a mapping of states to values", "write {rate: '±300, ±150 deg/s'}")
+            return None
+        axes = []
+        kinds = _state_kinds()
+        for name, item in node.entries:
+            if name.text not in kinds:
+                log.error("form-unknown-key", name.mark, f"'{name.text[:60]}' cannot be swept", closest(name.text, kinds))
+                continue
+            values = _values(name.text, kinds[name.text], item, log)
+            if values:
+                axes.append(SweepAxis(name.text, values))
+        return Sweep(node.mark, tuple(axes)) if len(axes) == len(node.entries) else None
+
+    def schema(self) -> Schema:
+        properties = {}
+        for name, kind in _state_kinds().items():
+            value = kind.schema()
+            forms: list[Schema] = [
+                {"type": "array", "minItems": 1, "items": value},
+                {"type": "object", "minProperties": 1, "additionalProperties": value, "propertyNames": {"pattern": r"^[^/\x00-\x1f]{1,60}$"}},
+            ]
+            if name in _QUANTITY_KEYS:
+                forms.append({"type": "string", "description": "Values with a shared unit; ± gives both signs."})
+            properties[name] = {
+                "description": f"Values of {name}: a list, a mapping of names to values, or for quantities a text such as '±300, ±150 deg/s'.",
+                "examples": [["20 degC", "60 degC"]] if name == "temperature" else ["±300, ±150 deg/s"],
+                "anyOf": forms,
+            }
+        return {"type": "object", "minProperties": 1, "additionalProperties": False, "properties": properties}
+
+
+def _values(name: str, kind: Any, node: source.Node, log: Findings) -> tuple[SweepValue, ...] | None:
+    if isinstance(node, source.Mapping):
+        return _named(kind, node, log)
+    if isinstance(node, source.Sequence):
+        read = [(kind.read(item, log), item.mark) for item in node.items]
+        if not read:
+            log.error("form-size", node.mark, "at least one value is needed", "list the values")
+        good = [(value, mark) for value, mark in read if value is not None]
+        return _labelled(name, good) if len(good) == len(read) and read else None
+    if name not in _QUANTITY_KEYS:
+        log.error("form-type", node.mark, f"{name} is swept over a list or a mapping of names", "write {P1: …, P2: …}")
+        return None
+    try:
+        quantities = parse_sweep(node.text, _QUANTITY_KEYS[name])
+    except QuantityError as error:
+        log.error(error.code, node.mark, str(error), error.hint)
+        return None
+    return _check_signs(name, kind, quantities, node, log)
+
+
+def _check_signs(
+    name: str, kind: Any, quantities: list[Quantity], node: source.Scalar, log: Findings
+) -> tuple[SweepValue, ...] | None:
+    """The values that the swept key itself would accept, such as no negative dwell."""
+    inner = kind.other.scalar if isinstance(kind, WordOr) else getattr(kind, "scalar", kind)
+    sign = inner.sign if isinstance(inner, QuantityOf) else "any"
+    for quantity in quantities:
+        if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
+            log.error("meaning-range", node.mark, f"{name} {quantity} must be {sign}", "change the number")
+            return None
+    return _labelled(name, [(quantity, node.mark) for quantity in quantities])
+
+
+def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, ...] | None:
+    values = []
+    for name, item in node.entries:
+        if not re.fullmatch(r"[^/\x00-\x1f]{1,60}", name.text):
+            log.error("form-name", name.mark, f"'{name.text[:60]}' is not a usable label", "leave out '/' and control characters")
+            continue
+        value = kind.read(item, log)
+        if value is not None:
+            values.append(SweepValue(name.text, name.text, value, item.mark))
+    if not node.entries:
+        log.error("form-size", node.mark, "at least one value is needed", "write {name: value, …}")
+    return tuple(values) if node.entries and len(values) == len(node.entries) else None
+
+
+def _labelled(name: str, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ...]:
+    quantities = [value for value, _ in values if isinstance(value, Quantity)]
+    signed = any(quantity.unit.from_si(quantity.value) < 0 for quantity in quantities)
+    rows: list[SweepValue] = []
+    for index, (value, mark) in enumerate(values, start=1):
+        if isinstance(value, Quantity):
+            number = value.unit.from_si(value.value)
+            short = f"{number:+.9g}" if signed else f"{number:.9g}"
+            label = short + re.sub(r"[^A-Za-z0-9%]+", "_", value.unit.text).strip("_")
+        else:
+            short, label = str(index), f"{name}{index}"
+        rows.append(SweepValue(label, short, value, mark))
+    seen: dict[str, int] = {}
+    for position, row in enumerate(rows):
+        seen[row.name] = seen.get(row.name, 0) + 1
+        if seen[row.name] > 1:
+            rows[position] = replace(row, name=f"{row.name}#{seen[row.name]}", short=f"{row.short}#{seen[row.name]}")
+    return tuple(rows)
