@@ -1,0 +1,107 @@
+"""Stimulus: what the sensor felt, for samples or for segment means.
+
+Arrays are SI-coherent and in the sensor's own axes; an axis pointing up at rest reads +g. Segment means follow in closed form from the
+planned attitude and motion, the Earth's rotation and gravity at the site.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.physics.earth import Site
+from planrunner.plan.schedule import Rest, Segment, Spin
+
+Array = NDArray[np.float64]
+
+
+class StimulusError(ValueError):
+    """What the sensor felt cannot be told from the plan. The message says which segment and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stimulus:
+    """What the sensor felt at n moments, or on average over n segments.
+
+    omega: shape (n, 3), rad/s, angular rate relative to inertial space on the sensor's x, y, z. specific_force: (n, 3), m/s^2.
+    temperature: (n,), K, NaN where not known. time: (n,), s, the middle of a segment. table_rate: (n,), rad/s.
+    table_angle: (n,), rad turned since the dwell began. moving: (n,), whether the attitude changed while averaging, so that a
+    product of two means is not the mean of the product.
+    """
+
+    omega: Array
+    specific_force: Array
+    temperature: Array
+    time: Array
+    table_rate: Array
+    table_angle: Array
+    moving: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[float | None] | None = None) -> Stimulus:
+    """The mean stimulus of each segment's dwell.
+
+    durations: s, of what was really recorded; the planned dwells without it. A spinning segment begins at its planned attitude, and
+    its mean is taken over the turns that it covers; where the duration is not known, over whole turns. Raises `StimulusError` for an
+    unknown attitude and for rocking or indexing, whose mean says little of what was felt.
+    """
+    lasting = [segment.dwell for segment in segments] if durations is None else list(durations)
+    n = len(segments)
+    omega, force = np.empty((n, 3)), np.empty((n, 3))
+    temperature, time, angle = np.full(n, np.nan), np.empty(n), np.zeros(n)
+    for row, (segment, seconds) in enumerate(zip(segments, lasting, strict=True)):
+        attitude = _attitude(segment)
+        if isinstance(segment.motion, Spin):
+            axis = _unit(segment.motion.about)
+            turned = 0.0 if seconds is None else segment.motion.rate * seconds
+            whole = seconds is None
+            omega[row] = attitude @ (mean_while_turning(site.earth_rate_enu, axis, turned, whole) + segment.motion.rate * axis)
+            force[row] = attitude @ mean_while_turning(site.specific_force_enu, axis, turned, whole)
+            angle[row] = turned / 2
+        elif isinstance(segment.motion, Rest):
+            omega[row] = attitude @ site.earth_rate_enu
+            force[row] = attitude @ site.specific_force_enu
+        else:
+            kind = type(segment.motion).__name__.lower()
+            raise StimulusError(f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest")
+        if segment.temperature is not None:
+            temperature[row] = segment.temperature if segment.ramp_to is None else (segment.temperature + segment.ramp_to) / 2
+        time[row] = segment.start + (seconds or 0.0) / 2
+    rates = np.array([segment.rate for segment in segments], dtype=float)
+    return Stimulus(omega, force, temperature, time, rates, angle, rates != 0)
+
+
+def mean_while_turning(vector: Array, axis: Array, turned: float, whole_turns: bool = False) -> Array:
+    """The mean of a site-fixed vector, shape (3,), as seen in site axes that turn with the table about `axis` by `turned` rad.
+
+    With p the part along the axis, q the rest and r = axis × vector, the table sees p + q·cos θ − r·sin θ at angle θ; its mean over
+    0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns only p is left.
+    """
+    along = (vector @ axis) * axis
+    if whole_turns:
+        return along
+    across, side = vector - along, np.cross(axis, vector)
+    half = turned / 2
+    mean_cos = float(np.sinc(turned / np.pi))
+    mean_sin = float(np.sin(half) * np.sinc(half / np.pi))
+    return along + across * mean_cos - side * mean_sin
+
+
+def _attitude(segment: Segment) -> Array:
+    if segment.attitude is None:
+        raise StimulusError(
+            f"the orientation of segment '{segment.label}' is unknown, so what the sensor felt is not known; "
+            "give its orientation or use an estimator that does not need it"
+        )
+    return segment.attitude
+
+
+def _unit(direction: Sequence[float]) -> Array:
+    vector = np.asarray(direction, dtype=float)
+    return vector / np.linalg.norm(vector)
