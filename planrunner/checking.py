@@ -1,0 +1,213 @@
+"""The checks of a plan on a bench, all in one run: form, meaning, physics.
+
+    checked = check_plan(Path("plans/x.yaml"))
+    checked.findings       everything that is wrong, with file:line:column
+    checked.schedule       what would be done, with times
+    checked.designs        what each estimate could learn, with predicted uncertainties
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from planrunner.bench.model import Bench, BenchModels, models, read_bench
+from planrunner.bench.scheduling import build_schedule
+from planrunner.design.identifiability import Identifiability, judge
+from planrunner.estimators.analysis import design_of
+from planrunner.estimators.interface import Coefficient, Design, EstimationError
+from planrunner.plan import source
+from planrunner.plan.expand import StatedSegment, expand
+from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.meaning import check_meaning
+from planrunner.plan.model import Limit, Plan
+from planrunner.plan.quantity import Quantity, parse_symmetric
+from planrunner.plan.reader import read_plan
+from planrunner.plan.schedule import Schedule
+from planrunner.plan.units import unit
+from planrunner.shipped import shipped
+
+# Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
+ILL_CONDITIONED = 30.0
+HOPELESS = 1e6
+
+
+@dataclass(slots=True)
+class Checked:
+    """A plan as far as it could be read and checked. `plan_bytes` and `bench_bytes` are exactly what was read."""
+
+    file: str
+    findings: Findings
+    plan: Plan | None = None
+    bench: Bench | None = None
+    models: BenchModels | None = None
+    schedule: Schedule | None = None
+    designs: dict[str, Design] = field(default_factory=dict)
+    judged: dict[str, tuple[Identifiability, ...]] = field(default_factory=dict)
+    plan_bytes: bytes = b""
+    bench_bytes: bytes = b""
+
+    @property
+    def ok(self) -> bool:
+        return self.plan is not None and self.schedule is not None and not self.findings.errors
+
+
+def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = None) -> Checked:
+    """Everything that can be said of a plan before it runs. Never raises for what the files hold.
+
+    bench: use this bench instead of the plan's own (a shipped name or a file relative to the working folder); bench_path: use exactly
+    this file.
+    """
+    checked = Checked(str(path), Findings())
+    try:
+        text = source.read_text(path)
+        checked.plan_bytes = path.read_bytes()
+        plan, checked.findings = read_plan(source.parse(text, str(path)))
+    except InputError as error:
+        checked.findings = Findings(list(error.findings))
+        return checked
+    if plan is None:
+        return checked
+    checked.plan = plan
+    log = checked.findings
+    stated = expand(plan, log)
+    check_meaning(plan, stated, report_names(), log)
+    if _find_bench(checked, plan, path, bench, bench_path):
+        _check_physics(checked, plan, stated)
+    return checked
+
+
+def report_names() -> list[str]:
+    """The reports that can be written: the shipped templates, without partials."""
+    return [file.name.removesuffix(".j2") for file in sorted(shipped("templates").glob("[!_]*.j2")) if not file.name.startswith("show.")]
+
+
+def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:
+    try:
+        if bench_path is not None:
+            found = read_bench(str(bench_path), None)
+        elif bench is not None:
+            found = read_bench(bench, Path())
+        else:
+            found = read_bench(plan.bench, path.parent)
+    except InputError as error:
+        missing = all(finding.code in ("file-missing", "bench-unknown") for finding in error.findings)
+        for finding in error.findings:
+            mark = plan.at("bench") if missing and bench is None and bench_path is None else finding.mark
+            checked.findings.error(finding.code, mark, finding.message, finding.hint)
+        return False
+    checked.bench, checked.bench_bytes, _ = found
+    checked.models = models(checked.bench)
+    return True
+
+
+def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) -> None:
+    log = checked.findings
+    assert checked.models is not None
+    _check_sensor(plan, checked.models, log)
+    if not stated:
+        return
+    schedule = build_schedule(stated, checked.models, log)
+    if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
+        checked.schedule = schedule
+        if checked.models.sensor is not None:
+            _check_estimates(checked, plan, log)
+
+
+def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
+    sensor = known.sensor
+    if sensor is None:
+        log.error("meaning-no-sensor", plan.at("sensor"), "this bench has no sensor", "use another bench")
+        return
+    if sensor.kind != plan.sensor.kind:
+        message = f"the plan is for a {plan.sensor.kind}, the bench carries a {sensor.kind}"
+        log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, "use a bench with such a sensor")
+        return
+    outputs = [output.name for output in sensor.outputs]
+    for name in plan.sensor.outputs:
+        if name not in outputs:
+            message = f"the sensor of this bench has no output '{name}'"
+            log.error("meaning-sensor-output", plan.sensor.at("outputs"), message, closest(name, outputs))
+
+
+def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
+    assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
+    for name, spec in plan.estimates.items():
+        if any(other not in checked.designs for other in spec.uses):
+            continue
+        try:
+            design = design_of(name, spec, checked.schedule.segments, checked.models.site, checked.models.sensor, checked.designs)
+        except EstimationError as error:
+            log.error("physics-estimate", spec.origin.mark, f"'{name}': {error}", "choose other segments or another estimator")
+            continue
+        if design is None:
+            continue
+        checked.designs[name] = design
+        checked.judged[name] = judge(design)
+        for judged in checked.judged[name]:
+            _report(name, judged, spec.at("segments"), log)
+    for limit in plan.limits:
+        _check_limit(limit, checked.designs, log)
+
+
+def _report(name: str, judged: Identifiability, mark: Mark, log: Findings) -> None:
+    if judged.unidentifiable:
+        terms = ", ".join(judged.unidentifiable)
+        message = f"'{name}' cannot identify {terms} on the planned segments (rank {judged.rank} of {judged.columns}, output {judged.output}): {judged.explanation}"
+        log.error("physics-rank", mark, message, "add segments that tell these terms apart, or leave the terms out")
+    elif judged.condition > ILL_CONDITIONED:
+        message = f"'{name}' is ill-conditioned on the planned segments (condition {judged.condition:.3g}, output {judged.output}): {judged.explanation}"
+        add = log.error if judged.condition > HOPELESS else log.warning
+        add("physics-condition", mark, message, "spread the segments' states further")
+
+
+def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> None:
+    estimate, _, name = limit.quantity.partition(".")
+    design = designs.get(estimate)
+    if design is None or not design.predicted:
+        return
+    known = {item.name: item for item in design.predicted}
+    if name not in known:
+        message = f"'{estimate}' has no coefficient '{name}'"
+        log.error("meaning-unknown-quantity", limit.at("quantity"), message, closest(name, known))
+        return
+    coefficient = known[name]
+    for key in ("within", "at_least", "at_most"):
+        bound = getattr(limit, key)
+        if bound is None:
+            continue
+        try:
+            value = parse_symmetric(bound) if isinstance(bound, str) else bound
+        except ValueError:
+            continue
+        if value is not None and value.unit.dimension != unit(coefficient.unit).dimension:
+            message = f"{limit.quantity} is in {coefficient.unit}; {value.unit.text} does not fit"
+            log.error("meaning-dimension", limit.at(key), message, f"write the limit in {coefficient.unit}")
+            return
+    _foresee(limit, coefficient, log)
+
+
+def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
+    """Warns of a guarded limit that is narrower than the uncertainty to expect: nothing could pass it."""
+    from planrunner.uncertainty.decision import coverage_factor
+
+    low, high = _bounds(limit)
+    if limit.rule != "guarded" or math.isinf(high - low):
+        return
+    factor = unit(coefficient.unit).factor
+    expanded = coverage_factor(coefficient.degrees_of_freedom) * coefficient.standard_uncertainty * factor
+    if 2 * expanded >= high - low:
+        shown = f"±{expanded / factor:.2g} {coefficient.unit}"
+        message = f"{limit.quantity} is to be expected with {shown}, so nothing can pass this guarded limit"
+        log.warning("physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit")
+
+
+def _bounds(limit: Limit) -> tuple[float, float]:
+    bound = parse_symmetric(limit.within) if limit.within else None
+    if bound is not None:
+        return -bound.value, bound.value
+    low: Quantity | None = limit.at_least
+    high: Quantity | None = limit.at_most
+    return (low.value if low else -math.inf), (high.value if high else math.inf)

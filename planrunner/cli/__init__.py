@@ -1,0 +1,94 @@
+"""The command line: one module a command, each with arguments, progress and printing only.
+
+A command's module is imported when the command is used, so that `check` stays quick. Whatever goes wrong ends here as a message and
+an exit code: 0 done, 1 a limit failed, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from planrunner import __version__
+from planrunner.plan.findings import InputError
+
+DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
+
+COMMANDS = {
+    "check": "check plans and benches before anything moves",
+    "show": "show a plan's timeline, positions, total time and predicted uncertainties",
+    "run": "run a plan on a bench, then estimate and report",
+    "resume": "go on with a run that was cut short",
+    "estimate": "estimate again from a recording, as a new analysis",
+    "report": "write the reports of an analysis again",
+    "new": "list the shipped plans, or copy one to start from",
+    "bench": "list the shipped benches and the installed instrument drivers",
+    "export": "export coefficients to CSV, MATLAB, YAML or a C header",
+    "self-test": "check this installation against reference data with known answers",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The `planrunner` command. Returns the exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _run(arguments)
+    except InputError as error:
+        from planrunner.cli.printing import print_findings
+
+        print_findings(error.findings)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else WRONG_INPUT
+    except Exception as error:
+        return _explain(error)
+
+
+def _run(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(
+        prog="planrunner",
+        description="Declarative test plans for inertial sensors.",
+        epilog="`planrunner COMMAND --help` explains a command.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"planrunner {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    chosen = next((word for word in arguments if not word.startswith("-")), None)
+    for name, summary in COMMANDS.items():
+        command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        if name == chosen:
+            module = import_module(f"planrunner.cli.{name.replace('-', '_')}")
+            module.add_arguments(command)
+            command.set_defaults(run=module.run)
+    parsed = parser.parse_args(arguments)
+    code: int = parsed.run(parsed)
+    return code
+
+
+def _explain(error: Exception) -> int:
+    """Known kinds of failure as a message; anything else as an internal error with a file for whoever mends it."""
+    known = {"IntegrityError": INTEGRITY, "InstrumentError": FAULT, "EstimationError": WRONG_INPUT}
+    for kind in type(error).__mro__:
+        if kind.__name__ in known:
+            print(f"error: {error}", file=sys.stderr)
+            return known[kind.__name__]
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
+        return WRONG_INPUT
+    import tempfile
+    import traceback
+
+    with tempfile.NamedTemporaryFile("w", prefix="planrunner-", suffix=".txt", delete=False, encoding="utf-8") as file:
+        file.write(traceback.format_exc())
+    print(f"internal error: {type(error).__name__}: {error}\nPlease report it with the file {file.name}.", file=sys.stderr)
+    return FAULT

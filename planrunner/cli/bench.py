@@ -1,0 +1,25 @@
+"""`planrunner bench`: the shipped benches and the installed instrument drivers."""
+
+from __future__ import annotations
+
+import argparse
+
+from planrunner import cli, plugins
+from planrunner.bench.model import read_bench
+from planrunner.shipped import shipped
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("action", choices=["list"], help="list: benches and drivers")
+
+
+def run(args: argparse.Namespace) -> int:
+    print("Shipped benches (use with --bench NAME, or `bench: NAME` in a plan):")
+    for file in sorted((shipped("plans") / "benches").glob("*.yaml")):
+        bench, _, _ = read_bench(file.stem, None)
+        print(f"  {file.stem:<24} {bench.description or bench.name}")
+    print("Instrument drivers (`driver: NAME` in a bench file):")
+    for name in plugins.names(plugins.INSTRUMENTS):
+        driver = plugins.load(plugins.INSTRUMENTS, name)
+        print(f"  {name:<24} {driver.role}: {(driver.__doc__ or '').strip().splitlines()[0]}")
+    return cli.DONE

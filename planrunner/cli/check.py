@@ -1,0 +1,69 @@
+"""`planrunner check`: every finding of one or more plans, then what to expect of each sound plan."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from planrunner import cli
+from planrunner.checking import Checked, check_plan
+from planrunner.cli.printing import print_findings, print_json
+from planrunner.plan.findings import InputError
+from planrunner.reporting.words import duration
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plans", nargs="+", metavar="PLAN", help="plan files")
+    parser.add_argument("--bench", metavar="BENCH", help="hold the plans against this bench: a shipped name or a file")
+    parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    checks = [check_plan(Path(plan), bench=args.bench) for plan in args.plans]
+    if args.json:
+        print_json([finding.to_json() for checked in checks for finding in checked.findings])
+    else:
+        for checked in checks:
+            print_findings(checked.findings)
+            print(summary(checked))
+    return cli.DONE if all(checked.ok for checked in checks) else cli.WRONG_INPUT
+
+
+def require_sound(checked: Checked) -> None:
+    """Prints warnings and goes on, or raises `InputError` with the errors."""
+    if not checked.ok:
+        raise InputError(checked.findings)
+    print_findings(checked.findings)
+
+
+def summary(checked: Checked) -> str:
+    """What a reader wants to know at once: sound or not, how long, which uncertainties to expect."""
+    errors = len(checked.findings.errors)
+    warnings = sum(finding.severity == "warning" for finding in checked.findings)
+    head = f"{checked.file}: {_count(errors, 'error')}, {_count(warnings, 'warning')}"
+    if not checked.ok or checked.schedule is None or checked.bench is None:
+        return head
+    count = len(checked.schedule.segments)
+    open_ended = any(segment.dwell is None for segment in checked.schedule.segments)
+    total = "as long as the recording" if open_ended else duration(checked.schedule.total)
+    lines = [f"{head}; {_count(count, 'segment')} on bench '{checked.bench.name}', {total}"]
+    for name, design in checked.designs.items():
+        for judged in checked.judged[name]:
+            lines.append(f"  {name}, output {judged.output}: rank {judged.rank} of {judged.columns}, condition {judged.condition:.3g}")
+        if design.predicted:
+            lines.append(f"  {name}: standard uncertainties to expect")
+            lines.append(_columns([(item.name, f"{item.standard_uncertainty:.2g} {item.unit}") for item in design.predicted]))
+    lines.append("  safe state in this order: " + ", ".join(checked.bench.safe_order))
+    return "\n".join(lines)
+
+
+def _columns(pairs: list[tuple[str, str]], across: int = 3) -> str:
+    wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
+    cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
+    return "\n".join("    " + "   ".join(cells[row : row + across]).rstrip() for row in range(0, len(cells), across))
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" + ("" if number == 1 else "s")
+
+
