@@ -1,9 +1,32 @@
-"""Rate-table kinematics: joint angles for an attitude, reach, cable wrap and the time a move takes."""
+"""Rate-table kinematics: attitude from joint angles and back, reach, and the time a move takes.
+
+Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero.
+With the site's azimuth α (clockwise from north) the platform stands at R_z(−α)·R_1·R_2·R_3 in East-North-Up, and with all joints at
+zero and α = 0 the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The inverse solves the classical
+subproblems of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Angles = tuple[float, ...]
+
+TURN = 2 * math.pi
+LOCKED = 1e-9  # sine of the angle between outer and inner axis below which they count as parallel (gimbal lock)
+REACHED = 1e-7  # rad; an attitude nearer than this counts as reached
+ALIGNED = 1e-5  # rad; an axis nearer than this to a direction counts as lying along it
+SLACK = 1e-9  # rad beyond a joint limit that rounding may cause
+
+
+class Unreachable(ValueError):
+    """The table cannot do it; the message says which axis, angle and limit, for a quality engineer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +44,61 @@ class TableAxis:
     lowest: float = -math.inf
     highest: float = math.inf
 
+    @property
+    def continuous(self) -> bool:
+        return math.isinf(self.lowest) and math.isinf(self.highest)
+
+
+def rotation_about(axis: Sequence[float], angle: float) -> Array:
+    """Right-handed rotation matrix (3, 3) by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
+    x, y, z = axis
+    c, s = math.cos(angle), math.sin(angle)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    outer = np.outer(axis, axis)
+    return c * np.eye(3) + s * cross + (1 - c) * outer
+
+
+def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
+    """The sensor's axes as rows in East-North-Up, shape (3, 3), at joint angles [rad] (n,) and site azimuth [rad]."""
+    platform = rotation_about((0.0, 0.0, 1.0), -azimuth)
+    for axis, angle in zip(axes, angles, strict=True):
+        platform = platform @ rotation_about(axis.direction, angle)
+    return np.asarray(platform.T)
+
+
+def joint_angles(
+    axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
+) -> Array:
+    """Joint angles [rad], shape (n,), for an attitude (3, 3): within the limits, and of all solutions the quickest to reach from `near`.
+
+    A limited axis keeps its absolute angle, so cables unwind where they must; a continuous axis takes the shorter way. Raises
+    `Unreachable` saying why.
+    """
+    near = tuple(float(angle) for angle in near)
+    wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.asarray(target, dtype=float).T
+    candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
+    off = _misalignment(axes, candidates[0], wanted)
+    if off > REACHED:
+        names = " and ".join(f"'{axis.name}'" for axis in axes)
+        only = f"has only the axis {names}" if len(axes) == 1 else f"has only the axes {names}"
+        message = f"the table {only}; the nearest orientation it reaches is {math.degrees(off):.4g} deg away"
+        raise Unreachable(message)
+    best: tuple[float, float, Angles] | None = None
+    reasons: list[tuple[float, str]] = []
+    for candidate in candidates:
+        placed = [_place(axis, angle, start) for axis, angle, start in zip(axes, candidate, near, strict=True)]
+        outside = [reason for _, reason in placed if reason is not None]
+        if outside:
+            reasons.append(max(outside))
+            continue
+        angles = tuple(angle for angle, _ in placed)
+        distance = sum((angle - start) ** 2 for angle, start in zip(angles, near, strict=True))
+        choice = (round(transition_time(axes, near, angles), 9), distance, angles)
+        best = choice if best is None or choice[:2] < best[:2] else best
+    if best is None:
+        raise Unreachable(min(reasons)[1])
+    return np.array(best[2])
+
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
     """Seconds for a rest-to-rest move with a trapezoidal rate profile.
@@ -31,3 +109,158 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
     if distance < max_rate**2 / max_acceleration:
         return 2 * math.sqrt(distance / max_acceleration)
     return distance / max_rate + max_rate / max_acceleration
+
+
+def transition_time(axes: Sequence[TableAxis], start: Sequence[float] | Array, end: Sequence[float] | Array) -> float:
+    """Seconds from rest to rest between joint angles [rad]: all axes move at once, the slowest decides."""
+    moves = zip(axes, start, end, strict=True)
+    return max(move_time(stop - begin, axis.max_rate, axis.max_acceleration) for axis, begin, stop in moves)
+
+
+def spin_up_time(axis: TableAxis, rate: float) -> float:
+    """Seconds from rest to `rate` [rad/s], or back to rest."""
+    return abs(rate) / axis.max_acceleration
+
+
+def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
+    """Where every axis points now, shape (n, 3), East-North-Up unit vectors."""
+    carried = rotation_about((0.0, 0.0, 1.0), -azimuth)
+    rows = []
+    for axis, angle in zip(axes, angles, strict=True):
+        rows.append(carried @ np.asarray(axis.direction))
+        carried = carried @ rotation_about(axis.direction, angle)
+    return np.array(rows)
+
+
+def spin_axis(
+    axes: Sequence[TableAxis], angles: Sequence[float] | Array, about: Sequence[float], azimuth: float = 0.0
+) -> int:
+    """Index of the axis that lies along the site direction `about`, either way round, at these joint angles.
+
+    The outermost such axis, because it carries the others. Raises `Unreachable` when none does, naming where the axes point.
+    """
+    cosines = joint_directions(axes, angles, azimuth) @ np.asarray(about, dtype=float)
+    for index, cosine in enumerate(cosines):
+        if abs(cosine) > math.cos(ALIGNED):
+            return index
+    off = [
+        f"'{axis.name}' stands {math.degrees(math.acos(min(1.0, abs(float(c))))):.4g} deg from it"
+        for axis, c in zip(axes, cosines, strict=True)
+    ]
+    raise Unreachable("no axis lies along that direction now: " + ", ".join(off))
+
+
+def check_geometry(axes: Sequence[TableAxis]) -> None:
+    """Raises `Unreachable` unless there are one to three axes, each at right angles to the one that carries it."""
+    if not 1 <= len(axes) <= 3:
+        raise Unreachable(f"a table has one to three axes, not {len(axes)}")
+    for outer, inner in zip(axes, axes[1:], strict=False):
+        if abs(float(np.dot(outer.direction, inner.direction))) > 1e-9:
+            raise Unreachable(f"the axis '{inner.name}' is not at right angles to '{outer.name}', which carries it")
+
+
+# -- solving ---------------------------------------------------------------------------------------------------------
+
+
+def _one_axis(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
+    return [(_best_turn(axes[0].direction, wanted),)]
+
+
+def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
+    first, second = (np.asarray(axis.direction) for axis in axes)
+    outer = _angle_between(first, second, wanted @ second)
+    if outer is None:
+        outer = near[0]
+    rest = rotation_about(axes[0].direction, outer).T @ wanted
+    return [(outer, _best_turn(axes[1].direction, rest))]
+
+
+def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
+    """Every solution (two, or a choice of the one-parameter family where outer and inner axis are parallel).
+
+    With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b, then q_3 remains.
+    The sine |a_1 × b| is taken as it stands, because an arc cosine would lose half the digits near gimbal lock.
+    """
+    first, second, third = (np.asarray(axis.direction) for axis in axes)
+    carried = wanted @ third
+    sine = float(np.linalg.norm(np.cross(first, carried)))
+    locked = sine < LOCKED
+    half = math.atan2(0.0 if locked else sine, float(first @ carried))
+    zero = math.atan2(float(first @ np.cross(second, third)), float(first @ third))
+    found: list[Angles] = []
+    for middle in {zero + half, zero - half}:
+        turned = rotation_about(axes[1].direction, middle) @ third
+        if locked:
+            found += _locked_family(axes, middle, wanted, near)
+            continue
+        outer = _angle_between(first, turned, carried)
+        assert outer is not None
+        found.append((outer, middle, _inner(axes, outer, middle, wanted)))
+    return sorted(found)
+
+
+def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array) -> float:
+    carrier = rotation_about(axes[0].direction, outer) @ rotation_about(axes[1].direction, middle)
+    return _best_turn(axes[2].direction, carrier.T @ wanted)
+
+
+def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
+    """With outer and inner axis parallel only their combined angle counts: keep one of them still, or stop it at a limit."""
+    outer, inner = axes[0], axes[2]
+    turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
+    same_way = 1.0 if float(np.dot(outer.direction, turned)) > 0 else -1.0
+    total = _inner(axes, 0.0, middle, wanted)  # q_3 = total − same_way·q_1
+    outers = [near[0], *(limit for limit in (outer.lowest, outer.highest) if math.isfinite(limit))]
+    for inner_angle in (near[2], inner.lowest, inner.highest):
+        if math.isfinite(inner_angle):
+            outers.append(same_way * (total - inner_angle))
+    return [(angle, middle, total - same_way * angle) for angle in outers]
+
+
+def _best_turn(axis: Sequence[float], wanted: Array) -> float:
+    """The angle about `axis` whose rotation comes nearest to `wanted` (maximal trace of Rᵀ·wanted)."""
+    unit = np.asarray(axis)
+    skew = np.array([wanted[2, 1] - wanted[1, 2], wanted[0, 2] - wanted[2, 0], wanted[1, 0] - wanted[0, 1]])
+    return math.atan2(float(unit @ skew), float(np.trace(wanted) - unit @ wanted @ unit))
+
+
+def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
+    """The angle about `axis` that turns `start` towards `end`; None when either lies along the axis."""
+    a = start - axis * float(axis @ start)
+    b = end - axis * float(axis @ end)
+    if min(np.linalg.norm(a), np.linalg.norm(b)) < LOCKED:
+        return None
+    return math.atan2(float(axis @ np.cross(a, b)), float(a @ b))
+
+
+def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> float:
+    """Angle [rad] between what joint angles give and the wanted platform rotation."""
+    off = attitude(axes, angles) @ wanted
+    skew = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
+    return math.atan2(float(np.linalg.norm(skew)), float(np.trace(off)) - 1.0)
+
+
+def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
+    """The equivalent of `angle` nearest to `near` within the limits, or by how much it lies outside and why."""
+    nearest = angle + TURN * round((near - angle) / TURN)
+    if axis.continuous:
+        return nearest, None
+    low = nearest if math.isinf(axis.lowest) else angle + TURN * math.ceil((axis.lowest - SLACK - angle) / TURN)
+    high = nearest if math.isinf(axis.highest) else angle + TURN * math.floor((axis.highest + SLACK - angle) / TURN)
+    lowest, highest = axis.lowest, axis.highest
+    choices = [choice for choice in (nearest, low, high) if lowest - SLACK <= choice <= highest + SLACK]
+    if choices:
+        best = min(choices, key=lambda choice: abs(choice - near))
+        return min(max(best, lowest), highest), None
+    central = math.remainder(angle, TURN)
+    beyond = max(lowest - central, central - highest)
+    return nearest, (
+        beyond,
+        f"the axis '{axis.name}' would have to stand at {math.degrees(central):.4g} deg; {limits_in_words(axis)}",
+    )
+
+
+def limits_in_words(axis: TableAxis) -> str:
+    low = "any angle" if math.isinf(axis.lowest) else f"{math.degrees(axis.lowest):g}"
+    high = "any angle" if math.isinf(axis.highest) else f"{math.degrees(axis.highest):g} deg"
+    return f"it turns from {low} to {high}"

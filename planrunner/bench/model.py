@@ -1,0 +1,235 @@
+"""The bench as data: where it stands and which instruments it carries, each key with its description and an example.
+
+These records are the one source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`. An instrument's own
+keys are declared by its driver.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from planrunner import plugins
+from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
+from planrunner.physics.earth import Site
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.units import DIMENSIONS, Unit
+from planrunner.shipped import shipped
+
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
+LINE = r"[^\x00-\x1f]{1,200}"
+SINGLE_ROLES = ("table", "chamber", "sensor")
+_NORTH = Quantity(0.0, Unit("deg", math.pi / 180, DIMENSIONS["angle"]))
+
+
+class SiteSpec(Record):
+    """Where the bench stands."""
+
+    latitude: Quantity = key(QuantityOf("angle"), "Geodetic latitude, north positive.", "39.98 deg")
+    gravity: Quantity = key(QuantityOf("acceleration", "positive"), "Local gravity.", "9.80154 m/s^2")
+    azimuth: Quantity = key(
+        QuantityOf("angle"),
+        "Azimuth of the table's reference direction from true north, positive towards east.",
+        "0 deg",
+        _NORTH,
+    )
+
+
+class AmbientSpec(Record):
+    """The room that the bench stands in."""
+
+    temperature: Quantity | None = key(QuantityOf("temperature"), "Air temperature of the room.", "23 degC", None)
+    pressure: Quantity | None = key(QuantityOf("pressure", "positive"), "Air pressure.", "101.3 kPa", None)
+    humidity: Quantity | None = key(QuantityOf("ratio", "not negative"), "Relative humidity.", "45 %", None)
+
+
+class InstrumentEntry(Record):
+    """One instrument of the bench. The driver's own keys stand beside these."""
+
+    driver: str = key(Text(NAME, "a driver's name"), "Driver that talks to the instrument.", "virtual_table")
+    asset: str | None = key(
+        Text(LINE, "an asset number"), "Your own number for the instrument, kept in the run folder.", "RT-0042", None
+    )
+    parameters: Any = field(default=None)
+
+
+INSTRUMENT: Kind = Plugged(
+    InstrumentEntry,
+    "driver",
+    lambda: plugins.names(plugins.INSTRUMENTS),
+    lambda name: plugins.load(plugins.INSTRUMENTS, name),
+    "meaning-unknown-driver",
+)
+
+
+class Bench(Record):
+    """A bench: site, instruments and how they are made safe."""
+
+    planrunner_bench: int = key(Number(1, 1, integer=True), "Version of the bench language.", 1)
+    name: str = key(Text(LINE, "a name"), "Name of the bench.", "virtual")
+    description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", "")
+    clock: str = key(
+        Choice(("virtual", "wall")),
+        "virtual: time is simulated and runs as fast as it can; wall: real time.",
+        "virtual",
+        "wall",
+    )
+    site: SiteSpec = key(
+        RecordOf(SiteSpec), "Where the bench stands.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
+    )
+    seed: int = key(Number(0, 2**63 - 1, integer=True), "Seed of all that a simulated bench draws.", 20, 0)
+    ambient: AmbientSpec | None = key(
+        RecordOf(AmbientSpec), "The room that the bench stands in.", {"temperature": "23 degC"}, None
+    )
+    instruments: dict[str, InstrumentEntry] = key(
+        MapOf(INSTRUMENT, pattern=NAME),
+        "The instruments by name: at most one table, one chamber and one sensor, and any number of monitors.",
+        {"sensor": {"driver": "recording"}},
+    )
+    safe_order: tuple[str, ...] = key(
+        ListOf(Text(NAME, "an instrument's name"), minimum=1),
+        "Order in which the instruments are made safe; without it the table, then the chamber, then the others.",
+        ["table", "chamber", "gyro"],
+        default_factory=tuple,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BenchModels:
+    """What is known of a bench without connecting to it.
+
+    replays: the sensor plays back a recording, so that orientations, rates and temperatures are those of the recording and need no
+    table or chamber.
+    """
+
+    site: Site
+    table: TableModel | None
+    chamber: ChamberModel | None
+    sensor: SensorModel | None
+    replays: bool = False
+
+
+def driver_of(entry: InstrumentEntry) -> Any:
+    """The driver class of an instrument. Raises `InputError` when it is not installed."""
+    return plugins.load(plugins.INSTRUMENTS, entry.driver)
+
+
+def site_of(bench: Bench) -> Site:
+    site = bench.site
+    return Site(site.latitude.value, site.gravity.value, site.azimuth.value)
+
+
+def models(bench: Bench) -> BenchModels:
+    """The models that the bench's drivers declare."""
+    found: dict[str, Any] = {}
+    replays = False
+    for entry in bench.instruments.values():
+        driver = driver_of(entry)
+        if driver.role in SINGLE_ROLES:
+            found[driver.role] = driver.model(entry.parameters)
+            replays = replays or bool(getattr(driver, "replays", False))
+    return BenchModels(site_of(bench), found.get("table"), found.get("chamber"), found.get("sensor"), replays)
+
+
+def safe_order(bench: Bench) -> tuple[str, ...]:
+    """Names of the instruments in the order they are made safe: as declared, else table, chamber, others."""
+    if bench.safe_order:
+        return bench.safe_order
+    ranks = {"table": 0, "chamber": 1}
+    names = list(bench.instruments)
+    return tuple(
+        sorted(names, key=lambda name: (ranks.get(driver_of(bench.instruments[name]).role, 2), names.index(name)))
+    )
+
+
+def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, bytes, str]:
+    """A bench, the exact bytes of its file, and the name that findings show for it.
+
+    A bare word names a shipped bench; anything else is a file, relative to the folder `beside`. Raises `InputError` with every
+    finding in the file.
+    """
+    path, shown = locate(name_or_path, beside)
+    text = source.read_text(path, shown)
+    bench, log = parse_bench(source.parse(text, shown))
+    if bench is None or log.errors:
+        raise InputError(log)
+    return bench, path.read_bytes(), shown
+
+
+def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
+    """The bench that a document holds, as far as it can be read, and what is wrong with it."""
+    log = Findings()
+    if root.get("planrunner_bench") is None and root.get("planrunner") is not None:
+        log.error(
+            "form-plan", root.mark, "this is a plan, not a bench file", "a bench file begins with `planrunner_bench: 1`"
+        )
+        return None, log
+    bench: Bench | None = RecordOf(Bench).read(root, log)
+    if bench is not None:
+        _check(bench, log)
+    return bench, log
+
+
+def shipped_benches() -> Mapping[str, Path]:
+    """Name → file of the benches that planrunner ships."""
+    return {path.stem: path for path in sorted((shipped("plans") / "benches").glob("*.yaml"))}
+
+
+def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
+    """The file of a bench and the name to show for it. Raises `InputError` for an unknown shipped name."""
+    if re.fullmatch(NAME, name_or_path):
+        known = shipped_benches()
+        if name_or_path not in known:
+            hint = closest(name_or_path, known) + "; a file is named with its ending, such as my-bench.yaml"
+            raise InputError.at(
+                Mark(name_or_path), "meaning-unknown-bench", f"no bench '{name_or_path}' is shipped", hint
+            )
+        return known[name_or_path], f"plans/benches/{name_or_path}.yaml"
+    path = Path(name_or_path)
+    if beside is not None and not path.is_absolute():
+        path = beside / path
+    return path, str(path)
+
+
+def _check(bench: Bench, log: Findings) -> None:
+    """Meaning that concerns several keys."""
+    if abs(bench.site.latitude.value) > math.pi / 2 + 1e-12:
+        log.error(
+            "meaning-range",
+            bench.site.at("latitude"),
+            f"{bench.site.latitude} is no latitude",
+            "from -90 deg to 90 deg",
+        )
+    if not 9.7 < bench.site.gravity.value < 9.9:
+        message = f"{bench.site.gravity} is not the gravity of any place on Earth"
+        log.warning("meaning-gravity", bench.site.at("gravity"), message, "from 9.76 to 9.84 m/s^2")
+    holders: dict[str, str] = {}
+    for name, entry in bench.instruments.items():
+        role = driver_of(entry).role
+        if role in SINGLE_ROLES and holders.setdefault(role, name) != name:
+            message = f"'{name}' is a second {role}, beside '{holders[role]}'"
+            log.error("meaning-role", entry.origin.mark, message, f"a bench has at most one {role}")
+    _check_safe_order(bench, log)
+
+
+def _check_safe_order(bench: Bench, log: Findings) -> None:
+    if not bench.safe_order:
+        return
+    at = bench.at("safe_order")
+    for index, name in enumerate(bench.safe_order):
+        if name not in bench.instruments:
+            log.error(
+                "meaning-safe-order", at, f"'{name}' is no instrument of this bench", closest(name, bench.instruments)
+            )
+        elif name in bench.safe_order[:index]:
+            log.error("meaning-safe-order", at, f"'{name}' is named twice", "name each instrument once")
+    for name in bench.instruments:
+        if name not in bench.safe_order:
+            log.error("meaning-safe-order", at, f"'{name}' is never made safe", "name every instrument")

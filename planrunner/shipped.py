@@ -1,0 +1,14 @@
+"""Where the files that come with planrunner lie: inside an installed wheel, or at the top of a source tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def shipped(folder: str) -> Path:
+    """The folder `plans`, `schemas` or `templates` that this installation carries. Raises FileNotFoundError when it has none."""
+    package = Path(__file__).resolve().parent
+    for path in (package / "_shipped" / folder, package.parent / folder):
+        if path.is_dir():
+            return path
+    raise FileNotFoundError(2, "planrunner was installed without this folder; install it again", folder)
