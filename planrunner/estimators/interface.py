@@ -71,7 +71,8 @@ class Plot:
 class Estimate:
     """Coefficients, their covariance (m, m) in the products of their units, and what a reader needs to judge them.
 
-    headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties).
+    headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain
+    data for estimates that build on this one.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Estimate:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     segments: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Coefficient:
         for item in self.coefficients:
@@ -98,7 +100,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class EstimateRequest:
-    """name: of this estimate in the plan. uses: the estimates that it builds on, by their names in the plan."""
+    """name: of this estimate in the plan. uses: the estimates that it builds on, by their names in the plan. detection: where the plan
+    asks for spans to be found in the data (`planrunner.plan.selection.Detection`)."""
 
     name: str
     segments: tuple[RecordedSegment, ...]
@@ -106,6 +109,7 @@ class EstimateRequest:
     site: Site
     sensor: SensorModel
     uses: Mapping[str, Estimate] = field(default_factory=dict)
+    detection: Any = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""Design: what a planned test can and cannot tell, before anything moves."""

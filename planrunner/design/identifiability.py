@@ -1,0 +1,54 @@
+"""Whether the planned segments can give what is to be estimated: rank, condition, and the terms that cannot be told apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from planrunner.estimators import rank
+from planrunner.estimators.interface import Design, DesignBlock
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiability:
+    """What the planned segments tell of one output.
+
+    rank of `columns` terms; condition: of the columns divided by their declared magnitudes, infinite when the rank is short.
+    determinant: of the information matrix of those columns with equal weights, as in comparing sets of positions. unidentifiable: names.
+    explanation: in words, empty when all is well.
+    """
+
+    output: str
+    rank: int
+    columns: int
+    condition: float
+    determinant: float
+    unidentifiable: tuple[str, ...]
+    explanation: str
+
+    @property
+    def sound(self) -> bool:
+        return self.rank == self.columns
+
+
+def identify(design: Design) -> tuple[Identifiability, ...]:
+    """One result for each output of a design."""
+    return tuple(identify_block(block) for block in design.blocks)
+
+
+def identify_block(block: DesignBlock) -> Identifiability:
+    """Rank and condition of one output's design matrix. A matrix without rows has rank 0 and tells nothing."""
+    columns = len(block.terms)
+    scaled = np.asarray(block.matrix, dtype=float).reshape(-1, columns) / block.magnitudes
+    if len(scaled) == 0:
+        return Identifiability(block.output, 0, columns, math.inf, 0.0, tuple(block.terms), "no segments are chosen")
+    sight = rank.look(scaled)
+    information = scaled.T @ scaled
+    explanation = rank.explain(sight.null, block.terms)
+    if sight.rank < columns and len(scaled) < columns:
+        explanation = f"{len(scaled)} segments cannot give {columns} coefficients; {explanation}"
+    determinant = float(np.linalg.det(information)) if sight.rank == columns else 0.0
+    names = rank.unidentifiable(sight.null, block.terms)
+    return Identifiability(block.output, sight.rank, columns, sight.condition, determinant, names, explanation)

@@ -1,0 +1,115 @@
+"""Weighted linear least squares: one bare kernel with full covariance, for every estimator.
+
+Columns are divided by their declared magnitudes, the augmented matrix [A | y] is reduced by QR, and rank, solution and covariance come
+from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). Terms that the data cannot tell apart are an error that names
+them, never a minimum-norm guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import rank
+from planrunner.estimators.interface import EstimationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFit:
+    """A fit of n observations by p coefficients.
+
+    coefficients: (p,). cofactor: (p, p), the covariance of the coefficients when `sigma` is the true standard uncertainty of the
+    observations (their covariance divided by the unit weight's variance otherwise). residuals: (n,), observed minus fitted.
+    chi_squared: the weighted sum of squared residuals. condition: of the scaled and weighted columns.
+    """
+
+    coefficients: Array
+    cofactor: Array
+    residuals: Array
+    chi_squared: float
+    degrees_of_freedom: int
+    condition: float
+
+    @property
+    def variance_factor(self) -> float:
+        """chi²/dof: about 1 when `sigma` says all; NaN without degrees of freedom."""
+        return self.chi_squared / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
+
+
+def fit(
+    matrix: Array,
+    observed: Array,
+    sigma: Array | None = None,
+    magnitudes: Array | None = None,
+    names: Sequence[str] = (),
+) -> LinearFit:
+    """Least-squares coefficients for `matrix` (n, p) and `observed` (n,).
+
+    sigma: (n,) standard uncertainties, equal ones (of 1) without it. magnitudes: (p,) declared column sizes; the columns' own root mean
+    squares without them. Raises `EstimationError` for too few observations, values that are not finite, and terms that cannot be
+    identified, which are named by `names`.
+    """
+    n, p = matrix.shape
+    names = names or [f"coefficient {k + 1}" for k in range(p)]
+    if n < p:
+        raise EstimationError(f"{n} observations cannot give {p} coefficients ({', '.join(names)}): add segments or leave terms out")
+    scale = np.sqrt(np.einsum("ij,ij->j", matrix, matrix) / n) if magnitudes is None else np.asarray(magnitudes, dtype=float)
+    scale = np.where(scale > 0, scale, 1.0)
+    triangle = _triangle(matrix, observed, None if sigma is None else 1.0 / _positive(sigma), 1.0 / scale)
+    if not np.isfinite(triangle).all():
+        raise EstimationError("an observation or a planned value is not a finite number: look for missing data in the segments")
+    left, singular, rows = np.linalg.svd(triangle[:p, :p])
+    if singular[-1] <= rank.TOLERANCE * singular[0]:
+        null = rows[int(np.sum(singular > rank.TOLERANCE * singular[0])) :]
+        raise EstimationError(f"the segments cannot tell all terms: {rank.explain(null, names)}")
+    solution = rows.T @ ((left.T @ triangle[:p, p]) / singular)
+    inverse = rows.T / singular
+    cofactor = (inverse @ inverse.T) / np.outer(scale, scale)
+    coefficients = solution / scale
+    chi_squared = float(triangle[p, p] ** 2) if n > p else 0.0
+    return LinearFit(
+        coefficients, cofactor, observed - matrix @ coefficients, chi_squared, n - p, float(singular[0] / singular[-1])
+    )
+
+
+_CHUNK = 256  # rows that one factorisation takes
+_BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in the processor's cache
+
+
+def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
+    """R of the QR factorisation of weight·[matrix·scale | observed], shape (p + 1, p + 1) or fewer rows.
+
+    Chunks of rows are reduced first and then their triangles together (Demmel et al., SIAM J. Sci. Comput. 34, 2012).
+    """
+    n, p = matrix.shape
+    widened = np.append(scale, 1.0)
+    whole = n - n % _CHUNK if n >= 2 * _CHUNK else 0
+    buffer = np.empty((max(_CHUNK * _BATCH, n - whole), p + 1))
+
+    def scaled(low: int, high: int) -> Array:
+        rows = buffer[: high - low]
+        rows[:, :p] = matrix[low:high]
+        rows[:, p] = observed[low:high]
+        rows *= widened
+        if weight is not None:
+            rows *= weight[low:high, None]
+        return rows
+
+    pieces = []
+    for low in range(0, whole, _CHUNK * _BATCH):
+        rows = scaled(low, min(low + _CHUNK * _BATCH, whole))
+        pieces.append(np.linalg.qr(rows.reshape(-1, _CHUNK, p + 1), mode="r").reshape(-1, p + 1))
+    pieces.append(scaled(whole, n))
+    return np.linalg.qr(np.vstack(pieces), mode="r")
+
+
+def _positive(sigma: Array) -> Array:
+    sigma = np.asarray(sigma, dtype=float)
+    if not (np.isfinite(sigma).all() and (sigma > 0).all()):
+        raise EstimationError("a standard uncertainty is zero, negative or not a number: the observations cannot be weighted by it")
+    return sigma

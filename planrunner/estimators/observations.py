@@ -1,0 +1,128 @@
+"""Observations: the segments' means of some channels, with what the scatter within the segments says of their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import EstimationError
+from planrunner.instruments.models import SensorModel
+from planrunner.plan.findings import closest
+
+Array = NDArray[np.float64]
+
+SIGNIFICANCE = 0.01  # of the tests that choose weights and that compare the two bases of uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """Means of k channels over n segments, in the channels' units.
+
+    mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short to tell. batches: (n,)
+    from which it comes. seconds: (n,), time that was recorded. correlation: (k, k) between the channels' samples, over all segments.
+    """
+
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    mean: Array
+    standard_error: Array
+    batches: NDArray[np.int64]
+    seconds: Array
+    correlation: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False where nothing could be learnt
+    from within the segments; sigma is then 1. weighting: 'pooled' over the segments or 'individual'. degrees_of_freedom: of sigma."""
+
+    sigma: Array
+    known: bool
+    weighting: str
+    degrees_of_freedom: float
+
+
+def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor: SensorModel) -> Observations:
+    """The observations of some channels. Raises `EstimationError` for a channel that is missing, changes its unit, or has no samples."""
+    if not segments:
+        raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
+    n, k = len(segments), len(channels)
+    mean, error = np.empty((n, k)), np.empty((n, k))
+    scatter = np.zeros((k, k))
+    for row, recorded in enumerate(segments):
+        statistics = recorded.statistics
+        missing = [channel for channel in channels if channel not in statistics.channels]
+        if missing:
+            raise EstimationError(
+                f"segment '{recorded.label}' has no channel '{missing[0]}': {closest(missing[0], statistics.channels)}"
+            )
+        if statistics.count == 0:
+            raise EstimationError(f"segment '{recorded.label}' holds no usable samples: leave it out of `segments` or record it again")
+        index = [statistics.of(channel) for channel in channels]
+        mean[row] = statistics.mean[index]
+        covariance = statistics.covariance[np.ix_(index, index)] if statistics.count > 1 else np.zeros((k, k))
+        rounding = np.array([_rounding(sensor, channel, covariance[c, c]) for c, channel in enumerate(channels)])
+        error[row] = np.hypot(statistics.standard_error[index], rounding) if statistics.batches > 1 else np.nan
+        scatter += np.nan_to_num(covariance) * max(0, statistics.count - 1)
+    size = np.sqrt(np.diag(scatter))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.where(np.outer(size, size) > 0, scatter / np.outer(size, size), 0.0)
+    np.fill_diagonal(correlation, 1.0)
+    return Observations(
+        tuple(channels),
+        tuple(_unit(segments, channel) for channel in channels),
+        tuple(recorded.label for recorded in segments),
+        mean,
+        error,
+        np.array([recorded.statistics.batches for recorded in segments]),
+        np.array([max(recorded.statistics.end - recorded.statistics.start, 1e-9) for recorded in segments]),
+        correlation,
+    )
+
+
+def within_segment_noise(observations: Observations, channel: int) -> Noise:
+    """The noise of one channel's means, for weights and for uncertainties.
+
+    The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
+    Statistical Methods, 13.10) finds that it differs between them; then each segment keeps its own. So equal noise gives weights
+    by recorded time only, and chance differences between short segments do not become weights.
+    """
+    error = observations.standard_error[:, channel]
+    degrees = np.where(np.isfinite(error), observations.batches - 1, 0).astype(float)
+    usable = (degrees > 0) & (error > 0)
+    n = len(error)
+    if not usable.any():
+        return Noise(np.ones(n), False, "equal", 0.0)
+    spread = error**2 * observations.seconds
+    pooled = float(np.sum(degrees[usable] * spread[usable]) / np.sum(degrees[usable]))
+    if usable.all() and n > 1 and _differ(spread, degrees, pooled):
+        return Noise(error.copy(), True, "individual", float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees)))
+    return Noise(np.sqrt(pooled / observations.seconds), True, "pooled", float(np.sum(degrees[usable])))
+
+
+def _differ(variances: Array, degrees: Array, pooled: float) -> bool:
+    from scipy.special import chdtrc
+
+    total, groups = float(degrees.sum()), len(degrees)
+    correction = 1 + (np.sum(1 / degrees) - 1 / total) / (3 * (groups - 1))
+    statistic = (total * np.log(pooled) - np.sum(degrees * np.log(variances))) / correction
+    return bool(chdtrc(groups - 1, statistic) < SIGNIFICANCE)
+
+
+def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:
+    """What rounding to counts adds to the uncertainty of a mean: resolution/√12 where the noise is too small to dither it."""
+    output = sensor.output(channel)
+    resolution = output.noise.resolution if output else 0.0
+    return resolution / np.sqrt(12) if variance <= (resolution / 2) ** 2 else 0.0
+
+
+def _unit(segments: Sequence[RecordedSegment], channel: str) -> str:
+    units = sorted({recorded.units[channel] for recorded in segments})
+    if len(units) > 1:
+        raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)}): use segments of one kind")
+    return units[0]

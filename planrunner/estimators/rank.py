@@ -1,0 +1,89 @@
+"""What a design matrix can see: rank, condition and the terms that it cannot tell apart.
+
+Everything is judged on columns divided by their declared magnitudes (Earth rate, g …): the raw SI columns of a sound eight-position plan
+differ by five orders of magnitude and would look ill-conditioned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9  # singular values below this times the largest count as zero; planned attitudes are exact to about 1e-15
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """singular: singular values of the scaled matrix, largest first. null: orthonormal rows, shape (columns − rank, columns)."""
+
+    rank: int
+    singular: Array
+    null: Array
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value; infinite when the rank is short."""
+        if len(self.null):
+            return float("inf")
+        return float(self.singular[0] / self.singular[-1])
+
+
+def look(scaled: Array, tolerance: float = TOLERANCE) -> Sight:
+    """Rank and null space of a matrix (n, p) whose columns are already scaled; n may be smaller than p."""
+    p = scaled.shape[1]
+    _, singular, rows = np.linalg.svd(scaled, full_matrices=len(scaled) < p)
+    largest = singular[0] if len(singular) else 0.0
+    rank = int(np.sum(singular > tolerance * max(largest, 1e-300)))
+    return Sight(rank, singular, rows[rank:p])
+
+
+def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
+    """The null space as a few short combinations of names whose columns add up to zero, by Gauss–Jordan elimination.
+
+    A single name means a column that is zero throughout.
+    """
+    rows = null.copy()
+    done = 0
+    for column in range(rows.shape[1] - 1, -1, -1):
+        if done == len(rows):
+            break
+        pivot = done + int(np.argmax(np.abs(rows[done:, column])))
+        if abs(rows[pivot, column]) < 1e-6:
+            continue
+        rows[[done, pivot]] = rows[[pivot, done]]
+        rows[done] /= rows[done, column]
+        others = np.arange(len(rows)) != done
+        rows[others] -= np.outer(rows[others, column], rows[done])
+        done += 1
+    first = np.argmax(np.abs(rows[:done]) > 1e-6, axis=1)
+    return tuple(
+        tuple((name, float(weight)) for name, weight in zip(names, row, strict=True) if abs(weight) > 1e-6)
+        for row in rows[:done][np.argsort(first, kind="stable")]
+    )
+
+
+def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """The names that have a part in the null space, in their own order: none of them can be told from the data."""
+    return tuple(name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6)
+
+
+def explain(null: Array, names: Sequence[str]) -> str:
+    """The null space in words, for a quality engineer; empty when every term can be identified."""
+    sentences = []
+    found = combinations(null, names)
+    zero = [combination[0][0] for combination in found if len(combination) == 1]
+    if zero:
+        listed = " and ".join([", ".join(zero[:-1]), zero[-1]] if len(zero) > 1 else zero)
+        sentences.append(f"{listed} {'are' if len(zero) > 1 else 'is'} zero in every position")
+    for combination in found:
+        if len(combination) > 1:
+            involved = [name for name, _ in combination]
+            listed = ", ".join(involved[:-1]) + " and " + involved[-1]
+            parts = " ".join(f"{weight:+.3g}·{name}" for name, weight in combination)
+            sentences.append(f"{listed} cannot be told apart ({parts} = 0 in every position, each in units of its own size)")
+    return "; ".join(sentences)

@@ -1,0 +1,89 @@
+"""Numbers for people: a value rounded by its uncertainty, the uncertainty to two significant digits (JCGM 100:2008, 7.2.6).
+
+    -1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from decimal import ROUND_HALF_EVEN, Decimal
+
+_PLAIN_FROM, _PLAIN_TO = -5, 6  # decimal exponents of the leading digit that are written without a power of ten
+
+
+@dataclass(frozen=True, slots=True)
+class Rounded:
+    """`value` and `uncertainty` as text with the same number of decimals; `exponent` is the common power of ten, 0 for none."""
+
+    value: str
+    uncertainty: str
+    exponent: int = 0
+
+    def __str__(self) -> str:
+        text = f"{self.value} ± {self.uncertainty}" if self.uncertainty else self.value
+        if not self.exponent:
+            return text
+        return f"({text})e{self.exponent:+03d}" if self.uncertainty else f"{text}e{self.exponent:+03d}"
+
+
+def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
+    """The value to the last of `digits` significant digits of its uncertainty, halves to even.
+
+    Without an uncertainty (zero) the value is given to seven significant digits; one that is not finite is shown as such.
+    """
+    if not math.isfinite(value):
+        return Rounded(_word(value), "" if standard_uncertainty == 0 else _alone(standard_uncertainty))
+    if not math.isfinite(standard_uncertainty) or standard_uncertainty <= 0:
+        exponent, text = _split(value, 7)
+        return Rounded(text, "" if standard_uncertainty == 0 else _word(standard_uncertainty), exponent)
+    spread = _significant(_decimal(standard_uncertainty), digits)
+    last = spread.adjusted() - digits + 1
+    number = _quantized(_decimal(value), last)
+    leading = max(spread.adjusted(), number.adjusted() if number else spread.adjusted())
+    exponent = 0 if _PLAIN_FROM <= leading < _PLAIN_TO else leading
+    return Rounded(_fixed(number, exponent, last), _fixed(spread, exponent, last), exponent)
+
+
+def with_unit(value: float, standard_uncertainty: float, unit: str, digits: int = 2) -> str:
+    """`-1.2346 ± 0.0021 deg/h`; a number that needs a power of ten or a bracket gets one. The unit '1' is not written."""
+    text = str(rounded(value, standard_uncertainty, digits))
+    return text if unit in ("", "1") else f"{text} {unit}"
+
+
+def _decimal(number: float) -> Decimal:
+    """As people read it: 0.1 is 0.1, not its nearest binary fraction."""
+    return Decimal(repr(float(number)))
+
+
+def _significant(number: Decimal, digits: int) -> Decimal:
+    """To `digits` significant digits; 0.0996 to two becomes 0.10."""
+    result = _quantized(number, number.adjusted() - digits + 1)
+    return _quantized(result, result.adjusted() - digits + 1)
+
+
+def _quantized(number: Decimal, last: int) -> Decimal:
+    return number.scaleb(-last).to_integral_value(ROUND_HALF_EVEN).scaleb(last)
+
+
+def _fixed(number: Decimal, exponent: int, last: int) -> str:
+    """With the decimals that the last significant digit asks for, and zero without a sign."""
+    return f"{number.scaleb(-exponent) or Decimal(0):.{max(0, exponent - last)}f}"
+
+
+def _split(value: float, digits: int) -> tuple[int, str]:
+    if value == 0:
+        return 0, "0"
+    number = _significant(_decimal(value), digits).normalize()
+    leading = number.adjusted()
+    if _PLAIN_FROM <= leading < _PLAIN_TO + 3:
+        return 0, f"{number:f}"
+    return leading, f"{number.scaleb(-leading):f}"
+
+
+def _word(number: float) -> str:
+    return "not known" if math.isnan(number) or math.isfinite(number) else ("-∞" if number < 0 else "∞")
+
+
+def _alone(number: float) -> str:
+    return f"{number:.2g}" if math.isfinite(number) else _word(number)
