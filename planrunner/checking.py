@@ -1,9 +1,9 @@
 """The checks of a plan on a bench, all in one run: form, meaning, physics.
 
-    checked = check_plan(Path("plans/x.yaml"))
-    checked.findings       everything that is wrong, with file:line:column
-    checked.schedule       what would be done, with times
-    checked.designs        what each estimate could learn, with predicted uncertainties
+checked = check_plan(Path("plans/x.yaml"))
+checked.findings       everything that is wrong, with file:line:column
+checked.schedule       what would be done, with times
+checked.designs        what each estimate could learn, with predicted uncertainties
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from planrunner.bench.model import Bench, BenchModels, models, read_bench
 from planrunner.bench.scheduling import build_schedule
-from planrunner.design.identifiability import Identifiability, judge
+from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Coefficient, Design, EstimationError
 from planrunner.plan import source
@@ -32,6 +32,8 @@ from planrunner.shipped import shipped
 # Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
 ILL_CONDITIONED = 30.0
 HOPELESS = 1e6
+# 95 % with infinitely many degrees of freedom; fewer only make intervals wider.
+LEAST_COVERAGE_FACTOR = 1.96
 
 
 @dataclass(slots=True)
@@ -81,7 +83,11 @@ def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = N
 
 def report_names() -> list[str]:
     """The reports that can be written: the shipped templates, without partials."""
-    return [file.name.removesuffix(".j2") for file in sorted(shipped("templates").glob("[!_]*.j2")) if not file.name.startswith("show.")]
+    return [
+        file.name.removesuffix(".j2")
+        for file in sorted(shipped("templates").glob("[!_]*.j2"))
+        if not file.name.startswith("show.")
+    ]
 
 
 def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:
@@ -93,7 +99,7 @@ def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, ben
         else:
             found = read_bench(plan.bench, path.parent)
     except InputError as error:
-        missing = all(finding.code in ("file-missing", "bench-unknown") for finding in error.findings)
+        missing = all(finding.code in ("file-missing", "meaning-unknown-bench") for finding in error.findings)
         for finding in error.findings:
             mark = plan.at("bench") if missing and bench is None and bench_path is None else finding.mark
             checked.findings.error(finding.code, mark, finding.message, finding.hint)
@@ -138,14 +144,18 @@ def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
         if any(other not in checked.designs for other in spec.uses):
             continue
         try:
-            design = design_of(name, spec, checked.schedule.segments, checked.models.site, checked.models.sensor, checked.designs)
+            design = design_of(
+                name, spec, checked.schedule.segments, checked.models.site, checked.models.sensor, checked.designs
+            )
         except EstimationError as error:
-            log.error("physics-estimate", spec.origin.mark, f"'{name}': {error}", "choose other segments or another estimator")
+            log.error(
+                "physics-estimate", spec.origin.mark, f"'{name}': {error}", "choose other segments or another estimator"
+            )
             continue
         if design is None:
             continue
         checked.designs[name] = design
-        checked.judged[name] = judge(design)
+        checked.judged[name] = identify(design)
         for judged in checked.judged[name]:
             _report(name, judged, spec.at("segments"), log)
     for limit in plan.limits:
@@ -153,7 +163,7 @@ def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
 
 
 def _report(name: str, judged: Identifiability, mark: Mark, log: Findings) -> None:
-    if judged.unidentifiable:
+    if not judged.sound:
         terms = ", ".join(judged.unidentifiable)
         message = f"'{name}' cannot identify {terms} on the planned segments (rank {judged.rank} of {judged.columns}, output {judged.output}): {judged.explanation}"
         log.error("physics-rank", mark, message, "add segments that tell these terms apart, or leave the terms out")
@@ -191,17 +201,19 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
     """Warns of a guarded limit that is narrower than the uncertainty to expect: nothing could pass it."""
-    from planrunner.uncertainty.decision import coverage_factor
-
     low, high = _bounds(limit)
     if limit.rule != "guarded" or math.isinf(high - low):
         return
     factor = unit(coefficient.unit).factor
-    expanded = coverage_factor(coefficient.degrees_of_freedom) * coefficient.standard_uncertainty * factor
-    if 2 * expanded >= high - low:
-        shown = f"±{expanded / factor:.2g} {coefficient.unit}"
-        message = f"{limit.quantity} is to be expected with {shown}, so nothing can pass this guarded limit"
-        log.warning("physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit")
+    least = LEAST_COVERAGE_FACTOR * coefficient.standard_uncertainty * factor
+    if 2 * least >= high - low:
+        shown = f"±{least / factor:.2g} {coefficient.unit}"
+        message = (
+            f"{limit.quantity} is to be expected with at least {shown} (95 %), so nothing can pass this guarded limit"
+        )
+        log.warning(
+            "physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit"
+        )
 
 
 def _bounds(limit: Limit) -> tuple[float, float]:

@@ -13,7 +13,16 @@ import numpy as np
 
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import Array, TableAxis, Unreachable, joint_angles, move_time, spin_axis
+from planrunner.physics.kinematics import (
+    Array,
+    TableAxis,
+    Unreachable,
+    joint_angles,
+    limits_in_words,
+    spin_axis,
+    spin_up_time,
+    transition_time,
+)
 from planrunner.plan.expand import StatedSegment
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.model import Ramp, Turns
@@ -33,6 +42,7 @@ class Models(Protocol):
     table: TableModel | None
     chamber: ChamberModel | None
     sensor: SensorModel | None
+    replays: bool
 
 
 def build_schedule(stated: Sequence[StatedSegment], models: Models, log: Findings) -> Schedule:
@@ -56,6 +66,7 @@ class _Planner:
         self.temperature: float | None = models.chamber.ambient if models.chamber else None
         axes = models.table.axes if models.table else ()
         self.joints: Array = np.zeros(len(axes))
+        self._stopping = 0.0
         self._reached: dict[Any, Array] = {}
         self._complained: set[tuple[Any, ...]] = set()
 
@@ -119,7 +130,12 @@ class _Planner:
     def _dwell(self, item: StatedSegment) -> float | None:
         dwell = item.state.get("dwell")
         if dwell is None:
-            self._once("meaning-no-dwell", item.mark, f"the segment '{item.label}' has no dwell", "add for example `dwell: 2 min`")
+            self._once(
+                "meaning-no-dwell",
+                item.mark,
+                f"the segment '{item.label}' has no dwell",
+                "add for example `dwell: 2 min`",
+            )
         elif isinstance(dwell, Quantity):
             return dwell.value
         elif isinstance(dwell, Turns):
@@ -164,6 +180,8 @@ class _Planner:
 
     def _check_temperature(self, kelvin: float, mark: Mark) -> bool:
         chamber = self.models.chamber
+        if chamber is None and self.models.replays:
+            return False
         if chamber is None:
             hint = "use a bench with a chamber, or leave temperature out"
             self.log.error("physics-no-chamber", mark, "this bench has no chamber to hold a temperature", hint)
@@ -186,11 +204,16 @@ class _Planner:
                 target = joint_angles(table.axes, attitude, near=self.joints, azimuth=self.models.site.azimuth)
                 self._reached[key] = target
         except Unreachable as error:
-            self.log.error("physics-orientation", mark, f"the table cannot reach '{orientation.text}': {error}", "choose another orientation or bench")
+            self.log.error(
+                "physics-orientation",
+                mark,
+                f"the table cannot reach '{orientation.text}': {error}",
+                "choose another orientation or bench",
+            )
             return 0.0
-        steps = np.abs(target - self.joints)
-        self.joints = target
-        return max((move_time(float(step), axis.max_rate, axis.max_acceleration) for step, axis in zip(steps, table.axes, strict=True)), default=0.0)
+        seconds = self._stopping + transition_time(table.axes, self.joints, target)
+        self.joints, self._stopping = target, 0.0
+        return seconds
 
     def _start(
         self, motion: Motion, dwell: float | None, orientation: Orientation, marks: Mapping[str, Mark], mark: Mark
@@ -205,28 +228,38 @@ class _Planner:
             return self._rock(table, motion, at)
         return self._cycle(table.axes[0], motion, at)
 
-    def _spin(self, table: TableModel, motion: Spin, dwell: float | None, orientation: Orientation, mark: Mark) -> float:
+    def _spin(
+        self, table: TableModel, motion: Spin, dwell: float | None, orientation: Orientation, mark: Mark
+    ) -> float:
         try:
             index = spin_axis(table.axes, self.joints, motion.about, self.models.site.azimuth)
         except Unreachable as error:
-            self.log.error("physics-rate-axis", mark, f"the table cannot spin about that direction: {error}", "spin about up")
+            self.log.error(
+                "physics-rate-axis", mark, f"the table cannot spin about that direction: {error}", "spin about up"
+            )
             return 0.0
         axis = table.axes[index]
         if abs(motion.rate) > axis.max_rate * (1 + 1e-12):
-            message = f"{_deg(motion.rate)} deg/s is beyond the {axis.name} axis, which reaches {_deg(axis.max_rate)} deg/s"
+            message = (
+                f"{_deg(motion.rate)} deg/s is beyond the {axis.name} axis, which reaches {_deg(axis.max_rate)} deg/s"
+            )
             self.log.error("physics-rate", mark, message, "lower the rate")
             return 0.0
-        span = math.inf if dwell is None else abs(motion.rate) * dwell
-        room = axis.highest - axis.lowest
-        if span > room:
-            message = f"spinning {_deg(span)} deg winds up the cables of the {axis.name} axis, which turns {_deg(room)} deg at most"
-            self.log.error("physics-cable-wrap", mark, message, "shorten the dwell or use a table with slip rings")
         if dwell is not None:
             self._whole_turns(motion, dwell, orientation, mark)
-            turned = self.joints[index] + motion.rate * dwell
-            self.joints = self.joints.copy()
-            self.joints[index] = math.remainder(turned, 2 * math.pi) if math.isinf(room) else self.joints[index]
-        return abs(motion.rate) / axis.max_acceleration
+            self._turn_away(axis, index, motion.rate * dwell, mark)
+        self._stopping = spin_up_time(axis, motion.rate)
+        return spin_up_time(axis, motion.rate)
+
+    def _turn_away(self, axis: TableAxis, index: int, angle: float, mark: Mark) -> None:
+        """Follows the joint through a spin: a continuous axis ends anywhere, a limited one must not wind up its cables."""
+        end = float(self.joints[index]) + angle
+        if not axis.continuous and not axis.lowest <= end <= axis.highest:
+            message = f"spinning through {_deg(angle)} deg winds up the cables of the {axis.name} axis: {limits_in_words(axis)}"
+            self.log.error("physics-cable-wrap", mark, message, "shorten the dwell or use a table with slip rings")
+            return
+        self.joints = self.joints.copy()
+        self.joints[index] = math.remainder(end, 2 * math.pi) if axis.continuous else end
 
     def _whole_turns(self, motion: Spin, dwell: float, orientation: Orientation, mark: Mark) -> None:
         """Warns where part of a turn leaves Earth rate in the mean of an axis that is tilted from the rotation axis."""
@@ -238,11 +271,12 @@ class _Planner:
         across = float(np.linalg.norm(earth - about * (earth @ about)))
         cosines = np.abs(orientation.attitude @ about)
         leftover = across * abs(math.sin(math.pi * turns)) / (math.pi * turns)
-        worst = max((leftover * math.sqrt(max(0.0, 1 - c * c)) / (abs(motion.rate) * c) for c in cosines if c > 0.05), default=0.0)
+        worst = max(
+            (leftover * math.sqrt(max(0.0, 1 - c * c)) / (abs(motion.rate) * c) for c in cosines if c > 0.05),
+            default=0.0,
+        )
         if worst > WHOLE_TURN_TOLERANCE:
-            message = (
-                f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave Earth rate in the mean: up to {worst * 1e6:.0f} ppm of the rate that a tilted axis sees"
-            )
+            message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave Earth rate in the mean: up to {worst * 1e6:.0f} ppm of the rate that a tilted axis sees"
             self.log.warning("physics-whole-turns", mark, message, "write dwell: {turns: 1, at_least: …}")
 
     def _rock(self, table: TableModel, motion: Rock, mark: Mark) -> float:
@@ -253,7 +287,9 @@ class _Planner:
         for axis in table.axes[: len(motion.phases)]:
             rate, acceleration = motion.amplitude * circular, motion.amplitude * circular**2
             if rate > axis.max_rate:
-                message = f"rocking reaches {_deg(rate)} deg/s; the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
+                message = (
+                    f"rocking reaches {_deg(rate)} deg/s; the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
+                )
                 self.log.error("physics-rate", mark, message, "lower amplitude or frequency")
             if acceleration > axis.max_acceleration:
                 message = f"rocking needs {_deg(acceleration)} deg/s^2; the {axis.name} axis gives {_deg(axis.max_acceleration)} deg/s^2"

@@ -90,5 +90,7 @@ def _explain(error: Exception) -> int:
 
     with tempfile.NamedTemporaryFile("w", prefix="planrunner-", suffix=".txt", delete=False, encoding="utf-8") as file:
         file.write(traceback.format_exc())
-    print(f"internal error: {type(error).__name__}: {error}\nPlease report it with the file {file.name}.", file=sys.stderr)
+    print(
+        f"internal error: {type(error).__name__}: {error}\nPlease report it with the file {file.name}.", file=sys.stderr
+    )
     return FAULT

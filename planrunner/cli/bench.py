@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from planrunner import cli, plugins
-from planrunner.bench.model import read_bench
-from planrunner.shipped import shipped
+from planrunner.bench.model import read_bench, shipped_benches
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,9 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     print("Shipped benches (use with --bench NAME, or `bench: NAME` in a plan):")
-    for file in sorted((shipped("plans") / "benches").glob("*.yaml")):
-        bench, _, _ = read_bench(file.stem, None)
-        print(f"  {file.stem:<24} {bench.description or bench.name}")
+    for name in shipped_benches():
+        bench, _, _ = read_bench(name)
+        print(f"  {name:<24} {bench.description or bench.name}")
     print("Instrument drivers (`driver: NAME` in a bench file):")
     for name in plugins.names(plugins.INSTRUMENTS):
         driver = plugins.load(plugins.INSTRUMENTS, name)

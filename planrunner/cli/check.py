@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner import cli
+from planrunner.bench.model import safe_order
 from planrunner.checking import Checked, check_plan
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.plan.findings import InputError
@@ -49,11 +50,15 @@ def summary(checked: Checked) -> str:
     lines = [f"{head}; {_count(count, 'segment')} on bench '{checked.bench.name}', {total}"]
     for name, design in checked.designs.items():
         for judged in checked.judged[name]:
-            lines.append(f"  {name}, output {judged.output}: rank {judged.rank} of {judged.columns}, condition {judged.condition:.3g}")
+            lines.append(
+                f"  {name}, output {judged.output}: rank {judged.rank} of {judged.columns}, condition {judged.condition:.3g}"
+            )
         if design.predicted:
             lines.append(f"  {name}: standard uncertainties to expect")
-            lines.append(_columns([(item.name, f"{item.standard_uncertainty:.2g} {item.unit}") for item in design.predicted]))
-    lines.append("  safe state in this order: " + ", ".join(checked.bench.safe_order))
+            lines.append(
+                _columns([(item.name, f"{item.standard_uncertainty:.2g} {item.unit}") for item in design.predicted])
+            )
+    lines.append("  safe state in this order: " + ", ".join(safe_order(checked.bench)))
     return "\n".join(lines)
 
 
@@ -65,5 +70,3 @@ def _columns(pairs: list[tuple[str, str]], across: int = 3) -> str:
 
 def _count(number: int, word: str) -> str:
     return f"{number} {word}" + ("" if number == 1 else "s")
-
-

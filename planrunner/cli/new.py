@@ -26,7 +26,9 @@ def run(args: argparse.Namespace) -> int:
         print("\nCopy one with: planrunner new NAME [FILE]")
         return cli.DONE
     if args.plan not in plans:
-        raise InputError.at(Mark(args.plan), "new-unknown", f"no shipped plan is called '{args.plan}'", closest(args.plan, plans))
+        raise InputError.at(
+            Mark(args.plan), "new-unknown", f"no shipped plan is called '{args.plan}'", closest(args.plan, plans)
+        )
     target = Path(args.target or f"{args.plan}.yaml")
     try:
         with plans[args.plan].open("rb") as original, target.open("xb") as copy:
