@@ -1,0 +1,90 @@
+"""What a report is made from: plain records, independent of who measured and who estimated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from planrunner.archive.recording import RecordedSegment, Statistics
+from planrunner.estimators.interface import Estimate
+from planrunner.physics.earth import Site
+from planrunner.plan.schedule import Segment
+
+Verdict = Literal["pass", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class LimitVerdict:
+    """One limit and what became of it. value, standard_uncertainty and expanded_uncertainty are in `unit`.
+
+    quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; rule: simple or guarded.
+    """
+
+    quantity: str
+    requirement: str
+    rule: str
+    verdict: Verdict
+    value: float
+    unit: str
+    standard_uncertainty: float
+    expanded_uncertainty: float
+    coverage_factor: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentSummary:
+    """One segment as carried out; `statistics` is None when nothing of it was kept. units: channel → unit."""
+
+    segment: Segment
+    statistics: Statistics | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    remark: str = ""
+
+    @classmethod
+    def of(cls, recorded: RecordedSegment) -> SegmentSummary:
+        remark = "truncated" if recorded.truncated else ""
+        return cls(recorded.segment, recorded.statistics, recorded.units, remark)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportContext:
+    """Everything a report shows. Mappings keep their order.
+
+    run_information: what was given for this run (operator, device_serial, work_order, fixture, ambient_pressure …).
+    bench: facts about the bench (name, description …); instruments: role → identity as the instrument gave it.
+    provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
+    probability: coverage probability of the expanded uncertainties.
+    """
+
+    title: str
+    description: str = ""
+    run_information: Mapping[str, str] = field(default_factory=dict)
+    bench: Mapping[str, str] = field(default_factory=dict)
+    instruments: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    site: Site | None = None
+    segments: tuple[SegmentSummary, ...] = ()
+    estimates: tuple[Estimate, ...] = ()
+    limits: tuple[LimitVerdict, ...] = ()
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    probability: float = 0.95
+
+    @property
+    def failed(self) -> tuple[LimitVerdict, ...]:
+        """The limits that are not met."""
+        return tuple(limit for limit in self.limits if limit.verdict != "pass")
+
+
+def site_facts(site: Site) -> dict[str, str]:
+    """The site in words and the field's units."""
+    north_south = "N" if site.latitude >= 0 else "S"
+    return {
+        "Latitude": f"{abs(math.degrees(site.latitude)):.4f}° {north_south}",
+        "Gravity": f"{site.gravity:.6f} m/s²",
+        "Azimuth of the bench": f"{math.degrees(site.azimuth):.4f}°",
+        "Earth rate": f"{math.degrees(site.earth_rate) * 3600:.6f} °/h",
+    }

@@ -1,0 +1,201 @@
+"""Charts as inline SVG: values per label or over x, correlations, and the timeline of a schedule.
+
+Drawn by matplotlib at a phone's width and scaled by the page, so that lettering stays legible on both. Text stays text, and the
+same data give the same bytes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Plot
+from planrunner.plan.schedule import Schedule
+from planrunner.reporting.words import clock
+
+Array = NDArray[np.float64]
+
+WIDTH = 4.7  # inches
+COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")
+_MARKERS = ("o", "s", "^", "D", "v")
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "planrunner",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.0,
+    "axes.edgecolor": "#8a949e",
+    "axes.labelcolor": "#1b1f24",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#e3e7eb",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#3b444d",
+    "ytick.color": "#3b444d",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "text.parse_math": False,
+}
+
+
+def plot_svg(plot: Plot, key: str) -> str:
+    """One chart of points with error bars (±1 standard uncertainty) over labels, or of points and lines over numbers.
+
+    key: a name unique in the page, of letters, digits and hyphens; ids in the picture begin with it.
+    """
+    labels = _labels(plot.x)
+    with _figure(WIDTH, 3.1) as (figure, save):
+        axes = figure.add_subplot()
+        xs = np.arange(len(labels), dtype=float) if labels else np.array([float(x) for x in plot.x])
+        count = max(len(plot.series), 1)
+        for index, (name, values) in enumerate(plot.series.items()):
+            shift = (index - (count - 1) / 2) * min(0.16, 0.6 / count) if labels else 0.0
+            width = plot.uncertainties.get(name)
+            axes.errorbar(
+                xs + shift,
+                np.array(values, dtype=float),
+                yerr=None if width is None else np.array(width, dtype=float),
+                fmt=_MARKERS[index % len(_MARKERS)] if labels or len(xs) <= 60 else "",
+                linestyle="none" if labels else "-",
+                color=COLOURS[index % len(COLOURS)],
+                markersize=4.5,
+                linewidth=1.1,
+                capsize=2.5,
+                label=name,
+            )
+        _finish(axes, plot, labels)
+        described = f"{plot.y_title} against {plot.x_title}, {len(plot.x)} points, series: {', '.join(plot.series)}"
+        return save(key, plot.title, described)
+
+
+def _labels(x: Sequence[Any]) -> list[str]:
+    """Labels when x holds any text, else nothing."""
+    return [str(item) for item in x] if any(isinstance(item, str) for item in x) else []
+
+
+def _finish(axes: Any, plot: Plot, labels: list[str]) -> None:
+    axes.set_xlabel(plot.x_title)
+    axes.set_ylabel(plot.y_title)
+    lowest, highest = axes.get_ylim()
+    if lowest < 0 < highest:
+        axes.axhline(0, color="#8a949e", linewidth=0.8, zorder=1)
+    if labels:
+        step = math.ceil(len(labels) / 40)
+        shown = range(0, len(labels), step)
+        steep = len(labels) > 12 or max(map(len, labels)) > 4
+        axes.set_xticks(list(shown), [labels[i][:24] for i in shown], rotation=90 if steep else 0)
+        axes.grid(visible=False, axis="x")
+        axes.set_xlim(-0.6, len(labels) - 0.4)
+    if len(plot.series) > 1:
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=min(3, len(plot.series)), borderaxespad=0.2)
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix of a covariance (m, m); rows of a quantity without variance are zero off the diagonal."""
+    sigma = np.sqrt(np.clip(np.diag(covariance), 0, None))
+    scale = np.where(sigma > 0, sigma, np.inf)
+    result = covariance / np.outer(scale, scale)
+    np.fill_diagonal(result, 1.0)
+    return np.asarray(np.clip(result, -1, 1))
+
+
+def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
+    """Heat map of the correlations, in hundredths; blue is positive, orange negative, white none."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    matrix = correlation(np.asarray(covariance, dtype=float))
+    size = len(names)
+    with _figure(WIDTH, WIDTH * 0.97) as (figure, save):
+        axes = figure.add_subplot()
+        colours = LinearSegmentedColormap.from_list("correlation", ["#b45309", "#ffffff", "#0b5394"])
+        for row in range(size):
+            for column in range(size):
+                value = float(matrix[row, column])
+                axes.fill_between(
+                    [column - 0.5, column + 0.5], row - 0.5, row + 0.5, color=colours((value + 1) / 2), linewidth=0
+                )
+                if size <= 16 and abs(value) >= 0.005 and row != column:
+                    ink = "#ffffff" if abs(value) > 0.55 else "#1b1f24"
+                    text = f"{100 * value:.0f}".replace("-", "\u2212")
+                    axes.text(column, row, text, ha="center", va="center", fontsize=7.2, color=ink)
+        places = range(0, size, math.ceil(size / 40))
+        axes.set_xticks(list(places), [names[i] for i in places], rotation=90)
+        axes.set_yticks(list(places), [names[i] for i in places])
+        axes.set_xlim(-0.5, size - 0.5)
+        axes.set_ylim(size - 0.5, -0.5)
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        axes.tick_params(length=0, labelsize=8)
+        strongest = [f"{a} and {b} {r:+.2f}" for a, b, r in strong(names, matrix)[:5]]
+        described = "Largest: " + "; ".join(strongest) if strongest else "No two coefficients are correlated."
+        return save(key, f"Correlations of {size} coefficients, in hundredths", described)
+
+
+def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[tuple[str, str, float]]:
+    """Pairs of names whose correlation is at least `at_least` either way, the strongest first."""
+    pairs = [
+        (names[i], names[j], float(matrix[i, j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if abs(matrix[i, j]) >= at_least
+    ]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def timeline_svg(schedule: Schedule, key: str) -> str:
+    """What happens when: reaching, settling and recording as bars; temperature and rate over time where the plan holds them."""
+    from planrunner.reporting.timeline import draw_panels, panels_of
+
+    panels = panels_of(schedule)
+    with _figure(7.2, 0.75 + 0.95 * len(panels)) as (figure, save):
+        rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        draw_panels(rows, panels, schedule)
+        described = f"{len(schedule.segments)} segments in {clock(schedule.total)} (hours, minutes, seconds)."
+        return save(key, "Timeline of the planned run", described)
+
+
+@contextmanager
+def _figure(width: float, height: float) -> Iterator[tuple[Any, Any]]:
+    """A figure of our style and a function that turns it into an `<svg>` element."""
+    import io
+
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+
+        def save(key: str, title: str, described: str) -> str:
+            target = io.StringIO()
+            nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+            FigureCanvasSVG(figure).print_svg(target, metadata=nothing)
+            return _inline(target.getvalue(), key, title, described)
+
+        yield figure, save
+
+
+def _inline(text: str, key: str, title: str, described: str) -> str:
+    """matplotlib's file as an element: no prologue, ids of its own, named, scaling with its container."""
+    body = text[text.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="', f'id="{key}-', body)
+    body = re.sub(r'(xlink:href="|url\()#', rf"\1#{key}-", body)
+    body = body.replace("'DejaVu Sans'", "'DejaVu Sans', 'Verdana', 'Segoe UI', 'Helvetica', sans-serif")
+    opening, rest = body.split(">", 1)
+    opening = re.sub(r'\s(?:width|height)="[^"]*"', "", opening)
+    named = f' class="chart" role="img" aria-labelledby="{key}-title {key}-desc"'
+    words = f'<title id="{key}-title">{escape(title)}</title><desc id="{key}-desc">{escape(described)}</desc>'
+    return f"{opening}{named}>{words}{rest}".strip()

@@ -1,0 +1,156 @@
+"""The `show` page: a schedule before it runs, with a timeline, a picture of every orientation and predicted uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planrunner.estimators.interface import Coefficient, Design, Table
+from planrunner.plan.schedule import Schedule, Segment
+from planrunner.reporting import words
+from planrunner.reporting.orientations import orientation_svg
+from planrunner.reporting.templates import render
+from planrunner.reporting.timeline import spans
+from planrunner.reporting.view import coefficient_row, named, table_view
+
+MAX_PICTURES = 200
+MAX_BARS = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class ShowContext:
+    """A schedule and what is expected of it.
+
+    designs: estimate's name → its design, whose `predicted` coefficients carry the standard uncertainties to expect.
+    """
+
+    title: str
+    schedule: Schedule
+    description: str = ""
+    designs: Mapping[str, Design] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    probability: float = 0.95
+
+
+def render_show(context: ShowContext, template: str = "show.html", folder: Path | None = None) -> str:
+    """One self-contained HTML page. The same context gives the same text. Raises `ReportError`."""
+    return render(template, show_view(context), folder)
+
+
+def show_view(context: ShowContext) -> dict[str, Any]:
+    """What the template is given: title, description, facts, timeline (SVG), segments (table), pictures, predictions …"""
+    from markupsafe import Markup
+
+    from planrunner.reporting.plots import timeline_svg
+
+    schedule = context.schedule
+    drawn = 0 < len(schedule.segments) <= MAX_BARS
+    groups = orientations(schedule.segments)
+    pictures = [
+        {
+            "svg": Markup(orientation_svg(group[0].attitude, group[0].label)),
+            "labels": labels_in_short([item.label for item in group]),
+            "words": words.orientation(group[0]),
+        }
+        for group in groups[:MAX_PICTURES]
+    ]
+    hidden = len(groups) - len(pictures)
+    return {
+        "title": context.title,
+        "description": context.description,
+        "facts": named({**context.facts, **totals(schedule)}),
+        "timeline": Markup(timeline_svg(schedule, "timeline")) if drawn else "",
+        "segments": table_view(timeline_table(schedule)),
+        "pictures": pictures,
+        "more_pictures": f"{hidden} more orientations are not pictured here." if hidden > 0 else "",
+        "predictions": [
+            {"name": name, "coefficients": predicted_rows(design.predicted, context.probability), "notes": list(design.notes)}
+            for name, design in context.designs.items()
+        ],
+        "warnings": list(context.warnings),
+        "notes": list(context.notes),
+        "provenance": named(context.provenance),
+        "probability_percent": words.number(100 * context.probability),
+    }
+
+
+def predicted_rows(coefficients: Sequence[Coefficient], probability: float) -> list[dict[str, str]]:
+    return [coefficient_row(item, probability) for item in coefficients]
+
+
+def totals(schedule: Schedule) -> dict[str, str]:
+    """The sums that a planner looks for first."""
+    segments = schedule.segments
+    recorded = sum(item.dwell or 0.0 for item in segments)
+    settling = sum(item.settle + item.soak for item in segments)
+    unknown = any(item.dwell is None for item in segments)
+    facts = {
+        "total time": words.duration(schedule.total) + (" and as long as the recordings last" if unknown else ""),
+        "segments": str(len(segments)),
+        "recording": words.duration(recorded) + (" and as long as the recordings last" if unknown else ""),
+        "soaking and settling": words.duration(settling),
+        "moving and changing temperature": words.duration(sum(item.transition for item in segments)),
+        "orientations": str(len(orientations(segments))),
+    }
+    held = [t for item in segments for t in (item.temperature, item.ramp_to) if t is not None]
+    if held:
+        low, high = words.celsius(min(held)), words.celsius(max(held))
+        facts["temperature"] = f"{low} °C" if low == high else f"{low} °C to {high} °C"
+    rates = [abs(item.rate) for item in segments if item.rate]
+    if rates:
+        low, high = (words.number(round(float(np.degrees(value)), 9)) for value in (min(rates), max(rates)))
+        facts["rates"] = f"±{high} °/s" if low == high else f"{low} to {high} °/s either way"
+    return facts
+
+
+def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
+    """Segments grouped by where their axes point, in the order of first use."""
+    groups: dict[Any, list[Segment]] = {}
+    for item in segments:
+        key = None if item.attitude is None else tuple(np.round(item.attitude, 7).ravel() + 0.0)
+        groups.setdefault(key, []).append(item)
+    return list(groups.values())
+
+
+def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
+    """`P6, T3` or `P6, P7, P8 and 5 more`."""
+    distinct = list(dict.fromkeys(labels))
+    if len(distinct) <= most:
+        return ", ".join(distinct)
+    return f"{', '.join(distinct[: most - 1])} and {len(distinct) - most + 1} more"
+
+
+def timeline_table(schedule: Schedule) -> Table:
+    """One row a segment: when, how it is reached, what is held, for how long. Idle columns are left out."""
+    segments = schedule.segments
+    columns: list[tuple[str, list[str]]] = [
+        ("#", [str(item.index + 1) for item in segments]),
+        ("Start, h:mm:ss", [words.clock(item.start) for item in segments]),
+        ("Segment", [item.label for item in segments]),
+        ("Orientation", [words.orientation(item) for item in segments]),
+        ("Motion", [words.motion(item.motion) for item in segments]),
+        ("Rate, °/s", [words.rate(item) for item in segments]),
+        ("Temperature, °C", [words.temperature(item) for item in segments]),
+        ("Reach, s", [words.number(round(item.transition, 1)) for item in segments]),
+        ("Soak, s", [words.number(item.soak) for item in segments]),
+        ("Settle, s", [words.number(item.settle) for item in segments]),
+        ("Dwell", [words.duration(item.dwell) for item in segments]),
+        ("End, h:mm:ss", [words.clock(span.end) if span.segment.dwell is not None else "–" for span in spans(schedule)]),
+    ]
+    if not any(item.rate for item in segments):
+        columns = [column for column in columns if column[0] != "Rate, °/s"]
+    elif all(words.motion(item.motion) == "rest" or item.rate for item in segments):
+        abouts = {about for item in segments if (about := getattr(item.motion, "about", None))}
+        if len(abouts) == 1:
+            columns = [column for column in columns if column[0] != "Motion"]
+    idle = {"Motion": {"rest"}, "Temperature, °C": {"–"}, "Soak, s": {"0"}, "Settle, s": {"0"}}
+    kept = [(title, cells) for title, cells in columns if not set(cells) <= idle.get(title, set())]
+    rows = tuple(zip(*(cells for _, cells in kept), strict=True)) if segments else ()
+    return Table("Segments in order", tuple(title for title, _ in kept), rows)

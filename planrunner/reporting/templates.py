@@ -1,0 +1,160 @@
+"""Templates: a Jinja environment in which a template can lay out what it is given and do nothing else.
+
+Sandboxed; text is escaped unless it was made here; an undefined name is an error; templates are read from the shipped folder and,
+when one is named, from a user's folder that comes first, and from nowhere else. Whatever goes wrong is a `ReportError` that says
+where and what.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planrunner.shipped import shipped
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+ENDING = ".j2"
+MAX_OUTPUT = 50_000_000  # characters
+MAX_TEMPLATE = 1_000_000  # bytes
+MAX_OPERAND = 1_000_000
+_TEXT_METHODS = frozenset(
+    ("upper", "lower", "title", "capitalize", "strip", "lstrip", "rstrip", "split", "startswith", "endswith", "join")
+)
+_MAPPING_METHODS = frozenset(("items", "keys", "values", "get"))
+_REMOVED_FILTERS = ("center", "format", "indent", "pprint", "random", "wordwrap", "xmlattr")
+
+
+class ReportError(Exception):
+    """A report cannot be written. The message says where in which template and why, for whoever wrote the template."""
+
+
+def available(folder: Path | None = None) -> tuple[str, ...]:
+    """Names of the reports that can be asked for: templates at the top of the folders, without their ending."""
+    found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
+    return tuple(sorted(found))
+
+
+def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> str:
+    """The text that the template `name` (with or without `.j2`) makes of `given`, which must be plain data.
+
+    folder: a user's template folder, searched before the shipped one. Raises `ReportError`.
+    """
+    import jinja2
+
+    full = name if name.endswith(ENDING) else name + ENDING
+    environment = _environment(_roots(folder), escaping=not full.endswith((".md" + ENDING, ".txt" + ENDING)))
+    pieces: list[str] = []
+    size = 0
+    try:
+        for piece in environment.get_template(full).generate(**given):
+            size += len(piece)
+            if size > MAX_OUTPUT:
+                raise ReportError(f"{full}: the report grows beyond {MAX_OUTPUT / 1e6:g} million characters")
+            pieces.append(piece)
+    except jinja2.TemplateNotFound as error:
+        known = ", ".join(available(folder))
+        raise ReportError(f"there is no template '{error.name}'; known here: {known}") from None
+    except jinja2.TemplateSyntaxError as error:
+        raise ReportError(f"{error.name or full}:{error.lineno}: {error.message}") from None
+    except ReportError:
+        raise
+    except Exception as error:  # whatever a template's expression may raise
+        raise ReportError(f"{_place(error, full)}: {_reason(error)}") from None
+    return "".join(pieces)
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())[:300]
+    kind = "" if type(error).__module__.startswith("jinja2") else f"{type(error).__name__}: "
+    return f"{kind}{text}" or type(error).__name__
+
+
+def _place(error: Exception, name: str) -> str:
+    """`template:line` of the innermost template line that the error passed through."""
+    place, trace = name, error.__traceback__
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if file.endswith(ENDING):
+            place = f"{Path(file).name}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    return place
+
+
+def _roots(folder: Path | None) -> tuple[Path, ...]:
+    own = shipped("templates").resolve()
+    if folder is None:
+        return (own,)
+    if not folder.is_dir():
+        raise ReportError(f"{folder} is not a folder of templates")
+    return (folder.resolve(), own)
+
+
+@lru_cache(maxsize=8)
+def _environment(roots: tuple[Path, ...], escaping: bool) -> Environment:
+    import jinja2
+    from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
+    from markupsafe import Markup
+
+    class Closed(ImmutableSandboxedEnvironment):
+        """The sandbox, with methods by permission only and no arithmetic that fills the memory."""
+
+        intercepted_binops = frozenset(("*", "**", "%"))
+
+        def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
+            if isinstance(obj, str) and callable(value):
+                return attr in _TEXT_METHODS
+            if isinstance(obj, Mapping) and callable(value):
+                return attr in _MAPPING_METHODS
+            return super().is_safe_attribute(obj, attr, value)
+
+        def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
+            for operand in (left, right):
+                number = isinstance(operand, int | float) and abs(operand) <= MAX_OPERAND
+                if not number or operator == "**":
+                    raise SecurityError(f"'{operator}' is for numbers up to {MAX_OPERAND} and not for powers")
+            return super().call_binop(context, operator, left, right)
+
+    def escaped(value: Any) -> Any:
+        return value if isinstance(value, Markup) else markdown(str(value))
+
+    class Folders(jinja2.BaseLoader):
+        def get_source(self, environment: Any, template: str) -> tuple[str, str, Callable[[], bool]]:
+            for root in roots:
+                path = (root / template).resolve()
+                if path.is_relative_to(root) and path.is_file():
+                    if path.stat().st_size > MAX_TEMPLATE:
+                        raise ReportError(f"{path}: a template larger than {MAX_TEMPLATE / 1e6:g} MB")
+                    try:
+                        return path.read_text(encoding="utf-8"), str(path), lambda: False
+                    except UnicodeDecodeError:
+                        raise ReportError(f"{path}: the template is not UTF-8 text") from None
+            raise jinja2.TemplateNotFound(template)
+
+    environment = Closed(
+        loader=Folders(),
+        autoescape=escaping,
+        undefined=jinja2.StrictUndefined,
+        finalize=None if escaping else escaped,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    for removed in _REMOVED_FILTERS:
+        environment.filters.pop(removed)
+    environment.globals = {"range": environment.globals["range"], "namespace": environment.globals["namespace"]}
+    return environment
+
+
+_SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
+
+
+def markdown(text: str) -> str:
+    """`text` so that Markdown shows it as it stands, on one line."""
+    one_line = " ".join(text.split())
+    return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+

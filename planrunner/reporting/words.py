@@ -1,0 +1,90 @@
+"""States and times in the words that reports, the show page and the terminal share."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from planrunner.plan.orientation import in_words
+from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
+
+_CELSIUS = 273.15
+_WORD_OF = {
+    (0.0, 0.0, 1.0): "up",
+    (0.0, 0.0, -1.0): "down",
+    (1.0, 0.0, 0.0): "east",
+    (-1.0, 0.0, 0.0): "west",
+    (0.0, 1.0, 0.0): "north",
+    (0.0, -1.0, 0.0): "south",
+}
+
+
+def number(value: float, digits: int = 6) -> str:
+    """A number that has no uncertainty of its own, in at most `digits` significant digits."""
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "-∞"}.get(value, "not a number")
+    text = re.sub(r"e([+-])0*(?=\d)", lambda match: "e-" if match[1] == "-" else "e", f"{value:.{digits}g}")
+    return "0" if text == "-0" else text
+
+
+def duration(seconds: float | None) -> str:
+    """`95 s` → `1 min 35 s`; tenths below ten seconds; hours and days above."""
+    if seconds is None:
+        return "as recorded"
+    if not math.isfinite(seconds):
+        return "unlimited"
+    if abs(seconds) < 10 and seconds != round(seconds):
+        return f"{seconds:.1f} s"
+    whole = round(abs(seconds))
+    days, rest = divmod(whole, 86400)
+    hours, rest = divmod(rest, 3600)
+    minutes, rest = divmod(rest, 60)
+    parts = [f"{n} {unit}" for n, unit in ((days, "d"), (hours, "h"), (minutes, "min"), (rest, "s")) if n]
+    sign = "-" if seconds < 0 and parts else ""
+    return sign + (" ".join(parts) or "0 s")
+
+
+def clock(seconds: float) -> str:
+    """Time since the run began, `h:mm:ss`."""
+    whole = round(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+def celsius(kelvin: float) -> str:
+    return number(round(kelvin - _CELSIUS, 6))
+
+
+def temperature(segment: Segment) -> str:
+    """The temperature in °C, with where a ramp leads; a dash when the plan does not hold one."""
+    held = "–" if segment.temperature is None else celsius(segment.temperature)
+    return held if segment.ramp_to is None else f"{held} → {celsius(segment.ramp_to)}"
+
+
+def rate(segment: Segment) -> str:
+    """The commanded rate in °/s; a dash at rest."""
+    return number(round(math.degrees(segment.rate), 9)) if isinstance(segment.motion, Spin) else "–"
+
+
+def motion(what: Motion) -> str:
+    """A motion in words."""
+    match what:
+        case Rest():
+            return "rest"
+        case Spin(rate=value, about=about):
+            direction = _WORD_OF.get(tuple(round(x, 9) + 0.0 for x in about), "a tilted axis")  # type: ignore[call-overload]
+            return f"{number(round(math.degrees(value), 9))}°/s about {direction}"
+        case Rock():
+            phases = ", ".join(f"{number(round(math.degrees(phase), 9))}°" for phase in what.phases)
+            size = number(round(math.degrees(what.amplitude), 9))
+            text = f"rocking {size}° at {number(what.frequency)} Hz for {duration(what.duration)}"
+            return f"{text}, phases {phases}" if phases else text
+        case Cycle():
+            speed = number(round(math.degrees(what.rate), 9))
+            return f"{len(what.moves)} moves at {speed}°/s, stops of {duration(what.stop)}"
+
+
+def orientation(segment: Segment) -> str:
+    """Where the axes point: as the plan says, else from the attitude."""
+    if segment.orientation:
+        return segment.orientation
+    return "unknown" if segment.attitude is None else in_words(segment.attitude)
