@@ -14,8 +14,28 @@ from collections.abc import Callable, Iterable, Mapping
 from planrunner.estimators.interface import Estimate
 
 M_WORDS = frozenset(
-    "break case catch classdef continue else elseif end for function global if otherwise parfor persistent return spmd switch "
-    "try while".split()
+    (
+        "break",
+        "case",
+        "catch",
+        "classdef",
+        "continue",
+        "else",
+        "elseif",
+        "end",
+        "for",
+        "function",
+        "global",
+        "if",
+        "otherwise",
+        "parfor",
+        "persistent",
+        "return",
+        "spmd",
+        "switch",
+        "try",
+        "while",
+    )
 )
 
 
@@ -143,7 +163,9 @@ def _yaml(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
     Dumper.add_representer(_Exact, exact)
     opening = "".join(f"# {line}\n" for line in _opening(estimate, provenance))
-    return opening + yaml.dump(data, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    return opening + yaml.dump(
+        data, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
+    )
 
 
 class _Exact(float):

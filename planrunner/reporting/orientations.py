@@ -1,7 +1,7 @@
-"""Pictures of orientations: the sensor's axes in the site's East-North-Up frame, as inline SVG drawn from the attitude alone.
+"""Pictures of orientations: the sensor's axes in the site's East-North-Up frame, as inline SVG drawn from the attitude.
 
-The eye stands south-south-east of the sensor and above it, so that east points right, north away and up up; no two of the six
-cardinal directions fall on each other, and what points at the eye is drawn over what points away.
+The eye stands south-south-east of the sensor and above it, so that east points right, north away and up up; no two of
+the six cardinal directions fall on each other, and what points at the eye is drawn over what points away.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def project(direction: Array) -> tuple[float, float]:
 def orientation_svg(attitude: Array | None, name: str = "") -> str:
     """The picture as an `<svg>` element with a title for screen readers.
 
-    attitude: (3, 3), rows are the sensor's x, y, z axes in East-North-Up; None draws the site's frame with a question mark.
+    attitude: (3, 3), rows are the sensor's x, y, z axes in East-North-Up; None draws the frame with a question mark.
     """
     words = "unknown orientation" if attitude is None else in_words(np.asarray(attitude, dtype=float))
     title = f"{name}: {words}" if name else words

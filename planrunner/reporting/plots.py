@@ -1,7 +1,7 @@
 """Charts as inline SVG: values per label or over x, correlations, and the timeline of a schedule.
 
-Drawn by matplotlib at a phone's width and scaled by the page, so that lettering stays legible on both. Text stays text, and the
-same data give the same bytes.
+Drawn by matplotlib at a phone's width and scaled by the page, so that lettering stays legible on both. Text stays text,
+and the same data give the same bytes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 WIDTH = 4.7  # inches
 COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")
 _MARKERS = ("o", "s", "^", "D", "v")
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "planrunner",
     "font.family": "sans-serif",
@@ -154,7 +154,7 @@ def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[t
 
 
 def timeline_svg(schedule: Schedule, key: str) -> str:
-    """What happens when: reaching, settling and recording as bars; temperature and rate over time where the plan holds them."""
+    """What happens when: reaching, settling and recording as bars, with temperature and rate where they are held."""
     from planrunner.reporting.timeline import draw_panels, panels_of
 
     panels = panels_of(schedule)

@@ -14,6 +14,7 @@ __all__ = ["LimitVerdict", "ReportContext", "ReportError", "SegmentSummary", "av
 def render_report(context: ReportContext, template: str, folder: Path | None = None) -> str:
     """The report that `template` (such as `report.html` or `summary.md`) makes of the context: one self-contained text.
 
-    folder: a user's template folder, searched before the shipped one. The same context gives the same text. Raises `ReportError`.
+    folder: a user's template folder, searched before the shipped one. The same context gives the same text.
+    Raises `ReportError`.
     """
     return render(template, report_view(context), folder)

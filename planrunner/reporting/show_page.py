@@ -1,4 +1,4 @@
-"""The `show` page: a schedule before it runs, with a timeline, a picture of every orientation and predicted uncertainties."""
+"""The `show` page: a schedule before it runs: timeline, a picture of every orientation, predicted uncertainties."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.estimators.interface import Coefficient, Design, Table
-from planrunner.plan.schedule import Schedule, Segment
+from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.reporting import words
 from planrunner.reporting.orientations import orientation_svg
 from planrunner.reporting.templates import render
@@ -19,6 +19,7 @@ from planrunner.reporting.view import coefficient_row, named, table_view
 
 MAX_PICTURES = 200
 MAX_BARS = 5000
+_IDLE = ("T, ", "Temperature", "Soak", "Settle", "Wait")  # left out when nothing is in them
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ def render_show(context: ShowContext, template: str = "show.html", folder: Path 
 
 
 def show_view(context: ShowContext) -> dict[str, Any]:
-    """What the template is given: title, description, facts, timeline (SVG), segments (table), pictures, predictions …"""
+    """What the template is given: title, description, facts, timeline (SVG), segments, pictures, predictions …"""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import timeline_svg
@@ -71,7 +72,11 @@ def show_view(context: ShowContext) -> dict[str, Any]:
         "pictures": pictures,
         "more_pictures": f"{hidden} more orientations are not pictured here." if hidden > 0 else "",
         "predictions": [
-            {"name": name, "coefficients": predicted_rows(design.predicted, context.probability), "notes": list(design.notes)}
+            {
+                "name": name,
+                "coefficients": predicted_rows(design.predicted, context.probability),
+                "notes": list(design.notes),
+            }
             for name, design in context.designs.items()
         ],
         "warnings": list(context.warnings),
@@ -127,30 +132,42 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
     return f"{', '.join(distinct[: most - 1])} and {len(distinct) - most + 1} more"
 
 
-def timeline_table(schedule: Schedule) -> Table:
-    """One row a segment: when, how it is reached, what is held, for how long. Idle columns are left out."""
+def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
+    """One row a segment: when, how it is reached, what is held, for how long. Idle columns are left out.
+
+    brief: for a terminal's width, with soaking and settling in one column and without the end.
+    """
     segments = schedule.segments
-    columns: list[tuple[str, list[str]]] = [
-        ("#", [str(item.index + 1) for item in segments]),
-        ("Start, h:mm:ss", [words.clock(item.start) for item in segments]),
-        ("Segment", [item.label for item in segments]),
-        ("Orientation", [words.orientation(item) for item in segments]),
-        ("Motion", [words.motion(item.motion) for item in segments]),
-        ("Rate, °/s", [words.rate(item) for item in segments]),
-        ("Temperature, °C", [words.temperature(item) for item in segments]),
-        ("Reach, s", [words.number(round(item.transition, 1)) for item in segments]),
+    waits = [words.number(item.soak + item.settle) for item in segments]
+    ends = [words.clock(span.end) if span.segment.dwell is not None else "–" for span in spans(schedule)]
+    wide = [
         ("Soak, s", [words.number(item.soak) for item in segments]),
         ("Settle, s", [words.number(item.settle) for item in segments]),
-        ("Dwell", [words.duration(item.dwell) for item in segments]),
-        ("End, h:mm:ss", [words.clock(span.end) if span.segment.dwell is not None else "–" for span in spans(schedule)]),
     ]
-    if not any(item.rate for item in segments):
-        columns = [column for column in columns if column[0] != "Rate, °/s"]
-    elif all(words.motion(item.motion) == "rest" or item.rate for item in segments):
-        abouts = {about for item in segments if (about := getattr(item.motion, "about", None))}
-        if len(abouts) == 1:
-            columns = [column for column in columns if column[0] != "Motion"]
-    idle = {"Motion": {"rest"}, "Temperature, °C": {"–"}, "Soak, s": {"0"}, "Settle, s": {"0"}}
-    kept = [(title, cells) for title, cells in columns if not set(cells) <= idle.get(title, set())]
+    columns: list[tuple[str, list[str]]] = [
+        ("#", [str(item.index + 1) for item in segments]),
+        ("Start" if brief else "Start, h:mm:ss", [words.clock(item.start) for item in segments]),
+        ("Segment", [item.label for item in segments]),
+        ("Orientation", [words.orientation(item) for item in segments]),
+        *_motion_columns(segments),
+        ("T, °C" if brief else "Temperature, °C", [words.temperature(item) for item in segments]),
+        ("Reach, s", [words.number(round(item.transition, 1)) for item in segments]),
+        *([("Wait, s", waits)] if brief else wide),
+        ("Dwell", [words.duration(item.dwell) for item in segments]),
+        *([] if brief else [("End, h:mm:ss", ends)]),
+    ]
+    kept = [item for item in columns if not (item[0].startswith(_IDLE) and set(item[1]) <= {"–", "0"})]
     rows = tuple(zip(*(cells for _, cells in kept), strict=True)) if segments else ()
     return Table("Segments in order", tuple(title for title, _ in kept), rows)
+
+
+def _motion_columns(segments: Sequence[Segment]) -> list[tuple[str, list[str]]]:
+    """Nothing at rest; a rate in numbers when every motion is a rate about the same direction; else the motion in words."""
+    moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
+    if not moving:
+        return []
+    abouts = {item.about if isinstance(item, Spin) else None for item in moving}
+    about = abouts.pop()
+    if not abouts and about is not None:
+        return [(f"Rate about {words.direction(about)}, °/s", [words.rate(item) for item in segments])]
+    return [("Motion", [words.motion(item.motion) for item in segments])]

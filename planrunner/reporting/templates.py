@@ -1,14 +1,14 @@
 """Templates: a Jinja environment in which a template can lay out what it is given and do nothing else.
 
-Sandboxed; text is escaped unless it was made here; an undefined name is an error; templates are read from the shipped folder and,
-when one is named, from a user's folder that comes first, and from nowhere else. Whatever goes wrong is a `ReportError` that says
-where and what.
+Sandboxed; text is escaped unless it was made here; an undefined name is an error; templates are read from the shipped
+folder and, when one is named, from a user's folder that comes first, and from nowhere else. Whatever goes wrong is a
+`ReportError` that says where and what.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -157,4 +157,3 @@ def markdown(text: str) -> str:
     """`text` so that Markdown shows it as it stands, on one line."""
     one_line = " ".join(text.split())
     return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
     from rich.text import Text
 
+_LEAST = {
+    "Orientation": 24,
+    "Segment": 5,
+    "Start": 7,
+    "Dwell": 5,
+}  # columns that must stay readable on a narrow terminal
 _VERDICT = {"pass": "bold green", "fail": "bold red"}
 
 
@@ -33,7 +39,9 @@ def console(width: int | None = None, file: Any = None) -> Console:
     return made
 
 
-def coefficients_table(estimate: Estimate, probability: float = 0.95, only: Sequence[str] | None = None) -> RenderableType:
+def coefficients_table(
+    estimate: Estimate, probability: float = 0.95, only: Sequence[str] | None = None
+) -> RenderableType:
     """Coefficients with standard and expanded uncertainties. only: names to show, such as `estimate.headline`."""
     shown = [item for item in estimate.coefficients if only is None or item.name in only]
     return _coefficients(f"{estimate.name} ({estimate.estimator})", shown, probability, "value")
@@ -82,7 +90,7 @@ def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableTyp
     """The timeline, then the totals."""
     from rich.console import Group
 
-    table = timeline_table(schedule)
+    table = timeline_table(schedule, brief=True)
     facts = _plain([(text.lower(), value) for text, value in named(totals(schedule))])
     return Group(data_table(Table(title, table.columns, table.rows)), facts)
 
@@ -108,10 +116,17 @@ def _table(title: str, columns: Sequence[tuple[str, bool]]) -> RichTable:
     from rich.table import Table as RichTable
 
     table = RichTable(
-        title=_text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold"
+        title=_text(title),
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        header_style="bold",
     )
     for name, numeric in columns:
-        table.add_column(_text(name), justify="right" if numeric else "left", no_wrap=numeric)
+        table.add_column(
+            _text(name), justify="right" if numeric else "left", no_wrap=numeric, min_width=_LEAST.get(name)
+        )
     return table
 
 

@@ -62,7 +62,9 @@ def _bars(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
     for place, (_, colour) in enumerate(PHASES):
         edges = [((s.leave, s.arrive), (s.arrive, s.start), (s.start, s.end))[place] for s in times]
         bars = [(a / divisor, (b - a) / divisor) for a, b in edges if b > a]
-        axes.broken_barh(bars, (0.1, 0.8), facecolors=colour, edgecolor="white", linewidth=0.4 if len(times) < 60 else 0)
+        axes.broken_barh(
+            bars, (0.1, 0.8), facecolors=colour, edgecolor="white", linewidth=0.4 if len(times) < 60 else 0
+        )
     for span in times:
         share = (span.end - span.start) / longest
         if share * 95 > len(span.segment.label):
@@ -70,9 +72,7 @@ def _bars(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
             axes.text(middle, 0.5, span.segment.label, ha="center", va="center", fontsize=7.5, color="white")
         elif share > 0.014 and len(span.segment.label) <= 14:
             middle = (span.start + span.end) / 2 / divisor
-            axes.text(
-                middle, 0.5, span.segment.label, ha="center", va="center", fontsize=7, color="white", rotation=90
-            )
+            axes.text(middle, 0.5, span.segment.label, ha="center", va="center", fontsize=7, color="white", rotation=90)
     axes.set_ylim(0, 1)
     axes.set_yticks([])
     axes.grid(visible=False, axis="y")
@@ -109,7 +109,12 @@ def _rate(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
             until = span.start + motion.duration if isinstance(motion, Rock) else span.end
             size = math.degrees(peak)
             axes.fill_between(
-                [span.start / divisor, until / divisor], [-size] * 2, [size] * 2, color="#0b5394", alpha=0.25, linewidth=0
+                [span.start / divisor, until / divisor],
+                [-size] * 2,
+                [size] * 2,
+                color="#0b5394",
+                alpha=0.25,
+                linewidth=0,
             )
         value = math.degrees(span.segment.rate)
         xs += [span.leave / divisor, span.arrive / divisor, span.end / divisor]

@@ -1,18 +1,25 @@
 """What a report's template is given: plain dictionaries, lists, text and numbers, made from a `ReportContext`.
 
-Templates see nothing else, so that a template can lay a report out but cannot reach a file or change a result. The keys:
+Templates see nothing else: a template can lay a report out but cannot reach a file or change a result. The keys:
 
-    title, description, headline {kind, text, detail}, probability_percent
+    title, description                text
+    headline                          {kind: pass, fail or none; text; detail}
+    probability_percent               of the expanded uncertainties
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
-    estimates                         list of {name, anchor, estimator, coefficients, headline, settings, tables, plots, correlation,
-                                      strong_correlations, notes, warnings, segments}
-      coefficients, headline          lists of {name, description, value, expanded, standard, unit, factor, freedom}, as text
-      tables                          list of {title, columns: list of {title, numeric}, rows of text}
+    limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
+                                      factor, reason}
+    estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
+                                      correlation, strong_correlations, notes, warnings, segments}
+      coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
+                                      standard, unit, factor, freedom}, all text
+      tables                          list of {title, columns: list of {title, numeric}, rows of text, more}
       plots, correlation              {title, svg}
-    limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit, reason}
-    segments                          {columns, rows} like a table; segment_count
+    segments                          like a table
     warnings, notes                   lists of text; the estimates' own are with the estimates
+
+In tables a column titled `u …` or `U …` holds uncertainties and is shown in two digits; numbers to the left of it are
+rounded by it.
 """
 
 from __future__ import annotations
@@ -35,6 +42,8 @@ __all__ = ["coefficient_row", "limit_row", "report_view", "segment_table", "tabl
 
 MAX_ROWS = 2000
 _NUMERIC = re.compile(r"[-+−–]?(?:[0-9][0-9., ]*|∞|inf|nan)?(?:[eE][-+]?[0-9]+)?(?:\s*[%×±].*)?")
+_UNCERTAIN = re.compile(r"(?:^|\s)[uU](?:\s|\(|$)|^±")
+_FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)
 _PROPER = {"id": "ID", "utc": "UTC"}
 
 
@@ -56,7 +65,6 @@ def report_view(context: ReportContext) -> dict[str, Any]:
         ],
         "limits": [limit_row(limit) for limit in context.limits],
         "segments": table_view(segment_table(context.segments)),
-        "segment_count": len(context.segments),
         "warnings": list(context.warnings),
         "notes": list(context.notes),
         "provenance": named(context.provenance),
@@ -81,18 +89,21 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
     key = f"e{index + 1}"
-    names = [item.name for item in estimate.coefficients]
-    shown = [coefficient_row(item, probability) for item in estimate.coefficients]
-    correlated = len(names) > 1 and estimate.covariance.shape == (len(names), len(names))
-    matrix = correlation(estimate.covariance) if correlated else None
-    pairs = [] if matrix is None else strong(names, matrix)
+    every = estimate.coefficients
+    first = [place for place, item in enumerate(every) if not estimate.headline or item.name in estimate.headline]
+    rest = [place for place in range(len(every)) if place not in first]
+    rows = [coefficient_row(item, probability) for item in every]
+    names = [every[place].name for place in first]
+    correlated = len(first) > 1 and estimate.covariance.shape == (len(every), len(every))
+    covariance = estimate.covariance[first][:, first] if correlated else estimate.covariance
+    pairs = strong(names, correlation(covariance)) if correlated else []
     return {
         "name": estimate.name,
         "anchor": key,
         "estimator": estimate.estimator,
-        "coefficients": shown,
-        "headline": [row for name in estimate.headline for row in shown if row["name"] == name],
-        "settings": named({name: setting(value) for name, value in estimate.settings.items()}),
+        "coefficients": [rows[place] for place in first],
+        "others": [rows[place] for place in rest],
+        "settings": named(estimate.settings),
         "tables": [table_view(table) for table in estimate.tables],
         "plots": [
             {"title": plot.title, "svg": _markup(plot_svg(plot, f"{key}-p{number + 1}"))}
@@ -100,9 +111,9 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
         ],
         "correlation": {
             "title": "Correlations, in hundredths",
-            "svg": _markup(correlation_svg(names, estimate.covariance, f"{key}-c")) if correlated else None,
+            "svg": _markup(correlation_svg(names, covariance, f"{key}-c")) if correlated else None,
         },
-        "strong_correlations": [f"{first} and {second}: {value:+.2f}" for first, second, value in pairs[:6]],
+        "strong_correlations": [f"{one} and {other}: {value:+.2f}" for one, other, value in pairs[:6]],
         "notes": list(estimate.notes),
         "warnings": list(estimate.warnings),
         "segments": list(estimate.segments),
@@ -128,7 +139,7 @@ def coefficient_row(item: Coefficient, probability: float = 0.95) -> dict[str, s
 
 
 def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
-    """Both as text with the same last decimal, two significant digits of the uncertainty, and the same power of ten if any."""
+    """Both as text with the same last decimal and power of ten, the uncertainty in two significant digits."""
     pair = rounded(value, uncertainty)
     power = f"e{pair.exponent}" if pair.exponent else ""
     return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
@@ -197,7 +208,11 @@ def _mean(item: SegmentSummary, channel: str) -> str:
 
 def table_view(table: Table) -> dict[str, Any]:
     """A table as text, with which columns hold numbers; at most MAX_ROWS rows, and says so when there are more."""
-    rows = [[cell(value) for value in row] for row in table.rows[:MAX_ROWS]]
+    guides = [_uncertainty_column(table.columns, index) for index in range(len(table.columns))]
+    rows = [
+        [_table_cell(row, index, guides, table.columns[index]) for index in range(len(row))]
+        for row in table.rows[:MAX_ROWS]
+    ]
     columns = [
         {"title": title, "numeric": bool(rows) and all(_is_numeric(row[index]) for row in rows)}
         for index, title in enumerate(table.columns)
@@ -209,6 +224,30 @@ def table_view(table: Table) -> dict[str, Any]:
         "rows": rows,
         "more": f"{hidden} more rows are not shown here." if hidden > 0 else "",
     }
+
+
+def _uncertainty_column(titles: Sequence[str], index: int) -> int | None:
+    """The column that rounds the numbers of column `index`: itself, or the next to the right that holds u."""
+    if _is_freedom(titles[index]):
+        return None
+    return next((place for place in range(index, len(titles)) if _UNCERTAIN.search(titles[place])), None)
+
+
+def _is_freedom(title: str) -> bool:
+    return bool(_FREEDOM.search(title)) and not _UNCERTAIN.search(title)
+
+
+def _table_cell(row: Sequence[Any], index: int, guides: Sequence[int | None], title: str) -> str:
+    value, guide = row[index], guides[index]
+    if _is_freedom(title) and isinstance(value, float):
+        return freedom(value)
+    if guide is None or not _measured(value) or not _measured(row[guide]) or not row[guide] > 0:
+        return cell(value)
+    return format_pair(value, row[guide])[1 if guide == index else 0]
+
+
+def _measured(value: Any) -> bool:
+    return isinstance(value, float) and math.isfinite(value)
 
 
 def cell(value: Any) -> str:

@@ -65,14 +65,19 @@ def rate(segment: Segment) -> str:
     return number(round(math.degrees(segment.rate), 9)) if isinstance(segment.motion, Spin) else "–"
 
 
+def direction(about: tuple[float, float, float]) -> str:
+    """A site direction (East-North-Up) in words."""
+    east, north, up = (round(component, 9) + 0.0 for component in about)
+    return _WORD_OF.get((east, north, up), f"({east:g} E, {north:g} N, {up:g} U)")
+
+
 def motion(what: Motion) -> str:
     """A motion in words."""
     match what:
         case Rest():
             return "rest"
         case Spin(rate=value, about=about):
-            direction = _WORD_OF.get(tuple(round(x, 9) + 0.0 for x in about), "a tilted axis")  # type: ignore[call-overload]
-            return f"{number(round(math.degrees(value), 9))}°/s about {direction}"
+            return f"{number(round(math.degrees(value), 9))}°/s about {direction(about)}"
         case Rock():
             phases = ", ".join(f"{number(round(math.degrees(phase), 9))}°" for phase in what.phases)
             size = number(round(math.degrees(what.amplitude), 9))

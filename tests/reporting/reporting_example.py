@@ -1,4 +1,4 @@
-"""A made-up but plausible result for the tests of reports: twelve coefficients of a flexure gyro from nineteen segments."""
+"""A made-up, plausible result for the tests of reports: twelve coefficients of a flexure gyro, nineteen segments."""
 
 from __future__ import annotations
 
@@ -81,7 +81,19 @@ def thermal_schedule() -> Schedule:
             motion = Spin(math.radians(degrees)) if degrees else Rest()
             label = f"rate {degrees:+d} deg/s" if degrees else ("start-zero" if place == 0 else "end-zero")
             segments.append(
-                Segment(len(segments), label, np.eye(3), "", motion, dwell, 10.0, soak, kelvin, transition=transition, start=time)
+                Segment(
+                    len(segments),
+                    label,
+                    np.eye(3),
+                    "",
+                    motion,
+                    dwell,
+                    10.0,
+                    soak,
+                    kelvin,
+                    transition=transition,
+                    start=time,
+                )
             )
             time += dwell
     return Schedule(tuple(segments), time)
@@ -147,7 +159,8 @@ def comparison() -> Estimate:
     )
     return Estimate(
         "residual", "compensation_residual", (), np.zeros((0, 0)), tables=(table,), plots=(plot,),
-        warnings=("Three positions: the measured ratio scatters between 0.17 and 9.1 (5 % to 95 %).",), segments=("V1", "V2", "V3"),
+        warnings=("Three positions: the measured ratio scatters between 0.17 and 9.1 (5 % to 95 %).",),
+        segments=("V1", "V2", "V3"),
     )  # fmt: skip
 
 
@@ -157,14 +170,20 @@ def context(**changes: object) -> ReportContext:
     for segment in schedule().segments:
         mean = 60 * rng.standard_normal(2)
         statistics = Statistics(
-            ("torquer_x", "torquer_y"), 12000, 0, mean, mean - 1, mean + 1, 0.01 * np.eye(2), np.array([0.0132, 0.0118]), 32,
+            ("torquer_x", "torquer_y"), 12000, 0, mean, mean - 1, mean + 1, 0.01 * np.eye(2),
+            np.array([0.0132, 0.0118]), 32,
             segment.start, segment.start + 119.99, 0.01,
         )  # fmt: skip
         summaries.append(SegmentSummary(segment, statistics, {"torquer_x": "pulse/s", "torquer_y": "pulse/s"}))
     given: dict[str, object] = {
         "title": "Optimal eight-position calibration of a flexure gyro",
         "description": "Torquer currents at rest in eight positions, beside a traditional set of eight.",
-        "run_information": {"device_serial": "FG-0417", "operator": "demo", "work_order": "WO-2291", "fixture": "cube 3"},
+        "run_information": {
+            "device_serial": "FG-0417",
+            "operator": "demo",
+            "work_order": "WO-2291",
+            "fixture": "cube 3",
+        },
         "bench": {"name": "virtual", "description": "Simulated three-axis table, chamber and flexure gyro"},
         "instruments": {
             "table": {"manufacturer": "planrunner", "model": "virtual table", "serial": "V-1"},
@@ -177,7 +196,16 @@ def context(**changes: object) -> ReportContext:
         "limits": (
             LimitVerdict("drift.D_X_F", "within ±5 deg/h", "guarded", "pass", 4.2713, "deg/h", 0.0112, 0.04819, 4.303),
             LimitVerdict(
-                "drift.D_Y_F", "within ±5 deg/h", "guarded", "fail", -5.0127, "deg/h", 0.0108, 0.04647, 4.303, "outside by 0.013 deg/h"
+                "drift.D_Y_F",
+                "within ±5 deg/h",
+                "guarded",
+                "fail",
+                -5.0127,
+                "deg/h",
+                0.0108,
+                0.04647,
+                4.303,
+                "outside by 0.013 deg/h",
             ),
         ),
         "warnings": ("The chamber reached 25.6 degC in P7, 0.1 K beyond its band.",),
