@@ -43,7 +43,8 @@ class OutputsFit:
     """m outputs fitted by p terms each from n segments.
 
     noises: what is known from within the segments, for each output. cofactors: (m, p, m, p), covariance of the coefficients if the
-    weighted observations of all outputs had unit variance and were fully correlated between outputs.
+    weighted observations of all outputs had unit variance and were fully correlated between outputs. pooled: whether one variance
+    factor holds for all outputs, as it does when their noise stays in the proportion that is seen within the segments.
     """
 
     outputs: tuple[str, ...]
@@ -51,6 +52,7 @@ class OutputsFit:
     noises: tuple[Noise, ...]
     cofactors: Array
     correlation: Array
+    pooled: bool = False
 
     @property
     def coefficients(self) -> Array:
@@ -65,13 +67,17 @@ class OutputsFit:
     def available(self, basis: str) -> bool:
         return self.freedom > 0 if basis == "residual" else all(noise.known for noise in self.noises)
 
+    @property
+    def variance_factors(self) -> Array:
+        """Residual variance over that expected from the weights, shape (m,): one for each output, or their mean for all if pooled."""
+        factors = np.array([fit.variance_factor for fit in self.fits])
+        return np.full_like(factors, factors.mean()) if self.pooled else factors
+
     def scatter(self, basis: str) -> Array:
-        """Covariance (m, m) of the weighted observations between outputs: from the residuals (Anderson, An Introduction to
-        Multivariate Statistical Analysis, 8.2), or the unit variances and the samples' correlation."""
-        if basis == "within_segment":
-            return self.correlation
-        weighted = np.array([fit.residuals / noise.sigma for fit, noise in zip(self.fits, self.noises, strict=True)])
-        return weighted @ weighted.T / self.freedom
+        """Covariance (m, m) of the weighted observations between outputs. Its correlation is that of the samples on either basis: the
+        residuals of a few segments would say next to nothing of it."""
+        sizes = np.sqrt(self.variance_factors) if basis == "residual" else np.ones(len(self.fits))
+        return self.correlation * np.outer(sizes, sizes)
 
     def covariance(self, basis: str) -> Array:
         """Covariance of all coefficients, output after output, shape (m·p, m·p)."""
@@ -81,16 +87,17 @@ class OutputsFit:
     def degrees_of_freedom(self, gradients: Array, basis: str) -> Array:
         """Effective degrees of freedom (q,) of q quantities with the given gradients (q, m·p).
 
-        The variance of a quantity is the trace of G·S with S the scatter between outputs, a Wishart matrix with ν degrees of freedom:
-        ν_eff = ν·tr(GS)²/tr(GSGS). For outputs without correlation this is the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1).
+        By the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1) over the outputs' shares of the variance; a pooled variance has the
+        degrees of freedom of all outputs, fewer where their noise is correlated.
         """
         m, p = self.coefficients.shape
-        nu = float(self.freedom) if basis == "residual" else min(noise.degrees_of_freedom for noise in self.noises)
+        if basis == "residual" and self.pooled:
+            return np.full(len(gradients), self.freedom * m**2 / float(np.sum(self.correlation**2)))
+        own = [float(self.freedom) if basis == "residual" else noise.degrees_of_freedom for noise in self.noises]
         g = gradients.reshape(-1, m, p)
-        product = np.einsum("qai,aibj,qbj->qab", g, self.cofactors, g) @ self.scatter(basis)
-        trace = np.trace(product, axis1=1, axis2=2)
-        square = np.trace(product @ product, axis1=1, axis2=2)
-        return np.where(square > 0, nu * trace**2 / np.where(square > 0, square, 1.0), nu)
+        shares = np.einsum("qai,aiaj,qaj->qa", g, self.cofactors, g) * np.diag(self.scatter(basis))
+        total, squares = shares.sum(axis=1), (shares**2 / own).sum(axis=1)
+        return np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), min(own))
 
     def comparison(self) -> tuple[BasisComparison, ...]:
         """The two bases against each other, for the outputs that have both."""
@@ -104,8 +111,13 @@ class OutputsFit:
         return tuple(found)
 
 
-def fit_outputs(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> OutputsFit:
-    """Fit every observed channel by the same terms, weighted by within-segment noise. Raises `EstimationError`."""
+def fit_outputs(
+    matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str], pooled: bool = False
+) -> OutputsFit:
+    """Fit every observed channel by the same terms, weighted by within-segment noise. Raises `EstimationError`.
+
+    Outputs can be pooled only where the noise of all of them is known from within the segments.
+    """
     noises = tuple(within_segment_noise(observations, k) for k in range(len(observations.channels)))
     fits = tuple(
         least_squares.fit(matrix, observations.mean[:, k], noise.sigma, magnitudes, names) for k, noise in enumerate(noises)
@@ -113,7 +125,8 @@ def fit_outputs(matrix: Array, observations: Observations, magnitudes: Array, na
     # (AᵀWA)⁻¹·Aᵀ·W^½: coefficients from weighted observations of unit variance.
     roots = np.array([fit.cofactor @ (matrix / noise.sigma[:, None]).T for fit, noise in zip(fits, noises, strict=True)])
     cofactors = np.einsum("ain,bjn->aibj", roots, roots)
-    return OutputsFit(observations.channels, fits, noises, cofactors, observations.correlation)
+    pooled = pooled and all(noise.known for noise in noises)
+    return OutputsFit(observations.channels, fits, noises, cofactors, observations.correlation, pooled)
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
@@ -132,13 +145,34 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     )
 
 
+def unlike_outputs(fit: OutputsFit) -> str:
+    """A warning when the outputs' variance factors differ too much to be pooled; empty when they do not."""
+    from scipy.special import fdtrc
+
+    factors = np.array([one.variance_factor for one in fit.fits])
+    low, high = int(np.argmin(factors)), int(np.argmax(factors))
+    if not fit.freedom or factors[low] == factors[high]:
+        return ""
+    ratio = float(factors[high] / factors[low]) if factors[low] > 0 else np.inf
+    if 2 * fdtrc(fit.freedom, fit.freedom, ratio) >= SIGNIFICANCE:
+        return ""
+    return (
+        f"The residuals of {fit.outputs[high]} exceed its noise by more than those of {fit.outputs[low]} do (variance ratio {ratio:.3g}): "
+        "write `pool_outputs: false` so that each output's uncertainty rests on its own residuals."
+    )
+
+
 def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
     """Notes and warnings on the basis that was chosen, for the report."""
     notes, warnings = [], []
     if basis == "residual":
+        together = f", taken together for all {len(fit.outputs)} outputs" if fit.pooled else ""
         notes.append(
-            f"Uncertainties rest on the residuals: {fit.freedom} degrees of freedom for each output, so the coverage factors are large."
+            f"Uncertainties rest on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
+            "so the coverage factors are large."
         )
+        if fit.pooled and (different := unlike_outputs(fit)):
+            warnings.append(different)
     else:
         notes.append("Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them.")
     for found in fit.comparison():
