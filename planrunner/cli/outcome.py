@@ -1,0 +1,69 @@
+"""What the command line says at the end of a run and of an analysis, and the exit codes that go with it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from planrunner import cli
+from planrunner.cli.printing import print_json, printable
+
+if TYPE_CHECKING:
+    from planrunner.estimators.analysis import Results
+    from planrunner.execution.outcome import Outcome
+    from planrunner.running import Analysis
+
+
+def tell(folder: Path, outcome: Outcome) -> int:
+    """How a run that did not finish ended, what is kept, and how to go on."""
+    for failure in outcome.failures:
+        print(printable(f"error: {failure}"), file=sys.stderr)
+    for unsafe in outcome.unsafe:
+        print(printable(f"error: NOT IN THE SAFE STATE: {unsafe}; look at the instrument now"), file=sys.stderr)
+    if not outcome.unsafe:
+        print("The instruments are in their safe state.", file=sys.stderr)
+    if outcome.stopped:
+        print(f"Stopped {outcome.stopped} on request.", file=sys.stderr)
+    print(f"{outcome.completed} of {outcome.segments} segments were recorded now and are kept.", file=sys.stderr)
+    print(f"Go on with: planrunner resume {folder}", file=sys.stderr)
+    return cli.INTERRUPTED if outcome.stopped and not outcome.failures and not outcome.unsafe else cli.FAULT
+
+
+def conclude(analysis: Analysis, *, as_json: bool) -> int:
+    """The results in the terminal, the verdict's exit code, and the path of the first report as the last line."""
+    if as_json:
+        print_json({"analysis": str(analysis.folder), **analysis.results.to_json()})
+    else:
+        print_results(analysis.results)
+        for path in reversed(analysis.reports):
+            print(path)
+    return code_of(analysis.results)
+
+
+def code_of(results: Results) -> int:
+    """Wrong input when an estimate could not be made, else whether a limit failed."""
+    if results.failures:
+        return cli.WRONG_INPUT
+    return cli.DONE if all(limit.verdict == "pass" for limit in results.limits) else cli.LIMIT_FAILED
+
+
+def print_results(results: Results) -> None:
+    """Coefficients, comparisons, limits, notes and warnings as tables."""
+    from planrunner.reporting import terminal
+
+    console = terminal.console()
+    for estimate in results.estimates.values():
+        console.print(terminal.coefficients_table(estimate, only=estimate.headline or None))
+        for table in estimate.tables:
+            if table.title in estimate.settings.get("terminal_tables", ()):
+                console.print(terminal.data_table(table))
+        for text in estimate.warnings:
+            console.print(printable(f"warning: {text}"), style="yellow")
+        for text in estimate.notes:
+            console.print(printable(f"note: {text}"), style="dim")
+        console.print()
+    if results.limits:
+        console.print(terminal.limits_table(results.limits))
+    for name, message in results.failures.items():
+        print(printable(f"error: {name}: {message}"), file=sys.stderr)

@@ -1,0 +1,60 @@
+"""`planrunner run`: check, run, estimate and report."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from planrunner.checking import check_plan
+from planrunner.cli.check import require_sound
+from planrunner.cli.outcome import conclude, tell
+from planrunner.cli.progress import run_progress
+from planrunner.run_information import gather
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", metavar="PLAN", help="plan file")
+    parser.add_argument("--bench", metavar="BENCH", help="run on this bench: a shipped name or a file")
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
+    )
+    parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of name: value")
+    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that recordings to play back lie beneath")
+    parser.add_argument("--seed", type=int, help="seed of a simulated bench (default: the bench's own)")
+    parser.add_argument(
+        "--flushed", action="store_true", help="do not wait for the disk after every event: faster, less durable"
+    )
+    add_run_arguments(parser)
+    parser.add_argument(
+        "--runs", metavar="DIR", type=Path, default=Path("runs"), help="where run folders are made (default: runs)"
+    )
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """What every command that produces results takes."""
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    checked = check_plan(Path(args.plan), bench=args.bench)
+    require_sound(checked)
+    assert checked.plan is not None
+    info = gather(checked.plan, args.set, args.info)
+    from planrunner import running
+    from planrunner.execution.stopping import StopRequest
+
+    with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
+        folder, outcome = running.start(
+            checked,
+            info=info,
+            runs=args.runs,
+            stop=stop,
+            data_root=args.data,
+            seed=args.seed,
+            durability="flushed" if args.flushed else "durable",
+            progress=progress,
+        )
+    if not outcome.ok:
+        return tell(folder, outcome)
+    return conclude(running.analyse_run(folder), as_json=args.json)

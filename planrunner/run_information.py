@@ -1,0 +1,55 @@
+"""Run information: what the plan asks to be told (serial number, operator, ambient …), given with `--set` or in a file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.model import Plan
+
+COMMAND_LINE = Mark("<command line>")
+
+
+def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:
+    """Everything given, `--set name=value` before the file. Raises `InputError` for what is missing, unknown or unreadable."""
+    log = Findings()
+    given: dict[str, tuple[str, Mark]] = {}
+    if file is not None:
+        for name, node in source.load(file).entries:
+            if isinstance(node, source.Scalar) and node.value is not None:
+                given[name.text] = (node.text, name.mark)
+            else:
+                log.error("run-info-value", node.mark, f"'{name.text[:40]}' needs one value", "write name: value")
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or not value.strip():
+            log.error(
+                "run-info-value",
+                COMMAND_LINE,
+                f"--set {setting[:60]} is not name=value",
+                "write for example --set operator=…",
+            )
+        else:
+            given[name.strip()] = (value.strip(), COMMAND_LINE)
+    _check(plan, given, log)
+    if log.errors:
+        raise InputError(log)
+    return {name: given[name][0] for name in plan.record if name in given}
+
+
+def _check(plan: Plan, given: Mapping[str, tuple[str, Mark]], log: Findings) -> None:
+    for name, (value, mark) in given.items():
+        if name not in plan.record:
+            message = f"the plan does not ask for '{name[:40]}'"
+            log.error(
+                "run-info-unknown", mark, message, closest(name, plan.record) or "add it under record: in the plan"
+            )
+        elif len(value) > 500 or re.search(r"[\x00-\x1f\x7f]", value):
+            log.error("run-info-value", mark, f"'{name}' must be one line of at most 500 characters", "shorten it")
+    for name, item in plan.record.items():
+        if item.required and name not in given:
+            hint = f"give --set {name}=… or put it in a file for --info"
+            log.error("run-info-missing", item.mark, f"the plan requires '{name}'", hint)
