@@ -6,7 +6,9 @@ from pathlib import Path
 
 
 def shipped(folder: str) -> Path:
-    """The folder `plans`, `schemas` or `templates` that this installation carries. Raises FileNotFoundError when it has none."""
+    """The folder `plans`, `schemas` or `templates` that this installation carries. Raises FileNotFoundError when it
+    has none.
+    """
     package = Path(__file__).resolve().parent
     for path in (package / "_shipped" / folder, package.parent / folder):
         if path.is_dir():

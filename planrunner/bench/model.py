@@ -1,7 +1,7 @@
 """The bench as data: where it stands and which instruments it carries, each key with its description and an example.
 
-These records are the one source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`. An instrument's own
-keys are declared by its driver.
+These records are the one source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`. An
+instrument's own keys are declared by its driver.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ class Bench(Record):
 class BenchModels:
     """What is known of a bench without connecting to it.
 
-    replays: the sensor plays back a recording, so that orientations, rates and temperatures are those of the recording and need no
-    table or chamber.
+    replays: the sensor plays back a recording, so that orientations, rates and temperatures are those of the
+    recording and need no table or chamber.
     """
 
     site: Site
@@ -152,8 +152,8 @@ def safe_order(bench: Bench) -> tuple[str, ...]:
 def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, bytes, str]:
     """A bench, the exact bytes of its file, and the name that findings show for it.
 
-    A bare word names a shipped bench; anything else is a file, relative to the folder `beside`. Raises `InputError` with every
-    finding in the file.
+    A bare word names a shipped bench; anything else is a file, relative to the folder `beside`. Raises `InputError`
+    with every finding in the file.
     """
     path, shown = locate(name_or_path, beside)
     text = source.read_text(path, shown)

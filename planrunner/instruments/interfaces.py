@@ -49,12 +49,14 @@ class Clock(Protocol):
 @dataclass(slots=True)
 class Surroundings:
     """What a driver is given to connect: clock, site, the root that data paths must stay beneath, the run's seed, and the other
-    instruments by role. `world` is shared by the drivers of a virtual bench; real drivers leave it alone."""
+    instruments by role. `world` is shared by the drivers of a virtual bench; real drivers leave it alone. `real_time`: the clock is
+    the wall's, so that simulated and played-back samples come in pieces of about a second."""
 
     clock: Clock
     site: Site
     data_root: Path | None = None
     seed: int = 0
+    real_time: bool = False
     world: Any = None
     instruments: dict[str, Any] = field(default_factory=dict)
 

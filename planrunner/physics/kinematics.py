@@ -1,9 +1,10 @@
 """Rate-table kinematics: attitude from joint angles and back, reach, and the time a move takes.
 
-Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero.
-With the site's azimuth α (clockwise from north) the platform stands at R_z(−α)·R_1·R_2·R_3 in East-North-Up, and with all joints at
-zero and α = 0 the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The inverse solves the classical
-subproblems of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
+Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint
+angle zero. With the site's azimuth α (clockwise from north) the platform stands at R_z(−α)·R_1·R_2·R_3 in
+East-North-Up, and with all joints at zero and α = 0 the sensor's x, y, z axes point east, north, up. Adjacent axes
+are at right angles. The inverse solves the classical subproblems of screw theory (Murray, Li, Sastry, A Mathematical
+Introduction to Robotic Manipulation, 1994, section 3.3).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ ALIGNED = 1e-5  # rad; an axis nearer than this to a direction counts as lying a
 SLACK = 1e-9  # rad beyond a joint limit that rounding may cause
 
 
-class Unreachable(ValueError):
+class Unreachable(ValueError):  # noqa: N818 - reads as what the table says
     """The table cannot do it; the message says which axis, angle and limit, for a quality engineer."""
 
 
@@ -33,8 +35,8 @@ class Unreachable(ValueError):
 class TableAxis:
     """One axis of a table, outermost first.
 
-    direction: the axis at joint angle zero, ENU unit vector, before the site's azimuth is applied. max_rate: rad/s; max_acceleration:
-    rad/s^2; lowest, highest: joint limits, rad (infinite for a continuous axis with slip rings).
+    direction: the axis at joint angle zero, ENU unit vector, before the site's azimuth is applied. max_rate: rad/s;
+    max_acceleration: rad/s^2; lowest, highest: joint limits, rad (infinite for a continuous axis with slip rings).
     """
 
     name: str
@@ -69,10 +71,11 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Joint angles [rad], shape (n,), for an attitude (3, 3): within the limits, and of all solutions the quickest to reach from `near`.
+    """Joint angles [rad], shape (n,), for an attitude (3, 3): within the limits, and of all solutions the quickest to
+    reach from `near`.
 
-    A limited axis keeps its absolute angle, so cables unwind where they must; a continuous axis takes the shorter way. Raises
-    `Unreachable` saying why.
+    A limited axis keeps its absolute angle, so cables unwind where they must; a continuous axis takes the shorter
+    way. Raises `Unreachable` saying why.
     """
     near = tuple(float(angle) for angle in near)
     wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.asarray(target, dtype=float).T
@@ -137,7 +140,8 @@ def spin_axis(
 ) -> int:
     """Index of the axis that lies along the site direction `about`, either way round, at these joint angles.
 
-    The outermost such axis, because it carries the others. Raises `Unreachable` when none does, naming where the axes point.
+    The outermost such axis, because it carries the others. Raises `Unreachable` when none does, naming where the axes
+    point.
     """
     cosines = joint_directions(axes, angles, azimuth) @ np.asarray(about, dtype=float)
     for index, cosine in enumerate(cosines):
@@ -154,7 +158,7 @@ def check_geometry(axes: Sequence[TableAxis]) -> None:
     """Raises `Unreachable` unless there are one to three axes, each at right angles to the one that carries it."""
     if not 1 <= len(axes) <= 3:
         raise Unreachable(f"a table has one to three axes, not {len(axes)}")
-    for outer, inner in zip(axes, axes[1:], strict=False):
+    for outer, inner in pairwise(axes):
         if abs(float(np.dot(outer.direction, inner.direction))) > 1e-9:
             raise Unreachable(f"the axis '{inner.name}' is not at right angles to '{outer.name}', which carries it")
 
@@ -178,8 +182,9 @@ def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -
 def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
     """Every solution (two, or a choice of the one-parameter family where outer and inner axis are parallel).
 
-    With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b, then q_3 remains.
-    The sine |a_1 × b| is taken as it stands, because an arc cosine would lose half the digits near gimbal lock.
+    With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b,
+    then q_3 remains. The sine |a_1 × b| is taken as it stands, because an arc cosine would lose half the digits near
+    gimbal lock.
     """
     first, second, third = (np.asarray(axis.direction) for axis in axes)
     carried = wanted @ third
@@ -205,7 +210,9 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
-    """With outer and inner axis parallel only their combined angle counts: keep one of them still, or stop it at a limit."""
+    """With outer and inner axis parallel only their combined angle counts: keep one of them still, or stop it at a
+    limit.
+    """
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
     same_way = 1.0 if float(np.dot(outer.direction, turned)) > 0 else -1.0

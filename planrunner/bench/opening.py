@@ -1,0 +1,133 @@
+"""The connected bench: its instruments by role and name, its clock, and the way to make it safe.
+
+Connecting stops at the first instrument that fails, after those already connected were made safe and closed. Making
+safe tries every instrument in the bench's order, whatever the others do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from planrunner.bench.model import Bench, driver_of, safe_order, site_of
+from planrunner.instruments.interfaces import Clock, Instrument, InstrumentError, Surroundings
+from planrunner.physics.earth import Site
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyFailure:
+    """An instrument that could not be made safe or closed, and why."""
+
+    instrument: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.instrument}: {self.message}"
+
+
+class OpenBench:
+    """A bench whose instruments are connected. A context manager: leaving it makes everything safe, then closes it."""
+
+    def __init__(self, bench: Bench, instruments: dict[str, Any], clock: Clock, site: Site):
+        self.bench = bench
+        self.instruments = instruments
+        self.clock = clock
+        self.site = site
+
+    @property
+    def table(self) -> Any:
+        """The table, or None."""
+        return self._of_role("table")
+
+    @property
+    def chamber(self) -> Any:
+        """The temperature chamber, or None."""
+        return self._of_role("chamber")
+
+    @property
+    def sensor(self) -> Any:
+        """The sensor under test, or None."""
+        return self._of_role("sensor")
+
+    @property
+    def monitors(self) -> dict[str, Any]:
+        """Every other instrument, by name."""
+        roles = ("table", "chamber", "sensor")
+        return {name: item for name, item in self.instruments.items() if self.role(name) not in roles}
+
+    def role(self, name: str) -> str:
+        """The role of an instrument: table, chamber, sensor or monitor."""
+        return str(driver_of(self.bench.instruments[name]).role)
+
+    def _of_role(self, role: str) -> Instrument | None:
+        return next((item for name, item in self.instruments.items() if self.role(name) == role), None)
+
+    def make_safe(self) -> list[SafetyFailure]:
+        """Bring every instrument to its safe state, in the bench's order; returns those that failed."""
+        return self._each("make_safe")
+
+    def close(self) -> list[SafetyFailure]:
+        """Disconnect every instrument; returns those that failed. May be called twice."""
+        failures = self._each("close")
+        self.instruments = {}
+        return failures
+
+    def _each(self, action: str) -> list[SafetyFailure]:
+        failures = []
+        for name in safe_order(self.bench):
+            if name not in self.instruments:
+                continue
+            try:
+                getattr(self.instruments[name], action)()
+            except Exception as error:  # whatever a driver raises, the next instrument has its turn
+                failures.append(SafetyFailure(name, f"{error}" or type(error).__name__))
+        return failures
+
+    def __enter__(self) -> OpenBench:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        failures = self.make_safe() + self.close()
+        if failures:
+            message = "not everything could be made safe: " + "; ".join(map(str, failures))
+            raise InstrumentError(message) from error
+
+
+def open_bench(
+    bench: Bench, *, data_root: Path | None = None, seed: int | None = None, clock: Clock | None = None
+) -> OpenBench:
+    """Connect the instruments of a bench in the order of its file.
+
+    data_root: folder that recordings must lie beneath. seed: of all that a simulated bench draws, the bench's own
+    without it. clock: instead of the one that the bench names. Raises `InstrumentError` naming the instrument that
+    could not be connected; those before it are then safe and closed.
+    """
+    clock = clock or _clock(bench.clock)
+    site = site_of(bench)
+    chosen_seed = bench.seed if seed is None else seed
+    surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=bench.clock == "wall")
+    opened = OpenBench(bench, {}, clock, site)
+    for name, entry in bench.instruments.items():
+        try:
+            driver = driver_of(entry)
+            instrument = driver.connect(entry.parameters, surroundings)
+        except BaseException as error:
+            failures = opened.make_safe() + opened.close()
+            if not isinstance(error, Exception):
+                raise
+            also = "; and could not be made safe: " + "; ".join(map(str, failures)) if failures else ""
+            reason = f"{error}" or type(error).__name__
+            raise InstrumentError(f"{name} ({entry.driver}) cannot be connected: {reason}{also}") from error
+        opened.instruments[name] = instrument
+        surroundings.instruments[driver.role] = instrument
+    return opened
+
+
+def _clock(kind: str) -> Clock:
+    from planrunner.execution.clock import VirtualClock, WallClock
+
+    return VirtualClock() if kind == "virtual" else WallClock()

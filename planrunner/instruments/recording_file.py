@@ -1,0 +1,211 @@
+"""Recorded samples in a file: CSV or Parquet, read in batches, beneath a data root and never outside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.findings import closest
+
+Array = NDArray[np.float64]
+BATCH = 65_536  # rows
+Rows = Iterator[tuple[Array, dict[str, Array]]]
+
+
+def beneath(root: Path | None, name: str) -> Path:
+    """The file `name` beneath the data root. Raises `InstrumentError` for whatever lies, or leads, outside it."""
+    if root is None:
+        raise InstrumentError(f"'{name}' lies beneath a data root, and none is given; add --data FOLDER")
+    posix, windows = PurePosixPath(name), PureWindowsPath(name)
+    rooted = posix.is_absolute() or windows.is_absolute() or windows.drive or windows.root
+    if rooted or ".." in posix.parts or ".." in windows.parts:
+        raise InstrumentError(f"'{name}' leads outside the data root; name it relative to that folder, without '..'")
+    try:
+        top = root.resolve(strict=True)
+    except OSError:
+        raise InstrumentError(f"the data root {root} is not there; check --data") from None
+    try:
+        path = (top / name).resolve(strict=True)
+    except (OSError, RuntimeError):
+        raise InstrumentError(f"there is no file '{name}' beneath the data root {root}") from None
+    if not path.is_relative_to(top):
+        raise InstrumentError(f"'{name}' is a link that leads outside the data root; put the file itself there")
+    if not path.is_file():
+        raise InstrumentError(f"'{name}' beneath the data root is not a file")
+    return path
+
+
+class RecordingFile(Protocol):
+    """A recording that can be read again and again. origin: time of its first row, s."""
+
+    origin: float
+
+    def rows(self, start: float, end: float) -> Rows:
+        """Times [s], shape (n,), and channels, each (n,), with start ≤ time ≤ end, in batches of at most `BATCH`
+        rows. A missing number is NaN. Raises `InstrumentError` where time does not increase."""
+
+
+def open_recording(path: Path, name: str, time: str, scale: float, channels: Mapping[str, str]) -> RecordingFile:
+    """The recording at `path`, after its columns and first row were looked at.
+
+    name: for messages; time: column of time, `scale` seconds a unit; channels: channel → column. Raises
+    `InstrumentError`.
+    """
+    kinds: dict[str, Any] = {".parquet": _Parquet, ".pq": _Parquet, ".csv": _Csv, ".txt": _Csv}
+    kind = kinds.get(path.suffix.lower())
+    if kind is None:
+        raise InstrumentError(f"'{name}' is neither .csv nor .parquet")
+    file: _File = kind(path, name, time, scale, dict(channels))
+    known = file.columns()
+    for column in (time, *channels.values()):
+        if column not in known:
+            raise InstrumentError(f"{name} has no column '{column}'; {closest(column, known)}")
+    for first, _ in file.rows(-np.inf, np.inf):
+        file.origin = float(first[0])
+        return file
+    raise InstrumentError(f"{name} holds no samples")
+
+
+@dataclass(slots=True)
+class _File:
+    path: Path
+    name: str
+    time: str
+    scale: float
+    channels: dict[str, str]
+    origin: float = 0.0
+
+    def columns(self) -> list[str]:
+        raise NotImplementedError
+
+    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
+        """(number of the first row, counted from 1; record batch), possibly with rows outside the stretch."""
+        raise NotImplementedError
+
+    def rows(self, start: float, end: float) -> Rows:
+        import pyarrow as pa
+
+        before: float | None = None
+        following: int | None = None
+        try:
+            for first, batch in self.batches(start, end):
+                if batch.num_rows == 0:
+                    continue
+                time = self._numbers(batch, self.time, first) * self.scale
+                self._check_time(time, first, before if first == following else None)
+                before, following = float(time[-1]), first + batch.num_rows
+                low, high = np.searchsorted(time, [start, end], side="left")
+                high += int(high < time.size and time[high] == end)
+                if low < high:
+                    columns = {
+                        channel: self._numbers(batch, column, first)[low:high]
+                        for channel, column in self.channels.items()
+                    }
+                    yield time[low:high], columns
+                if high < time.size:
+                    return
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+            raise self._unreadable(error) from None
+
+    def _numbers(self, batch: Any, column: str, first: int) -> Array:
+        import pyarrow as pa
+
+        try:
+            values = batch.column(column).cast(pa.float64())
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            message = f"column '{column}' holds something that is not a number, in rows {first} to {first + batch.num_rows - 1}"
+            raise InstrumentError(f"{self.name}: {message}") from None
+        numbers: Array = values.to_numpy(zero_copy_only=False)
+        return numbers
+
+    def _check_time(self, time: Array, first: int, before: float | None) -> None:
+        """Time is there and increases, from row to row and from the row before this batch."""
+        if not np.all(np.isfinite(time)):
+            row = first + int(np.flatnonzero(~np.isfinite(time))[0])
+            raise InstrumentError(f"{self.name}, row {row}: the time is missing or not a number")
+        steps = np.diff(time, prepend=-np.inf if before is None else before)
+        if np.any(steps <= 0):
+            index = int(np.flatnonzero(steps <= 0)[0])
+            earlier = time[index - 1] if index else before
+            message = f"time does not increase: {time[index]:.9g} s after {earlier:.9g} s"
+            raise InstrumentError(f"{self.name}, row {first + index}: {message}; sort the recording or remove the row")
+
+    def _unreadable(self, error: Exception) -> InstrumentError:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0][:200]
+        return InstrumentError(f"{self.name} cannot be read: {reason}")
+
+
+class _Parquet(_File):
+    """Row groups that lie outside the stretch, by their statistics, are passed over."""
+
+    def columns(self) -> list[str]:
+        import pyarrow.parquet as pq
+
+        try:
+            with pq.ParquetFile(self.path) as file:
+                return list(file.schema_arrow.names)
+        except (OSError, ValueError) as error:
+            raise self._unreadable(error) from None
+
+    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
+        import pyarrow.parquet as pq
+
+        wanted = list(dict.fromkeys((self.time, *self.channels.values())))
+        with pq.ParquetFile(self.path) as file:
+            first = 1
+            for group in range(file.num_row_groups):
+                count = file.metadata.row_group(group).num_rows
+                if not self._outside(file.metadata.row_group(group), start, end):
+                    row = first
+                    for batch in file.iter_batches(BATCH, row_groups=[group], columns=wanted):
+                        yield row, batch
+                        row += batch.num_rows
+                first += count
+
+    def _outside(self, group: Any, start: float, end: float) -> bool:
+        for index in range(group.num_columns):
+            column = group.column(index)
+            if column.path_in_schema == self.time:
+                known = column.statistics
+                if known is None or not known.has_min_max or not isinstance(known.min, int | float):
+                    return False
+                return bool(known.max * self.scale < start or known.min * self.scale > end)
+        return False
+
+
+class _Csv(_File):
+    """A header line, then numbers; an empty field is a missing number."""
+
+    def columns(self) -> list[str]:
+        for _, batch in self._read(None):
+            return list(batch.schema.names)
+        return []
+
+    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
+        return self._read(list(dict.fromkeys((self.time, *self.channels.values()))))
+
+    def _read(self, wanted: list[str] | None) -> Iterator[tuple[int, Any]]:
+        import pyarrow as pa
+        from pyarrow import csv
+
+        types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
+        convert = csv.ConvertOptions(column_types=types, include_columns=wanted, strings_can_be_null=True)
+        try:
+            with csv.open_csv(self.path, csv.ReadOptions(block_size=1 << 22), convert_options=convert) as reader:
+                first = 1
+                if wanted is None:
+                    yield first, pa.RecordBatch.from_pylist([], schema=reader.schema)
+                    return
+                for batch in reader:
+                    for offset in range(0, batch.num_rows, BATCH):
+                        part = batch.slice(offset, BATCH)
+                        yield first, part
+                        first += part.num_rows
+        except (pa.ArrowInvalid, pa.ArrowKeyError, OSError) as error:
+            raise self._unreadable(error) from None

@@ -1,0 +1,87 @@
+"""The table of a recording's segments: a small CSV file with a label, a beginning and an end a row."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.findings import InputError, closest
+from planrunner.plan.source import read_text
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of a recording, in its own time, s; both ends belong to it."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentTable:
+    """Stretches by label, after trimming. name: of the file, for messages."""
+
+    name: str
+    spans: Mapping[str, Span]
+
+    def span(self, label: str) -> Span:
+        """The stretch of a label. Raises `InstrumentError` naming the closest label."""
+        if label not in self.spans:
+            raise InstrumentError(f"{self.name} has no segment '{label}'; {closest(label, self.spans)}")
+        return self.spans[label]
+
+
+def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], scale: float, trim: float) -> SegmentTable:
+    """The table at `path`. columns: of label, start and end; scale: seconds per unit of both; trim: s left out at
+    either end.
+
+    Raises `InstrumentError` with the line of whatever is wrong.
+    """
+    try:
+        text = read_text(path, name)
+    except InputError as error:
+        raise InstrumentError(f"{name}: {error.findings[0].message}") from None
+    reader = csv.DictReader(text.splitlines(), strict=True)
+    try:
+        missing = [column for column in columns if column not in (reader.fieldnames or ())]
+        if missing:
+            hint = closest(missing[0], [field for field in reader.fieldnames or () if field])
+            raise InstrumentError(f"{name} has no column '{missing[0]}'; {hint}")
+        spans: dict[str, Span] = {}
+        for row in reader:
+            label, span = _row(row, columns, f"{name}, line {reader.line_num}", scale, trim)
+            if label in spans:
+                raise InstrumentError(f"{name}, line {reader.line_num}: the label '{label}' stands twice")
+            spans[label] = span
+    except csv.Error as error:
+        raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
+    if not spans:
+        raise InstrumentError(f"{name} holds no segments")
+    return SegmentTable(name, spans)
+
+
+def _row(
+    row: Mapping[str, str | None], columns: tuple[str, str, str], where: str, scale: float, trim: float
+) -> tuple[str, Span]:
+    label = (row[columns[0]] or "").strip()
+    if not label:
+        raise InstrumentError(f"{where}: the label is empty")
+    times = []
+    for column in columns[1:]:
+        try:
+            times.append(float(row[column] or "") * scale)
+        except ValueError:
+            raise InstrumentError(
+                f"{where}: '{(row[column] or '')[:40]}' in column '{column}' is not a number"
+            ) from None
+    start, end = times[0] + trim, times[1] - trim
+    if not (math.isfinite(start) and math.isfinite(end)) or times[1] <= times[0]:
+        raise InstrumentError(f"{where}: the segment '{label}' does not end after it starts")
+    if end <= start:
+        message = f"the segment '{label}' lasts {times[1] - times[0]:g} s, and trimming {trim:g} s at either end leaves nothing"
+        raise InstrumentError(f"{where}: {message}")
+    return label, Span(start, end)

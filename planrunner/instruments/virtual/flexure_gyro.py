@@ -1,0 +1,236 @@
+"""The virtual flexure gyro (dynamically tuned, two input axes X and Y, spin axis Z) with torque-rebalance loops.
+
+The loops drive torquer currents until the torquers precess the rotor as fast as its input does, so that the currents,
+counted in pulses, measure the input. Torquer Y turns the rotor at SF_Y·i_x along (cos ε, sin ε), torquer X at
+SF_X·i_y along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X); this must balance (ω_Y + D(X), ω_X + D(Y)),
+where the drifts D(X) and D(Y) have a constant part and parts proportional to the specific force along X, Y and Z
+(patent CN100554884C). The simulation solves this balance and shares no formula with the estimators.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.instruments.parameters import QuantityLike
+from planrunner.instruments.virtual.noise import Flicker, finish, generator
+from planrunner.instruments.virtual.world import World
+from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+BLOCK = 100_000  # samples
+ZERO_CELSIUS = 273.15
+OUTPUTS = ("torquer_x", "torquer_y")
+THERMOMETER = "sensor_temperature"
+
+
+def _default(text: str) -> Quantity:
+    return parse_quantity(text)
+
+
+class ScaleFactors(Record):
+    """What one pulse a second of each torquer is worth."""
+
+    x: Quantity = key(QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_X, of the X torquer.", "0.2 (deg/h)/(pulse/s)")
+    y: Quantity = key(QuantityLike("(deg/h)/(pulse/s)", "positive"), "SF_Y, of the Y torquer.", "0.2 (deg/h)/(pulse/s)")
+
+
+class Drift(Record):
+    """The drift of one axis: constant, and proportional to the specific force along each axis."""
+
+    F: Quantity = key(QuantityOf("angular rate"), "Drift that does not depend on specific force.", "1.8 deg/h")
+    X: Quantity = key(QuantityLike("deg/h/g"), "Drift proportional to specific force along X.", "3.2 deg/h/g")
+    Y: Quantity = key(QuantityLike("deg/h/g"), "Drift proportional to specific force along Y.", "-2.1 deg/h/g")
+    Z: Quantity = key(QuantityLike("deg/h/g"), "Drift proportional to specific force along Z.", "0.35 deg/h/g")
+
+
+class VirtualFlexureGyroParameters(Record):
+    """A simulated flexure gyro with a known truth."""
+
+    scale_factor: ScaleFactors = key(
+        RecordOf(ScaleFactors),
+        "Torquer scale factors.",
+        {"x": "0.2 (deg/h)/(pulse/s)", "y": "0.2 (deg/h)/(pulse/s)"},
+    )
+    epsilon: Quantity = key(
+        QuantityOf("angle"), "ε, angle of the torquer X axis to the case X axis.", "8 arcmin", _default("0 arcmin")
+    )
+    xi: Quantity = key(
+        QuantityOf("angle"), "ξ, angle of the torquer Y axis, beside ε.", "-5 arcmin", _default("0 arcmin")
+    )
+    drift_x: Drift = key(
+        RecordOf(Drift), "D(X).", {"F": "1.8 deg/h", "X": "3.2 deg/h/g", "Y": "-2.1 deg/h/g", "Z": "0.35 deg/h/g"}
+    )
+    drift_y: Drift = key(
+        RecordOf(Drift), "D(Y).", {"F": "-1.2 deg/h", "X": "2.4 deg/h/g", "Y": "3.0 deg/h/g", "Z": "-0.28 deg/h/g"}
+    )
+    white_noise: Quantity = key(
+        QuantityLike("pulse/sqrt(s)", "not negative"),
+        "Random-walk coefficient N: the mean over T seconds scatters by N/√T.",
+        "0.9 pulse/sqrt(s)",
+        _default("0 pulse/sqrt(s)"),
+    )
+    bias_instability: Quantity = key(
+        QuantityLike("pulse/s", "not negative"),
+        "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
+        "0.025 pulse/s",
+        _default("0 pulse/s"),
+    )
+    resolution: Quantity = key(
+        QuantityLike("pulse/s", "not negative"),
+        "Smallest step of an output; 0 for none.",
+        "1 pulse/s",
+        _default("0 pulse/s"),
+    )
+    full_scale: Quantity = key(QuantityLike("pulse/s", "positive"), "Largest output, either sign.", "1000000 pulse/s")
+    sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
+    thermal_lag: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Time constant of the gyro's temperature behind the air.",
+        "10 min",
+        _default("10 min"),
+    )
+    thermometer_noise: Quantity = key(
+        QuantityOf("temperature", "not negative"), "Noise of one temperature reading.", "0.005 K", _default("0.005 K")
+    )
+
+
+class VirtualFlexureGyro:
+    """A simulated flexure gyro on the virtual table."""
+
+    role = "sensor"
+    Parameters = VirtualFlexureGyroParameters
+
+    def __init__(self, parameters: VirtualFlexureGyroParameters, world: World):
+        self.parameters = parameters
+        self.world = world
+        self.flicker = {name: Flicker(parameters.bias_instability.value) for name in OUTPUTS}
+        world.lags = replace(world.lags, sensor=parameters.thermal_lag.value)
+
+    @classmethod
+    def model(cls, parameters: VirtualFlexureGyroParameters) -> SensorModel:
+        p = parameters
+        noise = NoiseModel(p.white_noise.value, p.bias_instability.value, p.resolution.value)
+        rate = p.sample_rate.value
+        thermometer = NoiseModel(p.thermometer_noise.value / math.sqrt(rate))
+        torquers = tuple(OutputModel(name, "pulse/s", p.full_scale.value, noise) for name in OUTPUTS)
+        nominal = {
+            "SF_X": p.scale_factor.x.value,
+            "SF_Y": p.scale_factor.y.value,
+            "epsilon": p.epsilon.value,
+            "xi": p.xi.value,
+        }
+        for axis, drift in (("X", p.drift_x), ("Y", p.drift_y)):
+            nominal |= {f"D_{axis}_{part}": getattr(drift, part).value for part in "FXYZ"}
+        outputs = (*torquers, OutputModel(THERMOMETER, "degC", noise=thermometer))
+        return SensorModel("flexure-gyro", outputs, rate, nominal)
+
+    @classmethod
+    def connect(cls, parameters: VirtualFlexureGyroParameters, surroundings: Surroundings) -> VirtualFlexureGyro:
+        if abs(math.cos(parameters.xi.value)) < 1e-3:
+            raise InstrumentError(
+                "the gyro's torquers lie along one axis (ξ is near 90 deg), so its loops cannot close"
+            )
+        return cls(parameters, World.of(surroundings))
+
+    # -- what it does ----------------------------------------------------------------------------------------------
+
+    def channels(self) -> Mapping[str, str]:
+        return {**dict.fromkeys(OUTPUTS, "pulse/s"), THERMOMETER: "degC"}
+
+    def stream(self, segment: Segment) -> Iterator[Block]:
+        if segment.dwell is None:
+            raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
+        own = self.parameters.sample_rate.value
+        rate = segment.sample_rate or own
+        if rate > own * (1 + 1e-9):
+            raise InstrumentError(f"'{segment.label}' asks for {rate:g} Hz; the gyro gives {own:g} Hz at most")
+        start = self.world.now()
+        draw = generator(self.world.seed, segment.index)
+        for flicker in self.flicker.values():
+            flicker.begin(start, draw)
+        hold = max(1, min(BLOCK, round(rate)))
+        size = max(hold, hold * ((round(rate) if self.world.real_time else BLOCK) // hold))
+        count = max(1, round(segment.dwell * rate))
+        still = self.world.course.still(start)
+        for first in range(0, count, size):
+            length = min(size, count - first)
+            block = self._block(start, first, length, rate, hold, still, draw)
+            self.world.clock.sleep(length / rate)
+            yield block
+
+    def read(self) -> Mapping[str, float]:
+        kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
+        return {f"{THERMOMETER}_degC": kelvin - ZERO_CELSIUS}
+
+    def identify(self) -> Mapping[str, str]:
+        return {"manufacturer": "planrunner", "model": "virtual flexure gyro"}
+
+    def make_safe(self) -> None:
+        """A gyro that is read does nothing dangerous."""
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def checkpoint(self) -> Mapping[str, Any]:
+        return {name: flicker.checkpoint() for name, flicker in self.flicker.items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        for name, flicker in self.flicker.items():
+            flicker.restore(float(state[name]["time"]), state[name]["state"])
+
+    # -- how it does it --------------------------------------------------------------------------------------------
+
+    def _block(
+        self, start: float, first: int, length: int, rate: float, hold: int, still: bool, draw: np.random.Generator
+    ) -> Block:
+        """Samples first … first + length − 1 of a segment that began at `start`."""
+        p = self.parameters
+        time = np.arange(first, first + length, dtype=float)
+        time /= rate
+        time += start
+        nodes = -(-length // hold)
+        node_times = time[::hold]
+        readings = {name: draw.standard_normal(length) for name in (*OUTPUTS, THERMOMETER)}
+        slow = [self.flicker[name].advance(nodes, hold / rate, draw) for name in OUTPUTS]
+        levels = self.pulses(node_times if still else time)
+        sigma = p.white_noise.value * math.sqrt(rate)
+        for name, level, wander in zip(OUTPUTS, levels, slow, strict=True):
+            felt = wander + level if still else level + np.repeat(wander, hold)[:length]
+            finish(readings[name], felt, sigma, p.resolution.value, p.full_scale.value, hold)
+        celsius = self.world.sensor(node_times) - ZERO_CELSIUS
+        finish(readings[THERMOMETER], celsius, p.thermometer_noise.value, 0.0, math.inf, hold)
+        return Block(time, readings)
+
+    def pulses(self, times: Array) -> tuple[Any, Any]:
+        """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, else shape (n,).
+
+        The 2×2 balance of the rotor is solved; its right-hand side is linear in what the gyro feels.
+        """
+        p = self.parameters
+        rates, forces = self.world.stimulus(times)
+        slant = p.epsilon.value + p.xi.value
+        torquers = np.array(
+            [
+                [p.scale_factor.y.value * math.cos(p.epsilon.value), -p.scale_factor.x.value * math.sin(slant)],
+                [p.scale_factor.y.value * math.sin(p.epsilon.value), p.scale_factor.x.value * math.cos(slant)],
+            ]
+        )
+        needed = np.linalg.inv(torquers)
+        about_y = rates[1] + _drift(p.drift_x, forces)
+        about_x = rates[0] + _drift(p.drift_y, forces)
+        return needed[0, 0] * about_y + needed[0, 1] * about_x, needed[1, 0] * about_y + needed[1, 1] * about_x
+
+
+def _drift(drift: Drift, forces: tuple[Any, Any, Any]) -> Any:
+    """Drift [rad/s] under specific forces [m/s^2]."""
+    return drift.F.value + drift.X.value * forces[0] + drift.Y.value * forces[1] + drift.Z.value * forces[2]

@@ -1,0 +1,111 @@
+"""Noise of a simulated output, drawn in blocks with memory and state that do not grow.
+
+White noise comes straight from the generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes
+whose correlation times are octaves apart: with variance v each, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²)
+≈ v/(2·ln2·f), which is the B²/(2πf) of IEEE Std 952 for v = B²·ln2/π. The Allan deviation then lies flat at
+B·√(2·ln2/π) = 0.664·B. A process is exact at the nodes of a grid of `hold` samples and stays between them: its
+fastest correlation time is twice that, where white noise rules.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+OCTAVES = 15
+SHORTEST = 2.0  # s; with fifteen octaves the longest correlation time is nine hours
+_EXPONENT = 500.0  # keeps e^(n·step/τ) far from overflow
+TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
+
+
+def generator(seed: int, segment: int) -> np.random.Generator:
+    """The generator of one segment: the same numbers whenever the segment is carried out."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(segment,))))
+
+
+@lru_cache(maxsize=8)
+def _growth(step: float, length: int) -> Array:
+    """e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1)."""
+    return np.exp(np.arange(length + 1) * (step / TIMES)[:, None])
+
+
+class Flicker:
+    """Bias instability of one output. coefficient: B, in the output's unit."""
+
+    def __init__(self, coefficient: float):
+        self.coefficient = coefficient
+        self.deviation = coefficient * math.sqrt(math.log(2) / math.pi)
+        self.state: Array | None = None
+        self.time = 0.0
+
+    def begin(self, time: float, draw: np.random.Generator) -> None:
+        """Go to the time [s] of a segment's first node, by the exact transition from the last one."""
+        fresh = draw.standard_normal(OCTAVES) * self.deviation
+        if self.state is None:
+            self.state = fresh
+        else:
+            decay = np.exp(-max(0.0, time - self.time) / TIMES)
+            self.state = decay * self.state + np.sqrt(1 - decay**2) * fresh
+        self.time = time
+
+    def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
+        """The sum of the processes at `nodes` nodes [unit], `step` s apart, beginning with the present one."""
+        if self.coefficient == 0.0:
+            return np.zeros(nodes)
+        assert self.state is not None
+        total = np.empty(nodes)
+        longest = max(1, int(_EXPONENT * SHORTEST / step))
+        for first in range(0, nodes, longest):
+            length = min(longest, nodes - first)
+            growth = _growth(step, length)
+            # x_n = e^(-n·step/τ)·(x_0 + Σ_j drive_j·e^(j·step/τ)): one running sum instead of a recursion.
+            drive = draw.standard_normal((OCTAVES, length))
+            drive *= growth[:, 1:]
+            drive *= (np.sqrt(-np.expm1(-2 * step / TIMES)) * self.deviation)[:, None]
+            np.cumsum(drive, axis=1, out=drive)
+            drive += self.state[:, None]
+            drive /= growth[:, 1:]
+            total[first] = self.state.sum()
+            np.sum(drive[:, :-1], axis=0, out=total[first + 1 : first + length])
+            self.state = drive[:, -1].copy()
+        self.time += nodes * step
+        return total
+
+    def checkpoint(self) -> dict[str, float | list[float] | None]:
+        return {"time": self.time, "state": None if self.state is None else self.state.tolist()}
+
+    def restore(self, time: float, state: Sequence[float] | None) -> None:
+        self.time = time
+        self.state = None if state is None else np.array(state, dtype=float)
+
+
+def finish(block: Array, level: Array | float, sigma: float, resolution: float, full_scale: float, hold: int) -> None:
+    """Turn standard normal numbers into readings, in place: σ·n + level, rounded to counts, clipped at full scale.
+
+    level: (nodes,) values held for `hold` samples each, (n,) a value a sample, or one value. In counts throughout,
+    because each pass over the block costs as much as a tenth of drawing it.
+    """
+    scale = 1.0 / resolution if resolution > 0 else 1.0
+    if sigma > 0:
+        block *= sigma * scale
+    else:
+        block.fill(0.0)
+    held = np.asarray(level, dtype=float) * scale
+    if held.ndim == 0 or held.size == block.size:
+        block += held
+    else:
+        whole = (block.size // hold) * hold
+        block[:whole].reshape(-1, hold)[...] += held[: whole // hold, None]
+        block[whole:] += held[-1]
+    if resolution > 0:
+        np.rint(block, out=block)
+        block *= resolution
+    # Beyond ten standard deviations no number is drawn (probability 1e-23).
+    if math.isfinite(full_scale) and float(np.max(np.abs(level))) + 10 * sigma + resolution > full_scale:
+        np.clip(block, -full_scale, full_scale, out=block)

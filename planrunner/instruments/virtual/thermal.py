@@ -1,0 +1,84 @@
+"""Temperatures of the virtual world: the chamber's air behind a ramped setpoint, and the sensor behind the air.
+
+Setpoint r moves linearly to its target, then stays. Air T and sensor S are first-order lags, dT/dt = (r − T)/τ_a and
+dS/dt = (T − S)/τ_s, solved in closed form from the moment of the last command, so that the same moment gives the same
+bits however often it was asked for in between.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Lags:
+    """ramp: K/s of the setpoint; air, sensor: time constants, s."""
+
+    ramp: float
+    air: float
+    sensor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """State at the moment of a command. start: s; the rest K. target: where the setpoint goes."""
+
+    start: float
+    setpoint: float
+    air: float
+    sensor: float
+    target: float
+
+    @classmethod
+    def resting(cls, kelvin: float) -> Command:
+        return cls(0.0, kelvin, kelvin, kelvin, kelvin)
+
+
+def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Array, Array]:
+    """Setpoint, air and sensor temperature [K] at `times` [s, not before the command]."""
+    elapsed = np.asarray(times, dtype=float) - command.start
+    change = command.target - command.setpoint
+    ramping = abs(change) / lags.ramp
+    slope = math.copysign(lags.ramp, change)
+    during = np.minimum(elapsed, ramping)
+    setpoint = np.where(elapsed < ramping, command.setpoint + slope * during, command.target)
+    air, sensor = _follow(lags, command.setpoint, slope, command.air, command.sensor, during)
+    if np.any(elapsed > ramping):
+        end_air, end_sensor = _follow(lags, command.setpoint, slope, command.air, command.sensor, np.array(ramping))
+        after = np.maximum(elapsed - ramping, 0.0)
+        held = _follow(lags, command.target, 0.0, float(end_air), float(end_sensor), after)
+        air, sensor = np.where(elapsed > ramping, held[0], air), np.where(elapsed > ramping, held[1], sensor)
+    return setpoint, air, sensor
+
+
+def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
+    """Seconds after the command until the air stays within `tolerance` [K] of the target.
+
+    After the ramp the air's distance decays exponentially; it can be near enough before the ramp ends only when the
+    whole change is no larger than the tolerance.
+    """
+    if abs(command.target - command.setpoint) <= tolerance and abs(command.target - command.air) <= tolerance:
+        return 0.0
+    ramping = abs(command.target - command.setpoint) / lags.ramp
+    end = temperatures(command, lags, np.array([command.start + ramping]))[1][0]
+    distance = abs(float(end) - command.target)
+    return ramping + (lags.air * math.log(distance / tolerance) if distance > tolerance else 0.0)
+
+
+def _follow(lags: Lags, origin: float, slope: float, air: float, sensor: float, elapsed: Array) -> tuple[Array, Array]:
+    """Air and sensor behind the setpoint origin + slope·t, from their values at t = 0."""
+    slow = lags.sensor if abs(lags.sensor - lags.air) > 1e-6 * lags.air else lags.air * (1 + 1e-6)
+    air_off = air - (origin - slope * lags.air)
+    shared = air_off * lags.air / (lags.air - slow)
+    sensor_off = sensor - (origin - slope * (lags.air + slow)) - shared
+    air_decay, sensor_decay = np.exp(-elapsed / lags.air), np.exp(-elapsed / slow)
+    now = origin + slope * elapsed
+    air_now = now - slope * lags.air + air_off * air_decay
+    sensor_now = now - slope * (lags.air + slow) + shared * air_decay + sensor_off * sensor_decay
+    return air_now, sensor_now

@@ -1,0 +1,132 @@
+"""The virtual world: where the table points, how warm it is, and what a sensor on it feels at any time.
+
+It is a function of time since the last command, never of how often it was asked, so that a resumed run repeats an
+uninterrupted one bit for bit. The drivers change it; the sensor reads it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Clock, Surroundings
+from planrunner.instruments.virtual import courses, thermal
+from planrunner.instruments.virtual.courses import Course, Standing, Value
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import TableAxis
+
+Array = NDArray[np.float64]
+Components = tuple[Value, Value, Value]
+ROOM = 298.15  # K
+_SHORT = 1e-3  # s; a lag too short to be felt
+
+
+@dataclass(slots=True)
+class World:
+    """axes: of the table, outermost first, none without a table. skew: (3, 3) small rotation from the platform to the
+    sensor's axes, the pointing error at the commanded orientation. steady_at: s, when the commanded motion is
+    reached."""
+
+    clock: Clock
+    site: Site
+    seed: int = 0
+    real_time: bool = False
+    axes: tuple[TableAxis, ...] = ()
+    course: Course = field(default_factory=lambda: Standing(()))
+    steady_at: float = 0.0
+    skew: Array = field(default_factory=lambda: np.eye(3))
+    lags: thermal.Lags = field(default_factory=lambda: thermal.Lags(1.0, _SHORT, _SHORT))
+    command: thermal.Command = field(default_factory=lambda: thermal.Command.resting(ROOM))
+
+    @classmethod
+    def of(cls, surroundings: Surroundings) -> World:
+        """The world that the drivers of one bench share; the first to ask makes it."""
+        if not isinstance(surroundings.world, World):
+            surroundings.world = cls(surroundings.clock, surroundings.site, surroundings.seed, surroundings.real_time)
+        world: World = surroundings.world
+        return world
+
+    def now(self) -> float:
+        return self.clock.now()
+
+    # -- motion ----------------------------------------------------------------------------------------------------
+
+    def joints(self, time: float) -> tuple[Array, Array]:
+        """Joint angles [rad] and rates [rad/s] at one time, each (n,)."""
+        followed = self.course.follow(np.array([time]))
+        angles, rates = zip(*followed, strict=True) if followed else ((), ())
+        return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])
+
+    def stimulus(self, times: Array) -> tuple[Components, Components]:
+        """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats where nothing
+        moves.
+
+        Site vectors are carried inwards axis by axis, v ← R(−q)·v, and each joint adds its own rate along its axis.
+        """
+        rate = self._towards_the_table(self.site.earth_rate_enu)
+        force = self._towards_the_table(self.site.specific_force_enu)
+        for axis, (angle, turning) in zip(self.axes, self.course.follow(times), strict=True):
+            force = _turned(axis.direction, angle, force)
+            x, y, z = _turned(axis.direction, angle, rate)
+            a, b, c = axis.direction
+            rate = (x + a * turning, y + b * turning, z + c * turning)
+        return self._skewed(rate), self._skewed(force)
+
+    def _towards_the_table(self, v: Array) -> Components:
+        return _turned((0.0, 0.0, 1.0), self.site.azimuth, (float(v[0]), float(v[1]), float(v[2])))
+
+    def _skewed(self, v: Components) -> Components:
+        e = self.skew
+        x, y, z = (e[i, 0] * v[0] + e[i, 1] * v[1] + e[i, 2] * v[2] for i in range(3))
+        return x, y, z
+
+    # -- temperature -----------------------------------------------------------------------------------------------
+
+    def air(self, times: Array) -> Array:
+        """Temperature of the chamber's air [K]."""
+        return thermal.temperatures(self.command, self.lags, times)[1]
+
+    def sensor(self, times: Array) -> Array:
+        """Temperature of the sensor [K]."""
+        return thermal.temperatures(self.command, self.lags, times)[2]
+
+    def head_for(self, kelvin: float) -> None:
+        """Send the setpoint to a temperature from now on."""
+        now = self.now()
+        setpoint, air, sensor = (float(v[0]) for v in thermal.temperatures(self.command, self.lags, np.array([now])))
+        self.command = thermal.Command(now, setpoint, air, sensor, kelvin)
+
+    # -- resuming --------------------------------------------------------------------------------------------------
+
+    def motion_state(self) -> dict[str, Any]:
+        return {"course": courses.to_json(self.course), "steady_at": self.steady_at, "skew": self.skew.tolist()}
+
+    def restore_motion(self, state: Mapping[str, Any]) -> None:
+        self.course = courses.from_json(state["course"])
+        self.steady_at = float(state["steady_at"])
+        self.skew = np.array(state["skew"], dtype=float)
+
+    def thermal_state(self) -> dict[str, float]:
+        return asdict(self.command)
+
+    def restore_thermal(self, state: Mapping[str, Any]) -> None:
+        self.command = thermal.Command(**{name: float(value) for name, value in state.items()})
+
+
+def _turned(axis: tuple[float, float, float], angle: Value, v: Components) -> Components:
+    """Components of a vector in a frame that has turned by `angle` about `axis` (Rodrigues with −angle)."""
+    if isinstance(angle, float) and angle == 0.0:
+        return v
+    c, s = (np.cos(angle), np.sin(angle)) if isinstance(angle, np.ndarray) else (math.cos(angle), math.sin(angle))
+    a, b, d = axis
+    along = (1 - c) * (a * v[0] + b * v[1] + d * v[2])
+    return (
+        c * v[0] - s * (b * v[2] - d * v[1]) + along * a,
+        c * v[1] - s * (d * v[0] - a * v[2]) + along * b,
+        c * v[2] - s * (a * v[1] - b * v[0]) + along * d,
+    )
