@@ -18,6 +18,7 @@ from planrunner.bench.scheduling import build_schedule
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Coefficient, Design, EstimationError
+from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.findings import Findings, InputError, Mark, closest
@@ -53,7 +54,47 @@ class Checked:
 
     @property
     def ok(self) -> bool:
-        return self.plan is not None and self.schedule is not None and not self.findings.errors
+        return self.schedule is not None and not self.findings.errors
+
+    def sound(self) -> Sound:
+        """The plan with all that is needed to run it. Raises `InputError` with the findings when there are errors."""
+        if (
+            self.findings.errors
+            or self.plan is None
+            or self.bench is None
+            or self.models is None
+            or self.schedule is None
+        ):
+            raise InputError(self.findings)
+        assert self.models.sensor is not None  # a bench without one is an error
+        return Sound(
+            self.file,
+            self.findings,
+            self.plan,
+            self.bench,
+            self.models,
+            self.models.sensor,
+            self.schedule,
+            self.designs,
+            self.plan_bytes,
+            self.bench_bytes,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sound:
+    """A plan that passed its checks (warnings may remain in `findings`)."""
+
+    file: str
+    findings: Findings
+    plan: Plan
+    bench: Bench
+    models: BenchModels
+    sensor: SensorModel
+    schedule: Schedule
+    designs: Mapping[str, Design]
+    plan_bytes: bytes
+    bench_bytes: bytes
 
 
 def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = None) -> Checked:

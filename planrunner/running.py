@@ -17,13 +17,15 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
 from planrunner.bench.opening import open_bench
-from planrunner.checking import Checked, check_plan
+from planrunner.checking import Sound, check_plan
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute
 from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
-from planrunner.plan.findings import InputError
+from planrunner.reporting.context import ReportContext
+from planrunner.reporting.from_run import report_context
+from planrunner.reporting.report import render_report
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,7 @@ class Analysis:
 
 
 def start(
-    checked: Checked,
+    sound: Sound,
     *,
     info: Mapping[str, str],
     runs: Path,
@@ -48,19 +50,15 @@ def start(
 ) -> tuple[Path, Outcome]:
     """Carry out a sound plan in a new run folder beneath `runs`; the folder and how it ended.
 
-    Disk space is checked, and every instrument connected and asked who it is, before the folder is made and anything moves.
+    Disk space is checked and every instrument connected before the folder is made and anything moves.
     Raises `InputError` and `InstrumentError` for what prevents the start.
     """
-    schedule, models, bench = checked.schedule, checked.models, checked.bench
-    assert schedule is not None and models is not None and bench is not None and checked.plan is not None
-    seed = bench.seed if seed is None else seed
-    if models.sensor is not None:
-        require_space(runs, recording_bytes(schedule, models.sensor.sample_rate, len(models.sensor.outputs) + 1))
-    with open_bench(bench, data_root=data_root, seed=seed) as opened:
-        name = Path(checked.file).stem
-        writer = RunWriter.create(runs, name, checked.plan_bytes, checked.bench_bytes, info, durability, seed=seed)
-        with writer:
-            outcome = execute(schedule, opened, writer, stop=stop, progress=progress)
+    seed = sound.bench.seed if seed is None else seed
+    require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
+    with open_bench(sound.bench, data_root=data_root, seed=seed) as bench:
+        name = Path(sound.file).stem
+        with RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed) as writer:
+            outcome = execute(sound.schedule, bench, writer, stop=stop, progress=progress)
     return writer.path, outcome
 
 
@@ -69,47 +67,42 @@ def resume(
     *,
     stop: StopRequest,
     data_root: Path | None = None,
-    durability: Durability | None = None,
     progress: ProgressCallback | None = None,
 ) -> Outcome:
     """Go on with a run that was cut short, from its own plan and bench."""
-    checked = check_run(run)
-    assert checked.schedule is not None and checked.bench is not None
+    sound = sound_run(run)
     seed = RunReader.open(run).run["seed"]
-    with (
-        open_bench(checked.bench, data_root=data_root, seed=seed) as opened,
-        RunWriter.reopen(run, durability=durability) as writer,
-    ):
-        return execute(checked.schedule, opened, writer, stop=stop, progress=progress, start_at=writer.next_segment)
+    with open_bench(sound.bench, data_root=data_root, seed=seed) as bench, RunWriter.reopen(run) as writer:
+        return execute(sound.schedule, bench, writer, stop=stop, progress=progress, start_at=writer.next_segment)
 
 
-def check_run(run: Path) -> Checked:
+def sound_run(run: Path) -> Sound:
     """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass."""
-    checked = check_plan(run / "plan.yaml", bench_path=run / "bench.yaml")
-    if not checked.ok:
-        raise InputError(checked.findings)
-    return checked
+    return check_plan(run / "plan.yaml", bench_path=run / "bench.yaml").sound()
 
 
 def analyse_run(run: Path) -> Analysis:
-    """Estimate from a run's recording alone and write the results and reports as a new analysis."""
-    from planrunner.reporting.from_run import report_context
-    from planrunner.reporting.report import render_report
-
-    reader = RunReader.open(run)
-    checked = check_run(run)
-    assert checked.plan is not None and checked.schedule is not None and checked.models is not None
-    sensor = checked.models.sensor
-    assert sensor is not None
-    recording = reader.recording(checked.schedule)
-    results = analyse(checked.plan.estimates, checked.plan.limits, recording, checked.models.site, sensor)
-    number = len(reader.analyses()) + 1
-    context = report_context(reader, checked, recording, results, number)
+    """Estimate from a run's recording alone; write results and reports as a new analysis."""
+    context, results, reports = _analyse(run)
     files = {"results.json": to_bytes(results.to_json())}
-    for report in checked.plan.report:
+    for report in reports:
         files[report] = render_report(context, report).encode()
     folder = add_analysis(run, files)
-    return Analysis(folder, results, tuple(folder / name for name in checked.plan.report))
+    return Analysis(folder, results, tuple(folder / name for name in reports))
+
+
+def report_through(run: Path, template: Path) -> str:
+    """A run's results through a template of one's own; nothing is written into the run folder."""
+    context, _, _ = _analyse(run)
+    return render_report(context, template.name.removesuffix(".j2"), template.parent)
+
+
+def _analyse(run: Path) -> tuple[ReportContext, Results, tuple[str, ...]]:
+    reader = RunReader.open(run)
+    sound = sound_run(run)
+    recording = reader.recording(sound.schedule)
+    results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor)
+    return report_context(reader, sound, recording, results), results, sound.plan.report
 
 
 def to_bytes(value: Any) -> bytes:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from planrunner import cli
 from planrunner.bench.model import safe_order
-from planrunner.checking import Checked, check_plan
+from planrunner.checking import Checked, Sound, check_plan
 from planrunner.cli.printing import print_findings, print_json
-from planrunner.plan.findings import InputError
 from planrunner.reporting.words import duration
 
 
@@ -30,11 +29,11 @@ def run(args: argparse.Namespace) -> int:
     return cli.DONE if all(checked.ok for checked in checks) else cli.WRONG_INPUT
 
 
-def require_sound(checked: Checked) -> None:
-    """Prints warnings and goes on, or raises `InputError` with the errors."""
-    if not checked.ok:
-        raise InputError(checked.findings)
-    print_findings(checked.findings)
+def sound_plan(plan: str, bench: str | None) -> Sound:
+    """A plan that passes its checks, its warnings printed. Raises `InputError` with the errors."""
+    sound = check_plan(Path(plan), bench=bench).sound()
+    print_findings(sound.findings)
+    return sound
 
 
 def summary(checked: Checked) -> str:

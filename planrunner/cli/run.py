@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.checking import check_plan
-from planrunner.cli.check import require_sound
+from planrunner.cli.check import sound_plan
 from planrunner.cli.outcome import conclude, tell
 from planrunner.cli.progress import run_progress
 from planrunner.run_information import gather
@@ -37,16 +36,14 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    checked = check_plan(Path(args.plan), bench=args.bench)
-    require_sound(checked)
-    assert checked.plan is not None
-    info = gather(checked.plan, args.set, args.info)
+    sound = sound_plan(args.plan, args.bench)
+    info = gather(sound.plan, args.set, args.info)
     from planrunner import running
     from planrunner.execution.stopping import StopRequest
 
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
         folder, outcome = running.start(
-            checked,
+            sound,
             info=info,
             runs=args.runs,
             stop=stop,

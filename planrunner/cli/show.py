@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner import cli
-from planrunner.checking import check_plan
-from planrunner.cli.check import require_sound
+from planrunner.cli.check import sound_plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,25 +16,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    checked = check_plan(Path(args.plan), bench=args.bench)
-    require_sound(checked)
-    assert (
-        checked.plan is not None
-        and checked.schedule is not None
-        and checked.models is not None
-        and checked.bench is not None
-    )
+    sound = sound_plan(args.plan, args.bench)
     if args.html is not None:
         from planrunner.reporting.context import site_facts
         from planrunner.reporting.show_page import ShowContext, render_show
 
         context = ShowContext(
-            title=checked.plan.title,
-            description=checked.plan.description,
-            schedule=checked.schedule,
-            designs=checked.designs,
-            facts={"Plan": checked.file, "Bench": checked.bench.name, **site_facts(checked.models.site)},
-            warnings=tuple(finding.message for finding in checked.findings if finding.severity == "warning"),
+            title=sound.plan.title,
+            description=sound.plan.description,
+            schedule=sound.schedule,
+            designs=sound.designs,
+            facts={"Plan": sound.file, "Bench": sound.bench.name, **site_facts(sound.models.site)},
+            warnings=tuple(finding.message for finding in sound.findings if finding.severity == "warning"),
         )
         args.html.write_text(render_show(context), encoding="utf-8")
         print(args.html)
@@ -43,8 +35,8 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.reporting import terminal
 
     console = terminal.console()
-    console.print(terminal.schedule_table(checked.schedule, checked.plan.title))
-    for name, design in checked.designs.items():
+    console.print(terminal.schedule_table(sound.schedule, sound.plan.title))
+    for name, design in sound.designs.items():
         if design.predicted:
             console.print(terminal.predicted_table(name, design))
     return cli.DONE
