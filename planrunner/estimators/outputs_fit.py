@@ -166,7 +166,7 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
     """Notes and warnings on the basis that was chosen, for the report."""
     notes, warnings = [], []
     if basis == "residual":
-        together = f", taken together for all {len(fit.outputs)} outputs" if fit.pooled else ""
+        together = f", pooled over the outputs" if fit.pooled else ""
         notes.append(
             f"Uncertainties rest on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
             "so the coverage factors are large."

@@ -1,0 +1,106 @@
+"""Calibration of an accelerometer triad from the magnitude of gravity alone: nine parameters from still poses in unknown attitudes.
+
+Readings a = b + A·f with |f| = g. Only A·Aᵀ can be told, so the model is that of three input axes with scale factors s_i, biases b_i and the
+non-orthogonalities γ_ij by which the angle between axes i and j falls short of 90°:
+
+    (a − b)ᵀ·G⁻¹·(a − b) = g²,    G_ij = s_i·s_j·sin γ_ij (i ≠ j),   G_ii = s_i²
+
+(Shin and El-Sheimy, Z. Vermessung 2002; Frosio et al., IEEE Trans. Instrum. Meas. 58, 2009.) Solved by Gauss–Newton from
+b = 0, s = 1, γ = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import rank
+from planrunner.estimators.interface import EstimationError
+
+Array = NDArray[np.float64]
+
+NAMES = ("bias_x", "bias_y", "bias_z", "scale_x", "scale_y", "scale_z", "gamma_xy", "gamma_xz", "gamma_yz")
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+_ITERATIONS = 50
+_WORST_CONDITION = 1e4
+
+
+@dataclass(frozen=True, slots=True)
+class GravityFit:
+    """values: (9,) in the order of `NAMES`; m/s², ratios, rad. cofactor: (9, 9), for observations of unit weight. residuals: (n,),
+    m/s², of the magnitude. directions: (n, 3), d(residual)/d(reading). condition: of the Jacobian with biases over g."""
+
+    values: Array
+    cofactor: Array
+    residuals: Array
+    directions: Array
+    condition: float
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        return len(self.residuals) - len(NAMES)
+
+    @property
+    def root_mean_square(self) -> float:
+        """sqrt(sum of squares / degrees of freedom), m/s²."""
+        return float(np.sqrt(np.sum(self.residuals**2) / self.degrees_of_freedom)) if self.degrees_of_freedom else 0.0
+
+
+def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
+    """Nine parameters from mean readings (n, 3), m/s², of n ≥ 9 still poses. Raises `EstimationError`.
+
+    Every pose has the same weight: what matters is how the poses were held, not the noise within them.
+    """
+    if len(readings) < len(NAMES):
+        raise EstimationError(
+            f"{len(readings)} still spans cannot give {len(NAMES)} parameters: record more poses, or look at the threshold and `at_least`"
+        )
+    values = np.array([0.0, 0, 0, 1, 1, 1, 0, 0, 0])
+    scale = np.array([gravity, gravity, gravity, 1, 1, 1, 1, 1, 1])
+    for _ in range(_ITERATIONS):
+        residuals, jacobian, _ = _linearise(readings, values, gravity)
+        sight = rank.look(jacobian * scale)
+        if sight.condition > _WORST_CONDITION:
+            raise EstimationError(_too_alike(sight, readings))
+        step = -scale * np.linalg.lstsq(jacobian * scale, residuals, rcond=None)[0]
+        values = values + step
+        if not (np.isfinite(values).all() and np.all(values[3:6] > 0.1) and np.all(np.abs(values[6:]) < 1.0)):
+            break
+        if np.abs(step / scale).max() < 1e-13:
+            residuals, jacobian, directions = _linearise(readings, values, gravity)
+            cofactor = np.linalg.inv((jacobian * scale).T @ (jacobian * scale)) * np.outer(scale, scale)
+            return GravityFit(values, cofactor, residuals, directions, rank.look(jacobian * scale).condition)
+    raise EstimationError(
+        "the readings do not lie near a sphere of radius g, so no calibration was found: check the channels' units and that spans are still"
+    )
+
+
+def _too_alike(sight: rank.Sight, readings: Array) -> str:
+    if len(sight.null):
+        return f"the poses cannot tell all nine parameters apart: {rank.explain(sight.null, NAMES)}; add poses in other attitudes"
+    return (
+        f"the {len(readings)} poses are too alike to tell nine parameters apart (condition {sight.condition:.2g}): "
+        "point every axis up and down and add poses in between"
+    )
+
+
+def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, Array, Array]:
+    """Residuals |f| − g (n,), their Jacobian (n, 9), and their gradient with respect to the readings (n, 3)."""
+    bias, scale, gamma = values[:3], values[3:6], values[6:]
+    cosines = np.eye(3)
+    for (i, j), angle in zip(_PAIRS, gamma, strict=True):
+        cosines[i, j] = cosines[j, i] = np.sin(angle)
+    gram = cosines * np.outer(scale, scale)
+    away = readings - bias
+    dual = np.linalg.solve(gram, away.T).T  # G⁻¹·(a − b)
+    magnitude = np.sqrt(np.einsum("ni,ni->n", away, dual).clip(min=1e-300))
+    directions = dual / magnitude[:, None]
+    jacobian = np.empty((len(readings), len(NAMES)))
+    jacobian[:, :3] = -directions
+    # d|f| = −(dualᵀ·dG·dual)/(2·|f|)
+    jacobian[:, 3:6] = -(dual * (dual @ gram)) / scale / magnitude[:, None]
+    for column, ((i, j), angle) in enumerate(zip(_PAIRS, gamma, strict=True), start=6):
+        jacobian[:, column] = -dual[:, i] * dual[:, j] * scale[i] * scale[j] * np.cos(angle) / magnitude
+    return magnitude - gravity, jacobian, directions

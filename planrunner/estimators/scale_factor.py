@@ -1,0 +1,214 @@
+"""Scale factor and bias by a straight line through rates: F = K·ω + F0, with nonlinearity and asymmetry (wording of IEEE 952 and 1431).
+
+Any output may be named: the slope of a cross-axis output is its misalignment to the rotation axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import least_squares
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignBlock,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Table,
+)
+from planrunner.estimators.observations import Observations, observe
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs, judge, require_basis
+from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.schedule import Cycle, Rock, Segment
+from planrunner.plan.units import Unit, UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+
+TERMS = ("offset", "rate")
+
+
+class ScaleFactorParameters(Record):
+    """Keys of the estimator scale_factor."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(Text("", "a channel's name"), minimum=1, single=True), "Channels to fit, each by a line of its own.", ["gyro_z"], default_factory=tuple
+    )
+    rate_unit: str = key(Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s")
+    rate_uncertainty: Quantity | None = key(
+        QuantityOf("ratio", "not negative"), "Relative standard uncertainty of the table's rate, common to all rates.", "50 ppm", None
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the rates about the line, or the noise within the segments.",
+        "residual",
+        "residual",
+    )
+
+
+class ScaleFactor:
+    """The plug-in."""
+
+    summary = "Scale factor, bias, nonlinearity and asymmetry from recordings at known rates"
+    Parameters = ScaleFactorParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """A line through the planned rates, for each output. Raises `EstimationError`."""
+        rates = _rates(request.segments)
+        matrix = np.column_stack([np.ones(len(rates)), rates])
+        magnitudes = np.array([1.0, max(float(np.abs(rates).max(initial=0.0)), 1e-12)])
+        names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
+        blocks, predicted = [], []
+        for name in names:
+            output = request.sensor.output(name)
+            if output is None:
+                known = ", ".join(item.name for item in request.sensor.outputs)
+                raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
+            rate_unit, output_unit = _units(request.parameters, output.unit)
+            hertz = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
+            sigma = np.array([output.noise.standard_error(s.dwell or 1.0, f) for s, f in zip(request.segments, hertz, strict=True)])
+            blocks.append(DesignBlock(name, TERMS, matrix, magnitudes, sigma, tuple(segment.label for segment in request.segments)))
+            if np.unique(rates).size > 1 and np.all(sigma > 0):
+                spread = np.sqrt(np.diag(least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor))
+                shown = _slope_unit(rate_unit, output_unit)
+                nominal = request.sensor.nominal.get(f"K_{name}", math.nan)
+                if math.isfinite(nominal):
+                    predicted.append(Coefficient(f"K_{name}", nominal, shown[0], float(spread[1] * shown[1])))
+        return Design(tuple(blocks), tuple(predicted))
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Lines through the recorded means. Raises `EstimationError`."""
+        parameters: ScaleFactorParameters = request.parameters
+        if not request.segments:
+            raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
+        outputs = parameters.outputs or request.segments[0].statistics.channels
+        observations = observe(request.segments, outputs, request.sensor)
+        rates = _rates([recorded.segment for recorded in request.segments])
+        if np.unique(rates).size < 2:
+            raise EstimationError(f"{request.name}: all segments have the same rate, so a line cannot be told from a constant")
+        matrix = np.column_stack([np.ones(len(rates)), rates])
+        fit = fit_outputs(matrix, observations, np.array([1.0, np.abs(rates).max()]), TERMS)
+        require_basis(fit, parameters.uncertainty, request.name)
+        return _assemble(request, observations, rates, fit)
+
+
+def _rates(segments: Sequence[Segment]) -> Array:
+    for segment in segments:
+        if isinstance(segment.motion, Rock | Cycle):
+            kind = type(segment.motion).__name__.lower()
+            raise EstimationError(f"segment '{segment.label}' has no constant rate ({kind}): leave it out of `segments`")
+    return np.array([segment.rate for segment in segments], dtype=float)
+
+
+def _units(parameters: ScaleFactorParameters, output_unit: str) -> tuple[Unit, Unit]:
+    try:
+        rate, own = unit(parameters.rate_unit), unit(output_unit)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None
+    if rate.dimension != unit("rad/s").dimension:
+        raise EstimationError(f"rate_unit is '{parameters.rate_unit}', which is no unit of angular rate; write for example 'deg/s'")
+    return rate, own
+
+
+def _slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
+    """The unit of K and the factor from (output unit)/(rad/s); an output that is a rate itself gives a plain ratio."""
+    if own.dimension == rate.dimension:
+        return "1", own.factor
+    return f"({own.text})/({rate.text})", rate.factor
+
+
+def _assemble(request: EstimateRequest, observations: Observations, rates: Array, fit: OutputsFit) -> Estimate:
+    parameters: ScaleFactorParameters = request.parameters
+    basis = parameters.uncertainty
+    relative = parameters.rate_uncertainty.value if parameters.rate_uncertainty else 0.0
+    m = len(observations.channels)
+    scale, coefficients, metrics = np.ones(2 * m), [], []
+    units = [_units(parameters, text) for text in observations.units]
+    slopes = [_slope_unit(*pair) for pair in units]
+    scale[1::2] = [factor for _, factor in slopes]
+    covariance = fit.covariance(basis) * np.outer(scale, scale)
+    slope_values = np.array([one.coefficients[1] * factor for one, (_, factor) in zip(fit.fits, slopes, strict=True)])
+    covariance[1::2, 1::2] += relative**2 * np.outer(slope_values, slope_values)
+    freedom = fit.degrees_of_freedom(np.eye(2 * m), basis)
+    for k, name in enumerate(observations.channels):
+        u_offset, u_slope = np.sqrt(np.diag(covariance)[2 * k : 2 * k + 2])
+        fitted = u_slope**2 - (relative * slope_values[k]) ** 2
+        dof = float(freedom[2 * k + 1]) * (u_slope**2 / fitted) ** 2 if fitted > 0 else math.inf
+        words = f"{name}: offset at zero rate", f"{name}: scale factor against the table's rate"
+        coefficients.append(
+            Coefficient(f"F0_{name}", float(fit.coefficients[k, 0]), units[k][1].text, float(u_offset), float(freedom[2 * k]), words[0])
+        )
+        coefficients.append(Coefficient(f"K_{name}", float(slope_values[k]), slopes[k][0], float(u_slope), dof, words[1]))
+        metrics += _metrics(name, rates, observations, k, fit, basis)
+    full = np.zeros((2 * m + len(metrics), 2 * m + len(metrics)))
+    full[: 2 * m, : 2 * m] = covariance
+    full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item in metrics]
+    notes, warnings = judge(fit, basis)
+    if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
+        notes.append("All rates have one sign, so asymmetry cannot be told, and an offset that depends on the sense of rotation is in F0.")
+    if relative == 0:
+        notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
+    return Estimate(
+        request.name,
+        "scale_factor",
+        (*coefficients, *metrics),
+        full,
+        tuple(item.name for item in (*coefficients, *metrics)),
+        {"uncertainty": basis, "weights": [noise.weighting for noise in fit.noises], "rate_uncertainty": relative},
+        (_table(observations, rates, fit, units[0][0]),),
+        (_plot(observations, rates, fit, units[0][0]),),
+        tuple(notes),
+        tuple(warnings),
+        observations.labels,
+    )
+
+
+def _metrics(name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str) -> list[Coefficient]:
+    """Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
+    at zero rate; it needs both signs and three different rates."""
+    one, sigma = fit.fits[k], fit.noises[k].sigma
+    factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
+    worst = int(np.argmax(np.abs(one.residuals)))
+    full_scale = float(np.abs(observations.mean[:, k]).max())
+    freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
+    found = []
+    if full_scale > 0 and fit.freedom:
+        u = math.sqrt(factor) * float(sigma[worst]) / full_scale * 1e6
+        value = abs(float(one.residuals[worst])) / full_scale * 1e6
+        found.append(Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, f"{name}: largest residual over the largest output"))
+    if np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
+        halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
+        half = least_squares.fit(halves, observations.mean[:, k], sigma, names=("offset", "rate forward", "rate backward"))
+        plus, minus = half.coefficients[1:]
+        gradient = 4e6 / (plus + minus) ** 2 * np.array([0.0, minus, -plus])
+        left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor
+        own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
+        u = math.sqrt(max(0.0, gradient @ half.cofactor @ gradient * left))
+        value = float(2e6 * (plus - minus) / (plus + minus))
+        found.append(Coefficient(f"asymmetry_{name}", value, "ppm", u, own, f"{name}: difference of forward and backward scale factors"))
+    return found
+
+
+def _table(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit) -> Table:
+    columns = ["segment", f"rate [{rate.text}]"]
+    for name, its_unit in zip(observations.channels, observations.units, strict=True):
+        columns += [f"{name} mean [{its_unit}]", f"{name} residual [{its_unit}]"]
+    rows = []
+    for n, label in enumerate(observations.labels):
+        values = [v for k in range(len(fit.fits)) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))]
+        rows.append((label, float(rates[n] / rate.factor), *values))
+    return Table("Means and residuals per rate", tuple(columns), tuple(rows))
+
+
+def _plot(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit) -> Plot:
+    series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
+    spreads = {name: tuple(map(float, noise.sigma)) for name, noise in zip(observations.channels, fit.noises, strict=True) if noise.known}
+    x = tuple(float(value / rate.factor) for value in rates)
+    return Plot("Residuals from the straight line", f"rate [{rate.text}]", f"residual [{observations.units[0]}]", x, series, spreads)

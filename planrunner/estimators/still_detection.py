@@ -1,0 +1,155 @@
+"""Still spans in a long recording, found while it streams past: where the standard deviation in a sliding window stays small."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import EstimationError
+from planrunner.plan.findings import closest
+from planrunner.plan.selection import Detection
+from planrunner.plan.units import DIMENSIONS, unit
+
+Array = NDArray[np.float64]
+
+_MOST_BATCHES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class StillSpan:
+    """One span. start, end: s. count: samples. mean, standard_error: (k,), of the detection's channels in their units; the standard
+    error from `batches` consecutive batch means, NaN where there are fewer than two."""
+
+    start: float
+    end: float
+    count: int
+    mean: Array
+    standard_error: Array
+    batches: int
+
+
+def find_still_spans(recorded: RecordedSegment, detection: Detection) -> list[tuple[float, float]]:
+    """Start and end [s] of every still span, in order; see `still_spans`."""
+    return [(span.start, span.end) for span in still_spans(recorded, detection)]
+
+
+def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSpan]:
+    """The still spans of a recorded segment with their means, in one pass over its samples, block by block.
+
+    A sample is still when, in the window of length `detection.window` centred on it, the standard deviation of every channel
+    stays below `detection.threshold`; a span is a run of still samples at least `at_least` long. It so keeps half a window away from
+    the motion at either end. A window across a gap in time or a missing value is not still. Raises `EstimationError`.
+    """
+    limits = _limits(recorded, detection)
+    found: list[StillSpan] = []
+    current: _Growing | None = None
+    for times, values, quiet, length in _centred(recorded, detection, limits):
+        edges = np.flatnonzero(np.diff(quiet)) + 1
+        for low, high in zip(np.append(0, edges), np.append(edges, len(quiet)), strict=True):
+            if high <= low:
+                continue
+            if quiet[low]:
+                current = current or _Growing(length)
+                current.add(times[low:high], values[low:high])
+            elif current is not None:
+                _close(current, detection, found)
+                current = None
+    if current is not None:
+        _close(current, detection, found)
+    return found
+
+
+def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
+    """The threshold in each channel's own unit, shape (k,)."""
+    limits = []
+    for channel in detection.channels:
+        if channel not in recorded.units:
+            raise EstimationError(f"segment '{recorded.label}' has no channel '{channel}': {closest(channel, recorded.units)}")
+        resolved = unit(recorded.units[channel])
+        if resolved.dimension != DIMENSIONS["acceleration"]:
+            raise EstimationError(f"channel '{channel}' is recorded in {resolved.text}: stillness is judged on accelerations")
+        limits.append(detection.threshold.value / resolved.factor)
+    return np.array(limits)
+
+
+def _centred(
+    recorded: RecordedSegment, detection: Detection, limits: Array
+) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int]]:
+    """For each stretch of samples that are the centre of a window: time, values (n, k), whether still, and samples a window."""
+    window = detection.window.value
+    times, values = np.empty(0), np.empty((0, len(limits)))
+    length = 0
+    for block in recorded.blocks(detection.channels):
+        if len(block.time) == 0:
+            continue
+        times = np.concatenate([times, block.time])
+        values = np.vstack([values, np.column_stack([block.channels[name] for name in detection.channels])])
+        if not length and len(times) > 1:
+            length = max(2, round(window / float(np.median(np.diff(times)))))
+        if not length or len(times) < length:
+            continue
+        quiet = np.all(_sliding_variance(values, length) < limits**2, axis=1)
+        quiet &= times[length - 1 :] - times[: len(times) - length + 1] <= 1.5 * window
+        middle = slice(length // 2, length // 2 + len(quiet))
+        yield times[middle], values[middle], quiet, length
+        times, values = times[len(quiet) :], values[len(quiet) :]
+
+
+def _sliding_variance(values: Array, length: int) -> Array:
+    """Sample variance of every window of `length` rows, shape (n − length + 1, k); infinite where a value is missing."""
+    known = np.isfinite(values)
+    centred = np.where(known, values, 0.0)
+    centred = np.where(known, centred - centred.mean(axis=0), 0.0)
+    zero = np.zeros((1, values.shape[1]))
+    sums = np.vstack([zero, np.cumsum(centred, axis=0)])
+    squares = np.vstack([zero, np.cumsum(centred**2, axis=0)])
+    missing = np.vstack([zero, np.cumsum(~known, axis=0)])
+    total = sums[length:] - sums[:-length]
+    variance = (squares[length:] - squares[:-length] - total**2 / length) / (length - 1)
+    return np.where(missing[length:] > missing[:-length], np.inf, variance)
+
+
+@dataclass
+class _Growing:
+    """A span that goes on: sums of batches of `size` samples; batches are joined in pairs when they become many."""
+
+    size: int
+    start: float = 0.0
+    end: float = 0.0
+    count: int = 0
+    sums: list[Array] = field(default_factory=list)
+    pending: Array | None = None
+
+    def add(self, times: Array, values: Array) -> None:
+        if not self.count:
+            self.start = float(times[0])
+        self.end = float(times[-1])
+        self.count += len(times)
+        waiting = values if self.pending is None else np.vstack([self.pending, values])
+        while len(waiting) >= self.size:
+            self.sums.append(waiting[: self.size].sum(axis=0))
+            waiting = waiting[self.size :]
+            if len(self.sums) == _MOST_BATCHES:
+                self.sums = [a + b for a, b in zip(self.sums[::2], self.sums[1::2], strict=True)]
+                self.size *= 2
+        self.pending = waiting.copy()
+
+    def finish(self) -> StillSpan:
+        assert self.pending is not None
+        total = self.pending.sum(axis=0) + np.sum(self.sums, axis=0)
+        mean = total / self.count
+        batches = len(self.sums)
+        if batches < 2:
+            return StillSpan(self.start, self.end, self.count, mean, np.full_like(mean, np.nan), batches)
+        means = np.array(self.sums) / self.size
+        error = np.std(means, axis=0, ddof=1) / np.sqrt(batches)
+        return StillSpan(self.start, self.end, self.count, mean, error, batches)
+
+
+def _close(growing: _Growing, detection: Detection, found: list[StillSpan]) -> None:
+    if growing.end - growing.start >= detection.at_least.value:
+        found.append(growing.finish())
