@@ -104,6 +104,8 @@ def totals(schedule: Schedule) -> dict[str, str]:
         "moving and changing temperature": words.duration(sum(item.transition for item in segments)),
         "orientations": str(len(orientations(segments))),
     }
+    if len(set(map(words.orientation, segments))) == 1:
+        facts["orientations"] += f" ({words.orientation(segments[0])})"
     held = [t for item in segments for t in (item.temperature, item.ramp_to) if t is not None]
     if held:
         low, high = words.celsius(min(held)), words.celsius(max(held))
@@ -135,9 +137,10 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     """One row a segment: when, how it is reached, what is held, for how long. Idle columns are left out.
 
-    brief: for a terminal's width, with soaking and settling in one column and without the end.
+    brief: for a terminal's width: soaking and settling in one column, no end, no orientation when there is only one.
     """
     segments = schedule.segments
+    faces = [words.orientation(item) for item in segments]
     waits = [words.number(item.soak + item.settle) for item in segments]
     ends = [words.clock(span.end) if span.segment.dwell is not None else "–" for span in spans(schedule)]
     wide = [
@@ -148,8 +151,8 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
         ("#", [str(item.index + 1) for item in segments]),
         ("Start" if brief else "Start, h:mm:ss", [words.clock(item.start) for item in segments]),
         ("Segment", [item.label for item in segments]),
-        ("Orientation", [words.orientation(item) for item in segments]),
-        *_motion_columns(segments),
+        *([] if brief and len(set(faces)) == 1 else [("Orientation", faces)]),
+        *_motion_columns(segments, brief),
         ("T, °C" if brief else "Temperature, °C", [words.temperature(item) for item in segments]),
         ("Reach, s", [words.number(round(item.transition, 1)) for item in segments]),
         *([("Wait, s", waits)] if brief else wide),
@@ -161,13 +164,14 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     return Table("Segments in order", tuple(title for title, _ in kept), rows)
 
 
-def _motion_columns(segments: Sequence[Segment]) -> list[tuple[str, list[str]]]:
-    """Nothing at rest; a rate in numbers when every motion is a rate about the same direction; else the motion in words."""
+def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[tuple[str, list[str]]]:
+    """Nothing at rest; a rate in numbers when all motions are rates about one direction; else the motion in words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
         return []
     abouts = {item.about if isinstance(item, Spin) else None for item in moving}
     about = abouts.pop()
     if not abouts and about is not None:
-        return [(f"Rate about {words.direction(about)}, °/s", [words.rate(item) for item in segments])]
+        title = "Rate, °/s" if brief else f"Rate about {words.direction(about)}, °/s"
+        return [(title, [words.rate(item) for item in segments])]
     return [("Motion", [words.motion(item.motion) for item in segments])]

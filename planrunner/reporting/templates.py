@@ -112,6 +112,9 @@ def _environment(roots: tuple[Path, ...], escaping: bool) -> Environment:
                 return attr in _MAPPING_METHODS
             return super().is_safe_attribute(obj, attr, value)
 
+        def wrap_str_format(self, value: Any) -> None:
+            """Formatting by methods is not allowed at all: a width fills the memory."""
+
         def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
             for operand in (left, right):
                 number = isinstance(operand, int | float) and abs(operand) <= MAX_OPERAND

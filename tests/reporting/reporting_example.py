@@ -100,8 +100,8 @@ def thermal_schedule() -> Schedule:
 
 
 def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
-    rng = np.random.default_rng(5)
-    mix = np.eye(12) + 0.35 * rng.standard_normal((12, 12))
+    row, column = np.indices((12, 12))
+    mix = np.eye(12) + 0.4 * np.sin(7.0 * row + 3.1 * column * column)
     raw = mix @ mix.T
     sigma = np.array([row[3] for row in NAMES]) * scale
     size = np.sqrt(np.diag(raw))
@@ -118,8 +118,8 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
         "residual, pulse/s",
         labels,
         {
-            "torquer_x": tuple(0.02 * rng.standard_normal(8) * scale),
-            "torquer_y": tuple(0.02 * rng.standard_normal(8) * scale),
+            "torquer_x": tuple(0.03 * scale * np.sin(5.0 * np.arange(8))),
+            "torquer_y": tuple(0.03 * scale * np.cos(3.0 * np.arange(8))),
         },
         {"torquer_x": (0.013,) * 8, "torquer_y": (0.012,) * 8},
     )
@@ -128,7 +128,7 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
         "flexure_gyro_static",
         tuple(Coefficient(n, v, unit, u * scale, 2.0, text) for n, v, unit, u, text in NAMES),
         covariance,
-        ("D_X_F", "D_Y_F", "SF_X", "SF_Y"),
+        tuple(row[0] for row in NAMES),
         {"uncertainty": "residual", "outputs": ["torquer_x", "torquer_y"], "weighting": "equal"},
         (other,),
         (residuals,),
@@ -165,10 +165,9 @@ def comparison() -> Estimate:
 
 
 def context(**changes: object) -> ReportContext:
-    rng = np.random.default_rng(11)
     summaries = []
     for segment in schedule().segments:
-        mean = 60 * rng.standard_normal(2)
+        mean = 60 * np.array([math.sin(2.0 * segment.index), math.cos(3.0 * segment.index)])
         statistics = Statistics(
             ("torquer_x", "torquer_y"), 12000, 0, mean, mean - 1, mean + 1, 0.01 * np.eye(2),
             np.array([0.0132, 0.0118]), 32,

@@ -1,0 +1,97 @@
+"""Charts: valid SVG, the same every time, with the data in them."""
+
+from __future__ import annotations
+
+import math
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import reporting_example as example
+
+from planrunner.estimators.interface import Plot
+from planrunner.plan.schedule import Cycle, Move, Rest, Rock, Schedule, Segment
+from planrunner.reporting import plots
+from planrunner.reporting.timeline import panels_of, spans
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def rocking() -> Schedule:
+    rock = Rock(math.radians(3), 0.2, (0.0, 0.785, 1.571), 480.0)
+    cycle = Cycle(
+        {"A": 0.0, "C": math.pi}, (Move("A", math.pi, "C"), Move("C", -math.pi, "A")), math.radians(10), 300.0
+    )
+    made = [
+        Segment(i, f"s{i}", np.eye(3), "", motion, dwell, start=700.0 * i + 10, transition=10)
+        for i, (motion, dwell) in enumerate(((Rest(), 600.0), (rock, 600.0), (cycle, None)))
+    ]
+    return Schedule(tuple(made), 3000.0)
+
+
+PICTURES = {
+    "labels": lambda: plots.plot_svg(example.estimate().plots[0], "k"),
+    "line": lambda: plots.plot_svg(Plot("t", "rate, °/s", "y", (1.0, 2.0, 3.5), {"a": (1.0, math.nan, 2.0)}), "k"),
+    "many": lambda: plots.plot_svg(
+        Plot("t", "x", "y", tuple(f"segment {i}" for i in range(90)), {"a": tuple(map(float, range(90)))}), "k"
+    ),
+    "dollar": lambda: plots.plot_svg(Plot("$x^{$", "$\\frac{", "<y> & z", ("$a$",), {"_hidden": (1.0,)}), "k"),
+    "empty": lambda: plots.plot_svg(Plot("t", "x", "y", (), {}), "k"),
+    "correlation": lambda: plots.correlation_svg(["a", "b"], np.array([[4.0, -3.0], [-3.0, 9.0]]), "k"),
+    "still": lambda: plots.timeline_svg(example.schedule(), "k"),
+    "thermal": lambda: plots.timeline_svg(example.thermal_schedule(), "k"),
+    "rocking": lambda: plots.timeline_svg(rocking(), "k"),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_are_valid_named_repeatable_and_alone(name: str) -> None:
+    picture = PICTURES[name]()
+    root = ElementTree.fromstring(picture)
+    assert root.tag == SVG + "svg"
+    assert root.find(SVG + "title") is not None
+    assert root.find(SVG + "desc") is not None
+    assert root.get("width") is None
+    assert root.get("viewBox")
+    assert root.get("role") == "img"
+    ids = re.findall(r'\bid="([^"]*)"', picture)
+    assert all(item.startswith("k-") for item in ids)
+    referenced = re.findall(r'(?:xlink:href="|url\()#([^")]*)', picture)
+    assert set(referenced) <= set(ids)
+    assert "<metadata" not in picture
+    assert picture == PICTURES[name]()
+
+
+def test_lettering_is_text_in_a_font_that_is_anywhere() -> None:
+    picture = PICTURES["labels"]()
+    texts = [element.text for element in ElementTree.fromstring(picture).iter(SVG + "text")]
+    assert {"P1", "P8", "position", "residual, pulse/s", "torquer_x"} <= set(texts)
+    assert "sans-serif" in picture
+
+
+def test_correlation_by_hand() -> None:
+    # r = -3 / (2 × 3) = -0.5; a quantity without variance is not correlated with anything.
+    covariance = np.array([[4.0, -3.0, 0.0], [-3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
+    expected = [[1.0, -0.5, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    np.testing.assert_allclose(plots.correlation(covariance), expected, atol=1e-15)
+    assert plots.strong(["a", "b", "c"], plots.correlation(covariance)) == [("a", "b", -0.5)]
+    texts = [e.text for e in ElementTree.fromstring(PICTURES["correlation"]()).iter(SVG + "text")]
+    assert texts.count("−50") == 2
+
+
+def test_points_lie_where_the_values_say() -> None:
+    plot = Plot("t", "x", "y", ("a", "b", "c"), {"s": (0.0, 1.0, 4.0)})
+    picture = plots.plot_svg(plot, "k")
+    uses = [e for e in ElementTree.fromstring(picture).iter(SVG + "use") if "fill: #0b5394" in (e.get("style") or "")]
+    ys = [float(e.get("y") or "nan") for e in uses][:3]
+    # Equal spacing times the values, upwards: (y0 - y2) / (y0 - y1) = 4.
+    assert (ys[0] - ys[2]) / (ys[0] - ys[1]) == pytest.approx(4.0, rel=1e-4)
+
+
+def test_spans_of_a_schedule() -> None:
+    first = spans(example.schedule())[0]
+    assert (first.leave, first.arrive, first.start, first.end) == (0.0, 1500.0, 2130.0, 2250.0)
+    assert panels_of(example.schedule()) == ["segments", "temperature"]
+    assert panels_of(example.thermal_schedule()) == ["segments", "temperature", "rate"]
+    assert panels_of(rocking()) == ["segments", "rate"]

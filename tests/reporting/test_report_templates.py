@@ -1,0 +1,108 @@
+"""Templates lay out what they are given and can do nothing else; their mistakes are named with file and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planrunner.reporting import templates
+from planrunner.reporting.templates import ReportError, available, render
+
+ESCAPES = (
+    "{{ ''.__class__.__mro__ }}",
+    "{{ title.__class__ }}",
+    "{{ (title|attr('__class__')).__mro__ }}",
+    "{{ title['__class__'] }}",
+    "{{ self.__init__.__globals__ }}",
+    "{{ range.__globals__ }}",
+    "{{ cycler.__init__.__globals__.os.popen('id').read() }}",
+    "{{ lipsum.__globals__ }}",
+    "{{ facts.update({'a': 1}) }}",
+    "{{ facts.clear() }}",
+    "{{ rows.append(1) }}",
+    "{{ '%999999999d' % 1 }}",
+    "{{ 'a' * 999999999 }}",
+    "{{ 9**9**9 }}",
+    "{{ title.ljust(999999999) }}",
+    "{{ '{0.__class__}'.format(title) }}",
+    "{{ title.format_map(facts) }}",
+    "{{ '{:999999999}'.format(1) }}",
+    "{{ 'a'.__mul__(999999999) }}",
+    "{{ title|center(999999999) }}",
+    "{% import 'os' as os %}",
+    "{% include '/etc/passwd' %}",
+    "{% include '../secret.html.j2' %}",
+    "{% extends '../../pyproject.toml' %}",
+    "{{ undefined_name }}",
+    "{{ facts.nothing }}",
+    "{% for i in range(10**9) %}x{% endfor %}",
+)
+GIVEN = {"title": "T <b>", "facts": {"k": "v"}, "rows": [1, 2]}
+
+
+def write(folder: Path, text: str, name: str = "own.html.j2") -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("attempt", ESCAPES)
+def test_a_template_cannot_reach_out(attempt: str, tmp_path: Path) -> None:
+    (tmp_path / "secret.html.j2").write_text("secret", encoding="utf-8")
+    folder = write(tmp_path / "t", "first line\n" + attempt)
+    with pytest.raises(ReportError) as caught:
+        render("own.html", GIVEN, folder)
+    message = str(caught.value)
+    assert "own.html.j2:2: " in message or "there is no template" in message
+    assert "Traceback" not in message
+
+
+def test_what_a_template_may_do(tmp_path: Path) -> None:
+    text = (
+        "{% for k, v in facts.items() %}{{ k.upper() }}={{ v }}{% endfor %} {{ 3 * 4 }} {{ rows|length }} {{ title }}"
+    )
+    assert render("own.html", GIVEN, write(tmp_path, text)) == "K=v 12 2 T &lt;b&gt;"
+
+
+def test_a_link_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "secret.txt").write_text("secret", encoding="utf-8")
+    folder = write(tmp_path / "t", "x")
+    try:
+        (folder / "link.html.j2").symlink_to(tmp_path / "secret.txt")
+    except OSError:
+        pytest.skip("no symbolic links here")
+    with pytest.raises(ReportError, match="there is no template"):
+        render("link.html", GIVEN, folder)
+
+
+def test_mistakes_are_named_with_their_line(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"own\.html\.j2:3: .*endfor"):
+        render("own.html", GIVEN, write(tmp_path, "a\nb\n{% for x in rows %}{{ x }}"))
+    with pytest.raises(ReportError, match=r"own\.html\.j2:2: ZeroDivisionError"):
+        render("own.html", GIVEN, write(tmp_path / "z", "a\n{{ 1 / 0 }}"))
+    folder = write(tmp_path / "b", "")
+    (folder / "own.html.j2").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ReportError, match=r"own\.html\.j2: the template is not UTF-8"):
+        render("own.html", GIVEN, folder)
+
+
+def test_own_templates_come_first_and_may_use_the_shipped_parts(tmp_path: Path) -> None:
+    text = "{% import 'partials/blocks.html.j2' as blocks %}{{ blocks.facts([['a', '<i>']]) }}"
+    page = render("report.html", {}, write(tmp_path, text, "report.html.j2"))
+    assert "<dt>a</dt><dd>&lt;i&gt;</dd>" in page
+    assert "report.html" in available()
+    assert "own.html" in available(write(tmp_path, "x"))
+
+
+def test_a_report_does_not_grow_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(templates, "MAX_OUTPUT", 5000)
+    with pytest.raises(ReportError, match="grows beyond"):
+        render("own.html", GIVEN, write(tmp_path, "{% for i in range(90000) %}0123456789{% endfor %}"))
+
+
+def test_unknown_template_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"no template 'certificate\.html\.j2'; known here: .*report\.html"):
+        render("certificate.html", {})
+    with pytest.raises(ReportError, match="is not a folder"):
+        render("report.html", {}, tmp_path / "missing")
