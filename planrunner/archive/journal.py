@@ -1,0 +1,146 @@
+"""The journal of a run: one event a line, each line carrying the SHA-256 of the line before.
+
+A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process killed in the middle of a
+write leaves a torn last line, which was never acknowledged and is cut off when the run is resumed. A break anywhere else means that the
+file was changed, and is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.storage import Storage
+
+NAME = "journal.jsonl"
+FIRST = "0" * 64
+"""What the first line carries in place of a digest."""
+
+
+def utc_now() -> str:
+    """The time now, UTC, ISO 8601 with microseconds."""
+    return datetime.now(UTC).isoformat(timespec="microseconds")
+
+
+def _plain(value: Any) -> Any:
+    """numpy scalars and arrays as JSON data."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is not JSON data")
+
+
+_encode = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=_plain).encode
+
+
+def finite(readings: Mapping[str, float]) -> dict[str, float | None]:
+    """Readings as JSON carries them: NaN and infinities, which JSON lacks, become null."""
+    return {name: value if math.isfinite(value) else None for name, value in readings.items()}
+
+
+class Journal:
+    """The writing end. An event whose `append` raised did not happen: its line is taken back."""
+
+    def __init__(self, storage: Storage, file: FileIO, *, head: str = FIRST, count: int = 0, size: int = 0):
+        self._storage = storage
+        self._file = file
+        self._state = (head, count, size)
+        self._broken = False
+
+    @property
+    def head(self) -> str:
+        """SHA-256 of the last line."""
+        return self._state[0]
+
+    @property
+    def count(self) -> int:
+        return self._state[1]
+
+    def append(self, event: str, data: Mapping[str, Any], *, acknowledge: bool = True) -> str:
+        """Add one event; returns the digest of its line.
+
+        acknowledge: wait for the disk (in durable mode); False for events that announce something, which the next acknowledged
+        event brings to the disk with it. Raises `OSError`, and ValueError for data that JSON cannot carry.
+        """
+        if self._broken:
+            raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")
+        before = self._state
+        head, count, size = before
+        text = _encode({"seq": count + 1, "at": utc_now(), "event": event, **data, "previous": head})
+        line = text.encode("utf-8", "backslashreplace")  # a lone surrogate becomes its JSON escape
+        try:
+            self._storage.write(self._file, line + b"\n")
+            if acknowledge:
+                self._storage.sync(self._file)
+            self._state = (hashlib.sha256(line).hexdigest(), count + 1, size + len(line) + 1)
+        except BaseException:
+            self._take_back(before)
+            raise
+        return self._state[0]
+
+    def _take_back(self, state: tuple[str, int, int]) -> None:
+        self._state = state
+        try:
+            self._storage.truncate(self._file, state[2])
+        except BaseException:
+            self._broken = True
+            raise
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class JournalScan:
+    """The reading end: iterate once over the events; afterwards `head`, `count`, `size` and `torn` are known.
+
+    size: bytes of whole lines. torn: bytes of an unfinished last line. Raises `IntegrityError` where the chain is broken.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.head = FIRST
+        self.count = 0
+        self.size = 0
+        self.torn = 0
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        with self.path.open("rb") as file:
+            for line in file:
+                event = self._event(line)
+                if event is None:
+                    self.torn = len(line)
+                    if file.read(1):
+                        raise self._error("is not a JSON object")
+                    return
+                if event.get("previous") != self.head:
+                    raise self._error("does not carry the digest of the line before")
+                if event.get("seq") != self.count + 1:
+                    raise self._error(f"is numbered {event.get('seq')!r}")
+                self.head = hashlib.sha256(line[:-1]).hexdigest()
+                self.count += 1
+                self.size += len(line)
+                yield event
+
+    @staticmethod
+    def _event(line: bytes) -> dict[str, Any] | None:
+        if not line.endswith(b"\n"):
+            return None
+        try:
+            event = json.loads(line)
+        except (ValueError, RecursionError):
+            return None
+        return event if isinstance(event, dict) else None
+
+    def _error(self, what: str) -> IntegrityError:
+        return IntegrityError(
+            f"{self.path}:{self.count + 1}: this line {what}: the journal was changed after it was written; "
+            "take the run folder from a backup"
+        )

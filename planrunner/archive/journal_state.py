@@ -1,0 +1,171 @@
+"""What a journal amounts to: its events folded into which segments are acknowledged, by which files, and where a run broke off."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from planrunner.archive import formats
+from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.journal import JournalScan
+from planrunner.archive.segment_file import Part
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledged:
+    """A segment that counts: its files, readings, and why it is shorter than planned, if it is."""
+
+    index: int
+    label: str
+    attempt: int
+    parts: tuple[Part, ...]
+    readings: Mapping[str, float | None]
+    truncated: bool = False
+    reason: str = ""
+
+
+@dataclass(slots=True)
+class Begun:
+    """A segment that was begun and neither acknowledged nor rejected: the process ended in it."""
+
+    index: int
+    label: str
+    attempt: int
+    on_break: str
+    parts: list[Part] = field(default_factory=list)
+    clock: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """Data that were kept but do not count, and why."""
+
+    index: int
+    label: str
+    attempt: int
+    parts: tuple[Part, ...]
+    reason: str
+
+
+@dataclass(slots=True)
+class JournalState:
+    """clock, states: of the last acknowledged segment, to resume from. open: the segment in which the process ended."""
+
+    created: dict[str, Any] = field(default_factory=dict)
+    acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
+    rejected: list[Rejected] = field(default_factory=list)
+    attempts: dict[int, int] = field(default_factory=dict)
+    instruments: dict[str, dict[str, str]] = field(default_factory=dict)
+    open: Begun | None = None
+    clock: float = 0.0
+    states: Mapping[str, Any] = field(default_factory=dict)
+    finished: bool = False
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def next_segment(self) -> int:
+        """Index of the first segment not acknowledged."""
+        index = 0
+        while index in self.acknowledged:
+            index += 1
+        return index
+
+    def files(self) -> Iterator[Part]:
+        """Every file of samples that the journal knows, whether it counts or not."""
+        for item in self.acknowledged.values():
+            yield from item.parts
+        for rejected in self.rejected:
+            yield from rejected.parts
+        if self.open is not None:
+            yield from self.open.parts
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Fold one event in."""
+        kind = event["event"]
+        handler = getattr(self, f"_{kind}", None)
+        if handler is not None:
+            handler(event)
+
+    def _created(self, event: Mapping[str, Any]) -> None:
+        self.created = dict(event)
+
+    def _instruments(self, event: Mapping[str, Any]) -> None:
+        self.instruments = {name: dict(identity) for name, identity in event["instruments"].items()}
+
+    def _begun(self, event: Mapping[str, Any]) -> None:
+        index = event["segment"]
+        self.attempts[index] = max(self.attempts.get(index, 0), event["attempt"])
+        self.open = Begun(index, event["label"], event["attempt"], event["on_break"], clock=event["clock"])
+        self.finished = False
+
+    def _part(self, event: Mapping[str, Any]) -> None:
+        if self.open is not None and self.open.index == event["segment"]:
+            self.open.parts.append(Part.from_json(event["part"]))
+            self.open.clock = event["clock"]
+
+    def _segment(self, event: Mapping[str, Any]) -> None:
+        index = event["segment"]
+        parts = tuple(Part.from_json(part) for part in event["parts"])
+        self.acknowledged[index] = Acknowledged(
+            index,
+            event["label"],
+            event["attempt"],
+            parts,
+            event["readings"],
+            event["truncated"],
+            event.get("reason", ""),
+        )
+        self.clock, self.states, self.open = event["clock"], event["states"], None
+
+    def _rejected(self, event: Mapping[str, Any]) -> None:
+        index = event["segment"]
+        parts = tuple(Part.from_json(part) for part in event["parts"])
+        self.attempts[index] = max(self.attempts.get(index, 0), event["attempt"])
+        self.rejected.append(Rejected(index, event["label"], event["attempt"], parts, event["reason"]))
+        counted = self.acknowledged.get(index)
+        if counted is not None and counted.attempt == event["attempt"]:
+            del self.acknowledged[index]
+        if self.open is not None and self.open.index == index:
+            self.open = None
+
+    def _failed(self, event: Mapping[str, Any]) -> None:
+        self.failures.append(f"{event['where']}: {event['message']}")
+
+    def _finished(self, event: Mapping[str, Any]) -> None:
+        self.finished = True
+
+    def _reopened(self, event: Mapping[str, Any]) -> None:
+        self.finished = False
+
+
+def read_state(path: Path) -> tuple[JournalState, JournalScan]:
+    """The state that a journal amounts to, and the scan with its head and size. Raises `IntegrityError`."""
+    scan = JournalScan(path)
+    state = JournalState()
+    try:
+        for event in scan:
+            fault = formats.event_fault(event)
+            if fault is None and scan.count == 1 and event["event"] != "created":
+                fault = "is the first, but does not say how the run was created"
+            if fault is not None:
+                raise IntegrityError(f"{path}:{scan.count}: this event {fault}; was it written by a newer planrunner?")
+            state.take(event)
+    except OSError as error:
+        raise IntegrityError(f"{path}: cannot be read: {error.strerror}; is this a run folder?") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise IntegrityError(f"{path}:{scan.count}: this event is not as its schema says: {error!r}") from None
+    if not state.created:
+        raise IntegrityError(f"{path}: the journal is empty: the run never began; start it again")
+    return state, scan
+
+
+_FILE = re.compile(r"(?P<number>\d{4,})-(?P<label>.+?)(?:\.try(?P<attempt>\d+))?(?:\.part\d+)?\.parquet")
+
+
+def name_parts(name: str) -> tuple[int, str, int] | None:
+    """(index, label, attempt) from the name of a file of samples; None for any other file."""
+    match = _FILE.fullmatch(name)
+    return (int(match["number"]) - 1, match["label"], int(match["attempt"] or 1)) if match else None

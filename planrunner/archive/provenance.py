@@ -1,0 +1,25 @@
+"""What a result depends on beside the data: versions of the interpreter, the system and the libraries."""
+
+from __future__ import annotations
+
+import platform
+from importlib import metadata
+
+from planrunner import __version__
+
+LIBRARIES = ("numpy", "scipy", "pyarrow", "pint", "pyyaml", "jsonschema", "jinja2")
+
+
+def versions() -> dict[str, str]:
+    """Name → version; a library that is not installed is left out."""
+    found = {
+        "planrunner": __version__,
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+    }
+    for name in LIBRARIES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,108 @@
+"""Where a run that was cut short goes on, and what becomes of the segment in which it broke off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from planrunner.archive.journal import Journal
+from planrunner.archive.journal_state import Acknowledged, JournalState, name_parts
+from planrunner.archive.segment_file import FOLDER, Part
+from planrunner.archive.storage import ASIDE, Storage, digest_file
+
+REASON = "the process ended in this segment"
+
+
+@dataclass(slots=True)
+class ResumePoint:
+    """states: what resumable instruments and the executor stored with the last acknowledged segment; clock: s, then.
+
+    instruments: what they said of themselves before. files: name → SHA-256 of everything recorded so far, for the seal; attempts: of each segment, how often it was begun.
+    """
+
+    clock: float = 0.0
+    states: Mapping[str, Any] = field(default_factory=dict)
+    acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
+    attempts: dict[int, int] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
+    instruments: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    resumed: bool = False
+
+    @property
+    def next_segment(self) -> int:
+        """Index of the first segment not acknowledged."""
+        index = 0
+        while index in self.acknowledged:
+            index += 1
+        return index
+
+
+def settle_break(path: Path, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
+    """Bring the journal and the files of a run that broke off together again; returns where to go on.
+
+    Files aside are removed. The segment in progress keeps its finished parts: they count, marked truncated, where the plan said
+    `on_break: keep`; otherwise they are rejected and the segment is taken again.
+    """
+    found = _unknown_files(path, storage, state)
+    begun = state.open
+    if begun is not None:
+        parts = [*begun.parts, *found.pop((begun.index, begun.attempt), [])]
+        event = {
+            "segment": begun.index,
+            "label": begun.label,
+            "attempt": begun.attempt,
+            "parts": [part.to_json() for part in parts],
+        }
+        if begun.on_break == "keep" and any(part.rows for part in parts):
+            kept = {
+                "clock": max(begun.clock, state.clock),
+                "readings": {},
+                "states": state.states,
+                "truncated": True,
+                "reason": REASON,
+            }
+            _append(journal, state, "segment", {**event, **kept})
+        else:
+            _append(journal, state, "rejected", {**event, "reason": REASON})
+    for (index, attempt), parts in found.items():
+        label = name_parts(Path(parts[0].file).name)
+        event = {
+            "segment": index,
+            "label": label[1] if label else "",
+            "attempt": attempt,
+            "parts": [part.to_json() for part in parts],
+        }
+        _append(journal, state, "rejected", {**event, "reason": REASON})
+    files = dict(state.created["files"]) | {part.file: part.sha256 for part in state.files()}
+    return ResumePoint(
+        state.clock, state.states, state.acknowledged, state.attempts, files, state.instruments, resumed=True
+    )
+
+
+def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str, Any]) -> None:
+    journal.append(kind, data)
+    state.take({"event": kind, **data})
+
+
+def _unknown_files(path: Path, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
+    """Whole files of samples that the journal does not know, by segment and attempt: their event was not written."""
+    known = {part.file for part in state.files()}
+    found: dict[tuple[int, int], list[Part]] = {}
+    for file in sorted((path / FOLDER).iterdir()):
+        if file.name.endswith(ASIDE):
+            storage.remove(file)
+            continue
+        name = f"{FOLDER}/{file.name}"
+        place = name_parts(file.name)
+        if place is not None and name not in known:
+            part = Part(name, digest_file(file), _rows(file), file.stat().st_size)
+            found.setdefault((place[0], place[2]), []).append(part)
+    return found
+
+
+def _rows(file: Path) -> int:
+    import pyarrow.parquet as pq
+
+    return int(pq.read_metadata(file).num_rows)

@@ -1,0 +1,325 @@
+"""Writing a run folder: created whole, then grown event by event, segment by segment, and sealed.
+
+    runs/<UTC time>-<plan name>-<short id>/
+      run.json  plan.yaml  bench.yaml  journal.jsonl  segments/  seal.json  analyses/
+
+Nothing that was acknowledged is ever changed or removed. A segment cut short keeps its finished parts; they count when the plan says
+`on_break: keep`, and stand beside the retaken ones, with the reason, otherwise.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from planrunner.archive import formats
+from planrunner.archive import journal as journal_lines
+from planrunner.archive import seal as seals
+from planrunner.archive.journal import Journal, finite, utc_now
+from planrunner.archive.journal_state import read_state
+from planrunner.archive.lock import FolderLock
+from planrunner.archive.provenance import versions
+from planrunner.archive.resuming import ResumePoint, settle_break
+from planrunner.archive.segment_file import (
+    FOLDER,
+    PART_BYTES,
+    PART_SECONDS,
+    Part,
+    SegmentWriter,
+    file_stem,
+    safe_name,
+)
+from planrunner.archive.storage import ASIDE, Durability, Storage, digest
+from planrunner.instruments.interfaces import Block
+from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.schedule import Segment
+
+
+class RunWriter:
+    """The one writer of a run folder. Made by `create` or `reopen`; `close` it, or use it as a context manager."""
+
+    def __init__(self, path: Path, storage: Storage, lock: FolderLock, journal: Journal, point: ResumePoint):
+        self.path = path
+        self.part_bytes = PART_BYTES
+        self.part_seconds = PART_SECONDS
+        self._storage = storage
+        self._lock = lock
+        self._journal = journal
+        self._point = point
+        self._segment: Segment | None = None
+        self._attempt = 1
+        self._samples: SegmentWriter | None = None
+        self._parts: list[Part] = []
+
+    # -- opening ---------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def create(
+        cls,
+        root: Path,
+        plan_name: str,
+        plan_bytes: bytes,
+        bench_bytes: bytes,
+        info: Mapping[str, Any],
+        durability: Durability = "durable",
+        *,
+        seed: int | None = None,
+        storage: Storage | None = None,
+    ) -> RunWriter:
+        """A new run folder beneath `root`, which is made when absent.
+
+        info: JSON data given with the run (device serial, operator, ambient …). Raises `InputError` when it cannot be written.
+        """
+        storage = storage or Storage(durability)
+        now = datetime.now(UTC)
+        name = f"{now:%Y%m%dT%H%M%SZ}-{safe_name(plan_name)}-{os.urandom(3).hex()}"
+        run = {
+            "planrunner_run": formats.RUN_FORMAT,
+            "run": name,
+            "created": now.isoformat(timespec="microseconds"),
+            "plan": plan_name,
+            "seed": seed,
+            "durability": storage.durability,
+            "versions": versions(),
+            "info": dict(info),
+        }
+        given = {
+            "run.json": (json.dumps(run, indent=1, ensure_ascii=False) + "\n").encode("utf-8", "backslashreplace"),
+            "plan.yaml": plan_bytes,
+            "bench.yaml": bench_bytes,
+        }
+        try:
+            return cls._build(root, name, given, storage)
+        except OSError as error:
+            hint = "choose another folder for runs, or change its permissions"
+            message = f"the run folder cannot be written: {error.strerror or error}"
+            raise InputError.at(Mark(str(root)), "runs-unwritable", message, hint) from None
+
+    @classmethod
+    def _build(cls, root: Path, name: str, given: Mapping[str, bytes], storage: Storage) -> RunWriter:
+        root.mkdir(parents=True, exist_ok=True)
+        path, aside = root / name, root / f".{name}{ASIDE}"
+        storage.make_folder(aside)
+        try:
+            for given_name, data in given.items():
+                storage.write_whole(aside / given_name, data)
+            storage.make_folder(aside / FOLDER)
+            with storage.open_new(aside / journal_lines.NAME) as file:
+                created = Journal(storage, file)
+                digests = {given_name: digest(data) for given_name, data in given.items()}
+                created.append("created", {"run": name, "files": digests})
+            storage.sync_folder(aside)
+            storage.replace(aside, path)
+            storage.sync_folder(root)
+        except OSError:
+            shutil.rmtree(aside, ignore_errors=True)
+            raise
+        lock = FolderLock(path)
+        file = storage.open_existing(path / journal_lines.NAME)
+        journal = Journal(storage, file, head=created.head, count=created.count, size=file.tell())
+        return cls(path, storage, lock, journal, ResumePoint(files=digests))
+
+    @classmethod
+    def reopen(
+        cls,
+        path: Path,
+        *,
+        reason: str | None = None,
+        durability: Durability | None = None,
+        storage: Storage | None = None,
+    ) -> RunWriter:
+        """Go on with a run that was cut short: repairs a torn last line, and settles the segment that was in progress.
+
+        reason: why a finished, sealed run is opened again; without it, that is refused. Raises `InputError` (in use, finished,
+        unwritable) and `IntegrityError`.
+        """
+        if not (path / journal_lines.NAME).is_file():
+            raise InputError.at(
+                Mark(str(path)), "run-not-found", "this is not a run folder", "give a folder beneath runs/"
+            )
+        run = formats.read_json(path / "run.json", "run", "planrunner_run", formats.RUN_FORMAT)
+        storage = storage or Storage(durability or run["durability"])
+        file: FileIO | None = None
+        lock: FolderLock | None = None
+        try:
+            lock = FolderLock(path)
+            state, scan = read_state(path / journal_lines.NAME)
+            seal = seals.read_seal(path)
+            if seal is not None:
+                seals.check_seal(path, seal, scan, state)
+                if state.finished and reason is None:
+                    raise InputError.at(
+                        Mark(str(path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
+                    )
+            file = storage.open_existing(path / journal_lines.NAME)
+            if scan.torn:
+                storage.truncate(file, scan.size)
+                storage.sync(file)
+            journal = Journal(storage, file, head=scan.head, count=scan.count, size=scan.size)
+            journal.append("reopened", {"repaired_bytes": scan.torn, "reason": reason or "resumed"})
+            return cls(path, storage, lock, journal, settle_break(path, storage, journal, state))
+        except BaseException as error:
+            if file is not None:
+                file.close()
+            if lock is not None:
+                lock.release()
+            if isinstance(error, OSError):
+                message = f"the run folder cannot be written: {error.strerror or error}"
+                raise InputError.at(
+                    Mark(str(path)), "run-unwritable", message, "make room, or change its permissions"
+                ) from None
+            raise
+
+    # -- where a reopened run stands ---------------------------------------------------------------------------------
+
+    @property
+    def next_segment(self) -> int:
+        """Index of the first segment that was not acknowledged when the folder was opened; of a new run, 0."""
+        return self._point.next_segment
+
+    @property
+    def resume_point(self) -> ResumePoint:
+        """Clock and states to go on from."""
+        return self._point
+
+    def acknowledged(self, index: int) -> bool:
+        """Whether a segment was acknowledged before the folder was opened."""
+        return index in self._point.acknowledged
+
+    # -- growing -----------------------------------------------------------------------------------------------------
+
+    def note(self, event: str, **data: Any) -> None:
+        """Add an event that concerns the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
+        self._journal.append(event, data)
+
+    def begin(self, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
+        """Begin a segment; channels (name → unit) is empty when there is nothing to stream."""
+        index = segment.index
+        self._attempt = self._point.attempts.get(index, 0) + 1
+        self._segment, self._parts, self._samples = segment, [], None
+        self._journal.append(
+            "begun",
+            {
+                "segment": index,
+                "label": segment.label,
+                "attempt": self._attempt,
+                "clock": clock,
+                "on_break": segment.on_break,
+            },
+            acknowledge=False,
+        )
+        if channels:
+            stem = file_stem(index, segment.label, self._attempt)
+            self._samples = SegmentWriter(
+                self.path / FOLDER,
+                stem,
+                channels,
+                self._storage,
+                description={"label": segment.label, "segment": str(index), "attempt": str(self._attempt)},
+                part_bytes=self.part_bytes,
+                part_seconds=self.part_seconds,
+            )
+
+    def append(self, block: Block, clock: float) -> None:
+        """Add samples to the segment; parts that they finish are acknowledged by events of their own."""
+        assert self._segment is not None and self._samples is not None
+        self._samples.append(block)
+        for part in self._samples.take_finished():
+            self._parts.append(part)
+            data = {"segment": self._segment.index, "attempt": self._attempt, "part": part.to_json(), "clock": clock}
+            self._journal.append("part", data)
+
+    def acknowledge(
+        self,
+        clock: float,
+        states: Mapping[str, Any],
+        readings: Mapping[str, float],
+        *,
+        truncated: bool = False,
+        reason: str = "",
+    ) -> None:
+        """Finish the segment's files and acknowledge it. clock, states: from which the run can go on after it."""
+        assert self._segment is not None
+        parts = self._close_samples()
+        event = {
+            "segment": self._segment.index,
+            "label": self._segment.label,
+            "attempt": self._attempt,
+            "parts": [part.to_json() for part in parts],
+            "clock": clock,
+            "readings": finite(readings),
+            "states": states,
+            "truncated": truncated,
+        }
+        self._journal.append("segment", {**event, "reason": reason} if truncated else event)
+        self._account(parts)
+
+    def break_off(self, reason: str, clock: float, states: Mapping[str, Any]) -> None:
+        """The segment in progress, if any, was cut short: keep its samples, and count them if the plan says so."""
+        segment = self._segment
+        if segment is None:
+            return
+        if segment.on_break == "keep" and self._samples is not None and self._samples.rows:
+            self.acknowledge(clock, states, {}, truncated=True, reason=reason)
+            return
+        parts = self._close_samples() if self._samples is not None and self._samples.rows else self._drop_samples()
+        self._journal.append(
+            "rejected",
+            {
+                "segment": segment.index,
+                "label": segment.label,
+                "attempt": self._attempt,
+                "parts": [part.to_json() for part in parts],
+                "reason": reason,
+            },
+        )
+        self._account(parts)
+
+    def reject(self, index: int, reason: str) -> None:
+        """Set an acknowledged segment aside, so that it is taken again. Its data stay, with the reason."""
+        item = self._point.acknowledged.pop(index)
+        parts = [part.to_json() for part in item.parts]
+        data = {"segment": index, "label": item.label, "attempt": item.attempt, "parts": parts, "reason": reason}
+        self._journal.append("rejected", data)
+
+    def finish(self) -> None:
+        """Every segment is acknowledged: close the journal's account and seal the folder."""
+        self._journal.append("finished", {"finished": utc_now()})
+        seals.write_seal(self.path, self._storage, self._point.files, self._journal.head, self._journal.count)
+
+    def close(self) -> None:
+        """Let go of the folder. A segment in progress stays as after a crash."""
+        self._drop_samples()
+        with contextlib.suppress(OSError):
+            self._journal.close()
+        self._lock.release()
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _account(self, parts: list[Part]) -> None:
+        """The segment is over, by an event that names its files."""
+        self._point.files.update((part.file, part.sha256) for part in parts)
+        self._segment = None
+
+    def _close_samples(self) -> list[Part]:
+        if self._samples is not None:
+            self._parts.extend(self._samples.close())
+            self._samples = None
+        return self._parts
+
+    def _drop_samples(self) -> list[Part]:
+        if self._samples is not None:
+            self._samples.abandon()
+            self._samples = None
+        return self._parts

@@ -1,0 +1,324 @@
+"""The samples of one segment on disk: Parquet files of bounded length, each whole or absent.
+
+Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written beside its name
+(`….partial`), synced and renamed; its SHA-256 is computed from the bytes as they are written. Reading takes a part into memory as one
+piece, checks the digest over exactly those bytes and decodes them, so that data are read once and nothing unchecked is used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.storage import ASIDE, Storage
+from planrunner.instruments.interfaces import Block, InstrumentError
+
+FOLDER = "segments"
+FORMAT = 1
+PART_BYTES = 32 * 2**20
+"""A part ends before it holds more than this many bytes of samples …"""
+PART_SECONDS = 600.0
+"""… or spans more than this time, so that a crash costs no more."""
+GROUP_ROWS = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A finished file: its name beneath the run folder, SHA-256, rows and size in bytes."""
+
+    file: str
+    sha256: str
+    rows: int
+    bytes: int
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Part:
+        if not re.fullmatch(rf"{FOLDER}/[A-Za-z0-9+_.-]+\.parquet", data["file"]):
+            raise ValueError(f"{data['file']!r} is not a file of samples")
+        return cls(str(data["file"]), str(data["sha256"]), int(data["rows"]), int(data["bytes"]))
+
+
+def safe_name(label: str) -> str:
+    """A label as part of a file name on every platform: letters, digits, `+`, `-` and `_`, at most 60."""
+    return re.sub(r"[^A-Za-z0-9+_-]+", "_", label).strip("_")[:60] or "segment"
+
+
+def file_stem(index: int, label: str, attempt: int) -> str:
+    """`0001-P1`, and `0001-P1.try2` when it is taken again; numbers count from 1."""
+    again = f".try{attempt}" if attempt > 1 else ""
+    return f"{index + 1:04d}-{safe_name(label)}{again}"
+
+
+class SegmentWriter:
+    """Writes one segment's samples as they come; `take_finished` hands out parts that are on the disk."""
+
+    def __init__(
+        self,
+        folder: Path,
+        stem: str,
+        channels: Mapping[str, str],
+        storage: Storage,
+        *,
+        description: Mapping[str, str] | None = None,
+        part_bytes: int = PART_BYTES,
+        part_seconds: float = PART_SECONDS,
+    ):
+        if "time" in channels:
+            raise InstrumentError("the sensor has a channel named 'time', which is the recording's own: rename it")
+        self.folder = folder
+        self.stem = stem
+        self.channels = dict(channels)
+        self.parts = 0
+        self.rows = 0
+        self._storage = storage
+        self._schema = _schema(self.channels, description or {})
+        self._part_rows = max(1, part_bytes // (8 * (len(channels) + 1)))
+        self._part_seconds = part_seconds
+        self._waiting: list[Block] = []
+        self._waiting_rows = 0
+        self._open: _OpenPart | None = None
+        self._part_start: float | None = None
+        self._part_filled = 0
+        self._last_time = -np.inf
+        self._finished: list[Part] = []
+
+    def append(self, block: Block) -> None:
+        """Add consecutive samples. Raises `InstrumentError` for samples that do not fit, `OSError` when they cannot be written."""
+        self._check(block)
+        start = 0
+        while start < len(block.time):
+            stop = self._until(block, start)
+            if stop == start:
+                self._finish_part()
+                continue
+            piece = block if stop - start == len(block.time) else _cut(block, start, stop)
+            if self._part_start is None:
+                self._part_start = float(piece.time[0])
+            self._waiting.append(piece)
+            self._waiting_rows += len(piece.time)
+            self._part_filled += len(piece.time)
+            self.rows += len(piece.time)
+            start = stop
+            if self._waiting_rows >= GROUP_ROWS:
+                self._write_waiting()
+        if self._waiting:  # a driver may fill its buffers again before these samples are written
+            last = self._waiting[-1]
+            self._waiting[-1] = Block(
+                np.array(last.time), {name: np.array(values) for name, values in last.channels.items()}
+            )
+
+    def take_finished(self) -> list[Part]:
+        """The parts finished since the last call, in order."""
+        finished, self._finished = self._finished, []
+        return finished
+
+    def close(self) -> list[Part]:
+        """Finish the last part; a segment without samples gets one empty file. Returns the parts not yet taken."""
+        if self._part_filled or self.parts == 0:
+            self._finish_part()
+        return self.take_finished()
+
+    def abandon(self) -> None:
+        """Drop the part in progress and its file."""
+        part, self._open, self._waiting = self._open, None, []
+        if part is not None:
+            with contextlib.suppress(OSError):
+                part.abandon()
+
+    def _check(self, block: Block) -> None:
+        if set(block.channels) != set(self.channels):
+            got, want = ", ".join(block.channels), ", ".join(self.channels)
+            raise InstrumentError(f"the sensor gave the channels {got} where it had announced {want}")
+        count = len(block.time)
+        if any(len(values) != count for values in block.channels.values()):
+            raise InstrumentError("the sensor gave a block whose channels differ in length")
+        if count:
+            if not (block.time[0] > self._last_time and (count == 1 or bool(np.all(np.diff(block.time) > 0)))):
+                raise InstrumentError(
+                    f"the sensor's time does not increase after {self._last_time:.6f} s: look at its clock, or at the recording"
+                )
+            self._last_time = float(block.time[-1])
+
+    def _until(self, block: Block, start: int) -> int:
+        """Up to which row the block goes into the current part."""
+        stop = min(len(block.time), start + self._part_rows - self._part_filled)
+        begin = self._part_start if self._part_start is not None else float(block.time[start])
+        limit = begin + self._part_seconds
+        if stop > start and block.time[stop - 1] > limit:
+            stop = int(np.searchsorted(block.time[:stop], limit, side="right"))
+        return max(stop, start)
+
+    def _write_waiting(self) -> None:
+        import pyarrow as pa
+
+        if self._open is None:
+            name = f"{self.stem}.parquet" if self.parts == 0 else f"{self.stem}.part{self.parts + 1:03d}.parquet"
+            self._open = _OpenPart(self.folder / name, self._schema, self._storage)
+        waiting, self._waiting, self._waiting_rows = self._waiting, [], 0
+        columns = [_joined([block.time for block in waiting])]
+        columns += [_joined([block.channels[name] for block in waiting]) for name in self.channels]
+        self._open.write(pa.Table.from_arrays([pa.array(column) for column in columns], schema=self._schema))
+
+    def _finish_part(self) -> None:
+        if self._waiting or self._open is None:
+            self._write_waiting()
+        assert self._open is not None
+        part, self._open = self._open, None
+        self._part_start, self._part_filled = None, 0
+        self.parts += 1
+        self._finished.append(part.finish())
+
+
+class _HashedSink:
+    """What pyarrow writes into: hashes and passes on."""
+
+    def __init__(self, storage: Storage, path: Path):
+        self.storage = storage
+        self.file = storage.open_new(path)
+        self.hash = hashlib.sha256()
+        self.size = 0
+        self.closed = False
+
+    def write(self, data: Any) -> int:
+        self.storage.write(self.file, memoryview(data))
+        self.hash.update(data)
+        self.size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None: ...
+
+    def writable(self) -> bool:
+        return True
+
+    def readable(self) -> bool:
+        return False
+
+    def seekable(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        """pyarrow closes what it wrote into; the file stays open until it is synced."""
+
+
+class _OpenPart:
+    """One Parquet file being written aside."""
+
+    def __init__(self, path: Path, schema: Any, storage: Storage):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self.path = path
+        self.aside = path.with_name(path.name + ASIDE)
+        self.rows = 0
+        self._storage = storage
+        self._sink = _HashedSink(storage, self.aside)
+        self._native = pa.PythonFile(self._sink, mode="w")
+        self._writer = pq.ParquetWriter(
+            self._native, schema, compression="snappy", use_dictionary=False, write_statistics=False
+        )
+
+    def write(self, table: Any) -> None:
+        self._writer.write_table(table, row_group_size=max(GROUP_ROWS, 1))
+        self.rows += table.num_rows
+
+    def finish(self) -> Part:
+        self._writer.close()
+        self._native.close()
+        self._storage.sync(self._sink.file)
+        self._sink.file.close()
+        self._storage.replace(self.aside, self.path)
+        self._storage.sync_folder(self.path.parent)
+        name = f"{self.path.parent.name}/{self.path.name}"
+        return Part(name, self._sink.hash.hexdigest(), self.rows, self._sink.size)
+
+    def abandon(self) -> None:
+        with contextlib.suppress(Exception):
+            self._writer.close()
+        self._sink.file.close()
+        self._storage.remove(self.aside)
+
+
+def _schema(channels: Mapping[str, str], description: Mapping[str, str]) -> Any:
+    import pyarrow as pa
+
+    units = {"time": "s", **channels}
+    fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit}) for name, unit in units.items()]
+    return pa.schema(fields, metadata={"planrunner_segment": str(FORMAT), **description})
+
+
+def _joined(arrays: Sequence[Any]) -> Any:
+    whole = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+    return np.ascontiguousarray(whole, dtype=np.float64)
+
+
+def _cut(block: Block, start: int, stop: int) -> Block:
+    return Block(block.time[start:stop], {name: values[start:stop] for name, values in block.channels.items()})
+
+
+# -- reading -----------------------------------------------------------------------------------------------------------
+
+
+def read_part(folder: Path, part: Part, channels: Sequence[str] | None = None) -> Iterator[Block]:
+    """The samples of one part in blocks of a row group; `channels` None for all.
+
+    Raises `IntegrityError` when the file is missing, differs from its digest or is not what this version reads.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = folder / part.file
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise IntegrityError(
+            f"{path}: the samples cannot be read: {error.strerror}; take the file from a backup"
+        ) from None
+    if hashlib.sha256(data).hexdigest() != part.sha256:
+        raise IntegrityError(
+            f"{path}: the samples differ from what was recorded (SHA-256); take the file from a backup"
+        )
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data))
+        version = (file.schema_arrow.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
+        if version != str(FORMAT):
+            raise IntegrityError(
+                f"{path}: segment format {version!r}; this planrunner reads {FORMAT}: use a newer planrunner"
+            )
+        names = [name for name in file.schema_arrow.names if name != "time"] if channels is None else list(channels)
+        for group in range(file.num_row_groups):
+            table = file.read_row_group(group, columns=["time", *names], use_threads=False)
+            yield Block(_column(table, "time"), {name: _column(table, name) for name in names})
+    except (pa.ArrowException, KeyError) as error:
+        raise IntegrityError(f"{path}: not a recording of a segment: {error}") from None
+
+
+def _column(table: Any, name: str) -> Any:
+    column = table.column(name)
+    return column.chunk(0).to_numpy() if column.num_chunks == 1 else column.to_numpy()
+
+
+def units_of(folder: Path, part: Part) -> dict[str, str]:
+    """Channel → unit, in the order of the columns. Raises `IntegrityError`."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        schema = pq.read_schema(folder / part.file)
+    except (pa.ArrowException, OSError) as error:
+        message = f"{folder / part.file}: the samples cannot be read: {str(error)[:200]}; take the file from a backup"
+        raise IntegrityError(message) from None
+    return {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schema if field.name != "time"}

@@ -1,0 +1,39 @@
+"""Disk space: what a run will need, asked before anything moves."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.schedule import Schedule
+
+BYTES_A_VALUE = 8
+OVERHEAD = 1.1  # Parquet's headers and footers, and noise that does not compress
+BYTES_A_SEGMENT = 16_384  # journal lines with the state of simulated instruments, and the file's footer
+RESERVE = 16 * 2**20  # analyses and reports
+
+
+def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> int:
+    """Bytes that a run of `schedule` will write at most.
+
+    sample_rate: Hz, the sensor's own, for segments that do not give one; channels: columns beside time. Segments that last as long as
+    a recording being played back are counted as nothing.
+    """
+    values = sum(
+        (segment.dwell or 0.0) * (segment.sample_rate or sample_rate) * (channels + 1) for segment in schedule.segments
+    )
+    return int(values * BYTES_A_VALUE * OVERHEAD) + BYTES_A_SEGMENT * len(schedule.segments) + RESERVE
+
+
+def require_space(folder: Path, needed: int) -> None:
+    """Raises `InputError` when the disk that holds `folder` (or its nearest existing parent) has less than `needed` bytes."""
+    existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
+    free = shutil.disk_usage(existing).free
+    if free < needed:
+        message = f"the run needs up to {_size(needed)}, the disk has {_size(free)} free"
+        raise InputError.at(Mark(str(folder)), "disk-space", message, "make room, or choose another folder for runs")
+
+
+def _size(size: float) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"

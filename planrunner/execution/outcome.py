@@ -1,0 +1,48 @@
+"""How carrying out a schedule ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from planrunner.instruments.interfaces import InstrumentError
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """where: what the executor was doing; kind: the exception's class; message: for a quality engineer."""
+
+    where: str
+    kind: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.message}"
+
+    @classmethod
+    def of(cls, error: BaseException, where: str) -> Failure:
+        kind = type(error).__name__
+        if isinstance(error, InstrumentError):
+            message = str(error)
+        elif isinstance(error, OSError) and error.strerror:
+            message = f"{error.strerror}{f' ({error.filename})' if error.filename else ''}"
+        else:
+            message = f"{kind}: {error}" if str(error) else kind
+        return cls(where, kind, message)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """completed: segments acknowledged now; segments: of the schedule. stopped: on request, and how. unsafe: what could not be made
+    safe. finished: every segment is acknowledged and the folder sealed."""
+
+    completed: int
+    segments: int
+    finished: bool
+    stopped: Literal["after the segment", "at once"] | None = None
+    failures: tuple[Failure, ...] = ()
+    unsafe: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        return self.finished and not self.failures and not self.unsafe

@@ -1,0 +1,110 @@
+"""Progress of a run as typed events, by planned time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from planrunner.plan.schedule import Schedule, Segment
+
+EVERY = 0.05
+"""Seconds of real time between two `Advanced` events at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentBegun:
+    """fraction: of the whole run's planned time that lies behind, 0 to 1. time_left: s of real time, None while unknown."""
+
+    index: int
+    label: str
+    segments: int
+    fraction: float
+    time_left: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Advanced:
+    """Within a segment; `activity` says what the bench does now."""
+
+    index: int
+    label: str
+    segments: int
+    fraction: float
+    time_left: float | None
+    activity: str
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentFinished:
+    """The segment is acknowledged."""
+
+    index: int
+    label: str
+    segments: int
+    fraction: float
+    time_left: float | None
+
+
+ProgressEvent = SegmentBegun | Advanced | SegmentFinished
+ProgressCallback = Callable[[ProgressEvent], None]
+
+
+def planned_seconds(segment: Segment) -> float:
+    """Planned time of one segment, s: getting there, soaking, settling, dwelling."""
+    return segment.transition + segment.soak + segment.settle + (segment.dwell or 0.0)
+
+
+class Meter:
+    """Turns where the executor stands into events.
+
+    Time left is the planned time left at the pace so far, so it is real time on a simulated bench too. A callback that raises is not
+    called again: what is only shown must not end a run.
+    """
+
+    def __init__(self, schedule: Schedule, callback: ProgressCallback, behind: float):
+        self._segments = len(schedule.segments)
+        self._total = sum(planned_seconds(segment) for segment in schedule.segments)
+        self._by_count = self._total <= 0
+        self._callback: ProgressCallback | None = callback
+        self._first = self._behind = behind
+        self._began = self._shown = time.monotonic()
+        self._segment: Segment | None = None
+        self._segment_clock = 0.0
+
+    def begin(self, segment: Segment, clock: float) -> None:
+        self._segment, self._segment_clock = segment, clock
+        self._send(SegmentBegun, self._behind)
+
+    def advance(self, clock: float, activity: str) -> None:
+        """Called often; sends an event now and then."""
+        now = time.monotonic()
+        if self._segment is None or now - self._shown < EVERY:
+            return
+        self._shown = now
+        within = min(max(clock - self._segment_clock, 0.0), planned_seconds(self._segment))
+        self._send(Advanced, self._behind + (0.0 if self._by_count else within), activity)
+
+    def finish(self) -> None:
+        assert self._segment is not None
+        self._behind += 1.0 if self._by_count else planned_seconds(self._segment)
+        self._send(SegmentFinished, self._behind)
+        self._segment = None
+
+    def _send(self, kind: type, behind: float, *more: str) -> None:
+        if self._callback is None or self._segment is None:
+            return
+        total = float(self._segments) if self._by_count else self._total
+        fraction = min(1.0, behind / total) if total else 1.0
+        done = behind - self._first
+        left = (time.monotonic() - self._began) / done * max(0.0, total - behind) if done > 0 else None
+        try:
+            self._callback(kind(self._segment.index, self._segment.label, self._segments, fraction, left, *more))
+        except Exception:
+            self._callback = None
+
+
+def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
+    """Planned time of the segments that are done already (their number, where nothing has a planned time)."""
+    times = [planned_seconds(segment) for segment in schedule.segments if done(segment.index)]
+    return sum(times) if any(planned_seconds(segment) for segment in schedule.segments) else float(len(times))

@@ -1,0 +1,72 @@
+"""Stopping by request: the first Ctrl-C ends the run after the segment, the second or a termination signal at once.
+
+Handlers only take note; the executor looks at the note between steps and leaves the bench safe. A third Ctrl-C raises
+KeyboardInterrupt, for a driver that does not return; the executor makes the bench safe then too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any
+
+AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
+
+
+class StopRequest:
+    """Whether and how the run is to stop. As a context manager it listens to signals and restores their handlers afterwards.
+
+    notify: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
+    """
+
+    def __init__(self, notify: Callable[[str], None] | None = None):
+        self.after_segment = False
+        self.at_once = False
+        self.reason = ""
+        self._presses = 0
+        self._notify = notify
+        self._restore: dict[int, Any] = {}
+
+    def request(self, *, at_once: bool = False, reason: str = "asked to stop") -> None:
+        """Ask to stop after the segment, or at once."""
+        self.after_segment = True
+        self.at_once = self.at_once or at_once
+        self.reason = reason
+        if self._notify is None:
+            return
+        with contextlib.suppress(Exception):  # what is only shown must not keep the run from stopping
+            self._notify(
+                "stopping at once" if at_once else "stopping after this segment; press Ctrl-C again to stop at once"
+            )
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is not threading.main_thread():
+            return self
+        self._listen(signal.SIGINT, self._on_interrupt)
+        for name in AT_ONCE_SIGNALS:
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP on purpose
+                self._listen(number, self._on_termination)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._restore.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        self._restore.clear()
+
+    def _listen(self, number: int, handler: Callable[[int, FrameType | None], None]) -> None:
+        self._restore[number] = signal.signal(number, handler)
+
+    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
+        self._presses += 1
+        if self._presses > 2:
+            raise KeyboardInterrupt
+        self.request(at_once=self._presses == 2, reason="Ctrl-C" if self._presses == 1 else "Ctrl-C twice")
+
+    def _on_termination(self, number: int, frame: FrameType | None) -> None:
+        self.request(at_once=True, reason=signal.Signals(number).name)
