@@ -16,7 +16,11 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 
 Array = NDArray[np.float64]
 
-_WORDS = {"bias": "Bias of the {} axis", "scale": "Scale factor of the {} axis", "gamma": "Non-orthogonality of the axes {} and {}: 90° less their angle"}
+_WORDS = {
+    "bias": "Bias of the {} axis",
+    "scale": "Scale factor of the {} axis",
+    "gamma": "Non-orthogonality of the axes {} and {}: 90° less their angle",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +30,7 @@ class _Poses:
     labels: tuple[str, ...]
     mean: Array
     error: Array
-    batches: Array
+    batches: NDArray[np.int64]
     start: Array
     end: Array
 
@@ -38,10 +42,17 @@ def estimate(request: EstimateRequest) -> Estimate:
     fit = fit_magnitude(poses.mean, request.site.gravity)
     within, freedom_within = _within(fit, poses)
     if basis == "residual" and not fit.degrees_of_freedom:
-        raise EstimationError(f"{request.name}: nine poses leave no residual; record more or write `uncertainty: within_segment`")
+        raise EstimationError(
+            f"{request.name}: nine poses leave no residual; record more or write `uncertainty: within_segment`"
+        )
     if basis == "within_segment" and within is None:
-        raise EstimationError(f"{request.name}: the poses are too short to tell the noise within them; write `uncertainty: residual`")
-    bases = {"residual": (fit.cofactor * fit.root_mean_square**2, float(fit.degrees_of_freedom)), "within_segment": (within, freedom_within)}
+        raise EstimationError(
+            f"{request.name}: the poses are too short to tell the noise within them; write `uncertainty: residual`"
+        )
+    bases = {
+        "residual": (fit.cofactor * fit.root_mean_square**2, float(fit.degrees_of_freedom)),
+        "within_segment": (within, freedom_within),
+    }
     factors = np.array([unit("mg").factor] * 3 + [1.0] * 3 + [unit("mrad").factor] * 3)
     units = ["mg"] * 3 + ["1"] * 3 + ["mrad"] * 3
     chosen, freedom = bases[basis]
@@ -59,9 +70,22 @@ def estimate(request: EstimateRequest) -> Estimate:
         coefficients,
         covariance,
         NAMES,
-        {"reference": "gravity_magnitude", "uncertainty": basis, "gravity": request.site.gravity, **_detection(request)},
+        {
+            "reference": "gravity_magnitude",
+            "uncertainty": basis,
+            "gravity": request.site.gravity,
+            **_detection(request),
+        },
         (_bases_table(values, units, factors, bases), _pose_table(poses, fit)),
-        (Plot("Residuals of |f| per pose", "pose", "residual [m/s^2]", poses.labels, {"|f| − g": tuple(map(float, fit.residuals))}),),
+        (
+            Plot(
+                "Residuals of |f| per pose",
+                "pose",
+                "residual [m/s^2]",
+                poses.labels,
+                {"|f| − g": tuple(map(float, fit.residuals))},
+            ),
+        ),
         tuple(notes),
         tuple(warnings),
         tuple(recorded.label for recorded in request.segments),
@@ -89,7 +113,9 @@ def _found(request: EstimateRequest) -> _Poses:
             start.append(span.start)
             end.append(span.end)
     if not labels:
-        raise EstimationError(f"{request.name}: no still span was found: raise `threshold` or shorten `at_least` under `segments`")
+        raise EstimationError(
+            f"{request.name}: no still span was found: raise `threshold` or shorten `at_least` under `segments`"
+        )
     return _Poses(tuple(labels), np.array(means), np.array(errors), np.array(batches), np.array(start), np.array(end))
 
 
@@ -106,7 +132,9 @@ def _recorded(request: EstimateRequest) -> _Poses:
 def _factors(units: dict[str, str]) -> Array:
     for name, text in units.items():
         if not text or unit(text).dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(f"channel '{name}' is {f'recorded in {text}' if text else 'not recorded'}: an acceleration is needed")
+            raise EstimationError(
+                f"channel '{name}' is {f'recorded in {text}' if text else 'not recorded'}: an acceleration is needed"
+            )
     return np.array([unit(text).factor for text in units.values()])
 
 
@@ -141,7 +169,9 @@ def _judge(
         chance = float(fdtrc(fit.degrees_of_freedom, freedom, ratio))
         text = f"The residual variance is {ratio:.3g} times that expected from the noise within the poses"
         if chance < SIGNIFICANCE:
-            warnings.append(f"{text} (chance of that from noise alone: {chance:.2g}): the within-segment uncertainties are too small.")
+            warnings.append(
+                f"{text} (chance of that from noise alone: {chance:.2g}): the within-segment uncertainties are too small."
+            )
         else:
             notes.append(f"{text}, which noise alone explains (probability {chance:.2g}).")
     return notes, warnings
@@ -159,7 +189,9 @@ def _detection(request: EstimateRequest) -> dict[str, str]:
     return {"window": str(found.window), "threshold": str(found.threshold), "at_least": str(found.at_least)}
 
 
-def _bases_table(values: Array, units: list[str], factors: Array, bases: dict[str, tuple[Array | None, float]]) -> Table:
+def _bases_table(
+    values: Array, units: list[str], factors: Array, bases: dict[str, tuple[Array | None, float]]
+) -> Table:
     columns, parts = ["coefficient", "unit", "value"], []
     for basis, (covariance, freedom) in bases.items():
         if covariance is not None and freedom:

@@ -36,7 +36,9 @@ def matrix_of(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Arr
     """The design matrix of positions at rest, SI. Raises `EstimationError`."""
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
-        raise EstimationError(f"segment '{moving[0]}' moves: an accelerometer is held against gravity at rest; leave it out of `segments`")
+        raise EstimationError(
+            f"segment '{moving[0]}' moves: an accelerometer is held against gravity at rest; leave it out of `segments`"
+        )
     try:
         return model.columns(segment_means(segments, site))
     except StimulusError as error:
@@ -77,7 +79,12 @@ def estimate(request: EstimateRequest) -> Estimate:
         coefficients,
         covariance,
         tuple(item.name for item in coefficients),
-        {"reference": "orientation", "uncertainty": basis, "terms": list(model.names), "weights": [n.weighting for n in fit.noises]},
+        {
+            "reference": "orientation",
+            "uncertainty": basis,
+            "terms": list(model.names),
+            "weights": [n.weighting for n in fit.noises],
+        },
         (_table(observations, fit),),
         (_plot(observations, fit),),
         tuple(notes),
@@ -95,7 +102,9 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
     seen = [(k, _AXES.index(name[-1])) for k, name in enumerate(model.names) if name != "bias"]
     scale = float(np.sqrt(sum(values[k] ** 2 for k, _ in seen)))
     if scale == 0:
-        raise EstimationError(f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected")
+        raise EstimationError(
+            f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
+        )
 
     def gradient(changes: dict[int, float]) -> Array:
         full = np.zeros(3 * p)
@@ -107,7 +116,9 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
     if "bias" in model.names:
         k = model.names.index("bias")
         mg = unit("mg").factor
-        found.append((f"bias_{letter}", float(values[k] / mg), "mg", gradient({k: 1 / mg}), f"Bias of the {letter} axis"))
+        found.append(
+            (f"bias_{letter}", float(values[k] / mg), "mg", gradient({k: 1 / mg}), f"Bias of the {letter} axis")
+        )
     along = {k: float(values[k]) / scale for k, _ in seen}
     if any(direction == axis for _, direction in seen):
         words = f"Scale factor of the {letter} axis, along its own input direction"
@@ -148,5 +159,16 @@ def _table(observations: Observations, fit: OutputsFit) -> Table:
 
 def _plot(observations: Observations, fit: OutputsFit) -> Plot:
     series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
-    spreads = {name: tuple(map(float, noise.sigma)) for name, noise in zip(observations.channels, fit.noises, strict=True) if noise.known}
-    return Plot("Residuals per position", "position", f"residual [{observations.units[0]}]", observations.labels, series, spreads)
+    spreads = {
+        name: tuple(map(float, noise.sigma))
+        for name, noise in zip(observations.channels, fit.noises, strict=True)
+        if noise.known
+    }
+    return Plot(
+        "Residuals per position",
+        "position",
+        f"residual [{observations.units[0]}]",
+        observations.labels,
+        series,
+        spreads,
+    )

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import accelerometer_by_magnitude as by_magnitude
 from planrunner.estimators import accelerometer_by_orientation as by_orientation
-from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.interface import (
+    Design,
+    DesignBlock,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+)
 from planrunner.estimators.outputs_fit import BASES
 from planrunner.plan.kinds import Choice, ListOf, Record, Text, key
 
@@ -73,7 +80,10 @@ class AccelerometerMultiPosition:
                 known = ", ".join(item.name for item in request.sensor.outputs)
                 raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
             rates = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
-            sigma = [output.noise.standard_error(s.dwell or 1.0, rate) for s, rate in zip(request.segments, rates, strict=True)]
+            sigma = [
+                output.noise.standard_error(s.dwell or 1.0, rate)
+                for s, rate in zip(request.segments, rates, strict=True)
+            ]
             blocks.append(DesignBlock(name, model.names, matrix, model.magnitudes, np.array(sigma), labels))
         return Design(tuple(blocks))
 
@@ -84,7 +94,9 @@ class AccelerometerMultiPosition:
         if parameters.reference == "gravity_magnitude":
             return by_magnitude.estimate(request)
         if request.detection is not None:
-            raise EstimationError("spans that are found in the data have no known attitude: write `reference: gravity_magnitude`")
+            raise EstimationError(
+                "spans that are found in the data have no known attitude: write `reference: gravity_magnitude`"
+            )
         return by_orientation.estimate(request)
 
 

@@ -49,7 +49,9 @@ def predict_residuals(verification: Array, sets: Mapping[str, SetDesign], trials
     for name, design in sets.items():
         total, mean = np.zeros(trials), 0.0
         for output, (matrix, sigma) in enumerate((design.first, design.second)):
-            carried = verification @ _weighted_inverse(matrix, sigma)  # verification residual per unit calibration noise
+            carried = verification @ _weighted_inverse(
+                matrix, sigma
+            )  # verification residual per unit calibration noise
             mean += len(verification) + float(np.sum(carried**2))
             residual = noise[output] - rng.standard_normal((trials, len(matrix))) @ carried.T
             total += np.einsum("tv,tv->t", residual, residual)
@@ -60,7 +62,9 @@ def predict_residuals(verification: Array, sets: Mapping[str, SetDesign], trials
         low, high = np.quantile(total, (0.158655, 0.841345))
         spreads[name] = float(high - low) / 2 / expected[name]
         if name != first:
-            five, lower, middle, upper, ninety_five = np.quantile(total / sums[first], (0.05, 0.158655, 0.5, 0.841345, 0.95))
+            five, lower, middle, upper, ninety_five = np.quantile(
+                total / sums[first], (0.05, 0.158655, 0.5, 0.841345, 0.95)
+            )
             ratios[name] = (float(five), float(middle), float(ninety_five), float(upper - lower) / 2)
     return Prediction(expected, ratios, spreads)
 

@@ -33,6 +33,7 @@ from planrunner.plan.units import unit
 Array = NDArray[np.float64]
 
 _DEG_H = unit("deg/h").factor
+_SUMS = "Residual sums of squares, measured and expected"
 _CLAIM = (
     "The method's source claims 4 to 8 for the traditional over the optimal positions. Equal noise in all positions predicts the "
     "figures given here; single experiments with few verification positions scatter widely about them."
@@ -43,7 +44,10 @@ class CompensationResidualParameters(Record):
     """Keys of the estimator compensation_residual."""
 
     trials: int = key(
-        Number(1000, 1_000_000, integer=True), "Simulated experiments from which the ratio's expected range is taken.", 20_000, 20_000
+        Number(1000, 1_000_000, integer=True),
+        "Simulated experiments from which the ratio's expected range is taken.",
+        20_000,
+        20_000,
     )
     seed: int = key(Number(0, 2**31, integer=True), "Seed of those simulated experiments.", 1, 1)
 
@@ -61,7 +65,9 @@ class CompensationResidual:
         sets = {}
         for name, design in request.uses.items():
             if len(design.blocks) != 2 or design.blocks[0].terms != model.names:
-                raise EstimationError(f"'{name}' is no set of static flexure-gyro coefficients: `uses` names flexure_gyro_static estimates")
+                raise EstimationError(
+                    f"'{name}' is no set of static flexure-gyro coefficients: `uses` names flexure_gyro_static estimates"
+                )
             if np.linalg.matrix_rank(design.blocks[0].matrix / design.blocks[0].magnitudes) < len(model.names):
                 return Design(())
             sets[name] = SetDesign(*(_relative(block) for block in design.blocks))
@@ -73,7 +79,10 @@ class CompensationResidual:
             f"single experiments from {prediction.ratios[name][0]:.2g} to {prediction.ratios[name][2]:.2g} (5 to 95 %)."
             for name in names[1:]
         ]
-        extra = {f"ratio_{name}_to_{names[0]}": prediction.expected[name] / prediction.expected[names[0]] for name in names[1:]}
+        extra = {
+            f"ratio_{name}_to_{names[0]}": prediction.expected[name] / prediction.expected[names[0]]
+            for name in names[1:]
+        }
         return Design((), (), (*notes, _CLAIM), extra)
 
     def estimate(self, request: EstimateRequest) -> Estimate:
@@ -91,7 +100,9 @@ class CompensationResidual:
         segments = [recorded.segment for recorded in request.segments]
         matrix = static_matrix(flexure_gyro.static_model(), segments, request.site)
         recovered = {
-            name: flexure_gyro.compensated_rates(np.array(used.extra["coefficients"]), observations.mean, matrix[:, 3:6])
+            name: flexure_gyro.compensated_rates(
+                np.array(used.extra["coefficients"]), observations.mean, matrix[:, 3:6]
+            )
             for name, used in request.uses.items()
         }
         residuals = {name: (rates - matrix[:, 1:3]) / _DEG_H for name, rates in recovered.items()}
@@ -103,7 +114,9 @@ class CompensationResidual:
 
 def _several(sets: Mapping[str, Any]) -> None:
     if len(sets) < 2:
-        raise EstimationError("compensation_residual compares two or more sets of coefficients: name them in `uses`, the reference first")
+        raise EstimationError(
+            "compensation_residual compares two or more sets of coefficients: name them in `uses`, the reference first"
+        )
 
 
 def _relative(block: DesignBlock) -> tuple[Array, Array]:
@@ -118,16 +131,24 @@ def _parts(used: Estimate, sigma: Array) -> list[tuple[Array, Array]]:
     return [(matrix, np.array(used.extra["sigma"][k]) / np.sqrt(np.mean(sigma[:, k] ** 2))) for k in range(2)]
 
 
-def _assemble(request: EstimateRequest, labels: Sequence[str], residuals: Mapping[str, Array], prediction: Any) -> Estimate:
+def _assemble(
+    request: EstimateRequest, labels: Sequence[str], residuals: Mapping[str, Array], prediction: Any
+) -> Estimate:
     names = tuple(residuals)
     first = names[0]
     sums = {name: float(np.sum(values**2)) for name, values in residuals.items()}
     if sums[first] == 0:
-        raise EstimationError(f"the residuals of '{first}' are exactly zero, so no ratio can be formed: is the recording noiseless?")
+        raise EstimationError(
+            f"the residuals of '{first}' are exactly zero, so no ratio can be formed: is the recording noiseless?"
+        )
     coefficients, covariance = [], []
     for name in names:
         spread = sums[name] * prediction.relative_spread[name]
-        coefficients.append(Coefficient(f"RSS_{name}", sums[name], "(deg/h)^2", spread, description=f"Residual sum of squares of {name}"))
+        coefficients.append(
+            Coefficient(
+                f"RSS_{name}", sums[name], "(deg/h)^2", spread, description=f"Residual sum of squares of {name}"
+            )
+        )
         covariance.append(spread**2)
     rows = []
     for name in names[1:]:
@@ -141,19 +162,33 @@ def _assemble(request: EstimateRequest, labels: Sequence[str], residuals: Mappin
     ratio_columns = ("sets", "measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
     columns = ["position"] + [f"{name} {axis} [deg/h]" for name in names for axis in ("ω_Y", "ω_X")]
     table = [(label, *(float(v) for name in names for v in residuals[name][k])) for k, label in enumerate(labels)]
-    table.append(("sum of squares [(deg/h)²]", *(float(np.sum(residuals[name][:, a] ** 2)) for name in names for a in (0, 1))))
-    series = {f"{name} {axis}": tuple(map(float, residuals[name][:, a])) for name in names for a, axis in enumerate(("ω_Y", "ω_X"))}
+    table.append(
+        ("sum of squares [(deg/h)²]", *(float(np.sum(residuals[name][:, a] ** 2)) for name in names for a in (0, 1)))
+    )
+    series = {
+        f"{name} {axis}": tuple(map(float, residuals[name][:, a]))
+        for name in names
+        for a, axis in enumerate(("ω_Y", "ω_X"))
+    }
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
-    warnings = [f"The measured ratio of {pair} lies outside the 5 to 95 % that noise alone leads one to expect." for pair in outside]
+    warnings = [
+        f"The measured ratio of {pair} lies outside the 5 to 95 % that noise alone leads one to expect."
+        for pair in outside
+    ]
     return Estimate(
         request.name,
         "compensation_residual",
         tuple(coefficients),
         np.diag(covariance),
         tuple(item.name for item in coefficients),
-        {"reference": first, "trials": request.parameters.trials, "seed": request.parameters.seed},
+        {
+            "reference": first,
+            "trials": request.parameters.trials,
+            "seed": request.parameters.seed,
+            "terminal_tables": [_SUMS],
+        },
         (
-            Table("Residual sums of squares, measured and expected", ratio_columns, tuple(rows)),
+            Table(_SUMS, ratio_columns, tuple(rows)),
             Table("Residuals after compensation", tuple(columns), tuple(table)),
         ),
         (Plot("Residuals after compensation", "position", "residual [deg/h]", tuple(labels), series),),

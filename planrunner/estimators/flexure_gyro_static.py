@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import flexure_gyro_tables as tables
 from planrunner.estimators import rank
-from planrunner.estimators.interface import Coefficient, Design, DesignBlock, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignBlock,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+)
 from planrunner.estimators.observations import observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs, judge, require_basis
 from planrunner.physics import flexure_gyro
@@ -84,9 +92,14 @@ class FlexureGyroStatic:
         for name in _two(parameters.outputs):
             output = request.sensor.output(name)
             if output is None:
-                raise EstimationError(f"the bench's sensor has no output '{name}'; it has {', '.join(o.name for o in request.sensor.outputs)}")
+                raise EstimationError(
+                    f"the bench's sensor has no output '{name}'; it has {', '.join(o.name for o in request.sensor.outputs)}"
+                )
             rates = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
-            sigma = [output.noise.standard_error(s.dwell or 1.0, rate) for s, rate in zip(request.segments, rates, strict=True)]
+            sigma = [
+                output.noise.standard_error(s.dwell or 1.0, rate)
+                for s, rate in zip(request.segments, rates, strict=True)
+            ]
             blocks.append(DesignBlock(name, model.names, matrix, model.magnitudes, np.array(sigma), labels))
         scaled = matrix / model.magnitudes
         sight = rank.look(scaled)
@@ -94,7 +107,12 @@ class FlexureGyroStatic:
             return Design(tuple(blocks))
         determinant = float(np.linalg.det(scaled.T @ scaled))
         note = tables.determinant_note(determinant, sight.condition, len(matrix))
-        return Design(tuple(blocks), _predicted(request, blocks, scaled), (note,), {"determinant": determinant, "condition": sight.condition})
+        return Design(
+            tuple(blocks),
+            _predicted(request, blocks, scaled),
+            (note,),
+            {"determinant": determinant, "condition": sight.condition},
+        )
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Coefficients from the recorded positions. Raises `EstimationError`."""
@@ -123,7 +141,12 @@ class FlexureGyroStatic:
             coefficients,
             covariance,
             found.names[: found.physical],
-            {"uncertainty": basis, "pool_outputs": fit.pooled, "terms": list(model.names), "weights": [noise.weighting for noise in fit.noises]},
+            {
+                "uncertainty": basis,
+                "pool_outputs": fit.pooled,
+                "terms": list(model.names),
+                "weights": [noise.weighting for noise in fit.noises],
+            },
             (tables.residual_table(observations, fit), *tables.both_bases(found, fit, basis)),
             (tables.residual_plot(observations, fit),),
             tuple(notes),
@@ -137,7 +160,9 @@ def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) ->
     """The design matrix of positions at rest, SI. Raises `EstimationError` for a segment that moves or whose orientation is unknown."""
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
-        raise EstimationError(f"segment '{moving[0]}' moves: the static coefficients need positions at rest; leave it out of `segments`")
+        raise EstimationError(
+            f"segment '{moving[0]}' moves: the static coefficients need positions at rest; leave it out of `segments`"
+        )
     try:
         return model.columns(segment_means(segments, site))
     except StimulusError as error:
@@ -160,7 +185,9 @@ def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, produc
     # Factors from SI with the output's own unit kept as it is recorded.
     angle, rate, g = unit("arcmin").factor, unit("deg/h").factor, unit("g").factor
     drift_factors = [rate, rate / g, rate / g, rate / g, *[rate / g**2] * len(products)]
-    term_factors = [{"1": 1.0, "rad/s": 1 / rate, "m/s^2": 1 / g, "(m/s^2)^2": 1 / g**2}[term.unit] for term in model.terms]
+    term_factors = [
+        {"1": 1.0, "rad/s": 1 / rate, "m/s^2": 1 / g, "(m/s^2)^2": 1 / g**2}[term.unit] for term in model.terms
+    ]
     factors = np.array([rate, rate, angle, angle, *drift_factors, *drift_factors, *term_factors, *term_factors])
     values = np.concatenate([physical, outputs.ravel()]) / factors
     gradients = np.vstack([gradient, np.eye(outputs.size)]) / factors[:, None]
@@ -177,7 +204,9 @@ def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:
 def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[Coefficient, ...]:
     return tuple(
         Coefficient(name, float(value), its_unit, float(spread), float(dof), tables.describe(name))
-        for name, value, its_unit, spread, dof in zip(found.names, found.values, found.units, spreads, freedom, strict=True)
+        for name, value, its_unit, spread, dof in zip(
+            found.names, found.values, found.units, spreads, freedom, strict=True
+        )
     )
 
 
@@ -199,7 +228,9 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock], scaled: Ar
     covariance = np.zeros((2 * p, 2 * p))
     for k, block in enumerate(blocks):
         root = np.linalg.pinv(scaled / block.sigma[:, None]) if np.all(block.sigma > 0) else np.zeros((p, len(scaled)))
-        covariance[k * p : (k + 1) * p, k * p : (k + 1) * p] = root @ root.T / np.outer(block.magnitudes, block.magnitudes)
+        covariance[k * p : (k + 1) * p, k * p : (k + 1) * p] = (
+            root @ root.T / np.outer(block.magnitudes, block.magnitudes)
+        )
     variance = np.einsum("qi,ij,qj->q", found.gradients, covariance, found.gradients).clip(min=0.0)
     return _coefficients(found, np.sqrt(variance), np.full(len(variance), math.inf))[: found.physical]
 

@@ -59,7 +59,11 @@ def residual_table(observations: Observations, fit: OutputsFit) -> Table:
         row: list[object] = [label]
         for k in range(len(observations.channels)):
             own = observations.standard_error[n, k]
-            row += [float(observations.mean[n, k]), float(fit.fits[k].residuals[n]), float(own) if np.isfinite(own) else None]
+            row += [
+                float(observations.mean[n, k]),
+                float(fit.fits[k].residuals[n]),
+                float(own) if np.isfinite(own) else None,
+            ]
         rows.append(tuple(row))
     return Table("Residuals per position", tuple(columns), tuple(rows))
 
@@ -68,9 +72,18 @@ def residual_plot(observations: Observations, fit: OutputsFit) -> Plot:
     """Residuals with their within-segment standard uncertainties."""
     series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
     spreads = {
-        name: tuple(map(float, noise.sigma)) for name, noise in zip(observations.channels, fit.noises, strict=True) if noise.known
+        name: tuple(map(float, noise.sigma))
+        for name, noise in zip(observations.channels, fit.noises, strict=True)
+        if noise.known
     }
-    return Plot("Residuals per position", "position", f"residual [{observations.units[0]}]", observations.labels, series, spreads)
+    return Plot(
+        "Residuals per position",
+        "position",
+        f"residual [{observations.units[0]}]",
+        observations.labels,
+        series,
+        spreads,
+    )
 
 
 def both_bases(found: PhysicalSet, fit: OutputsFit, chosen: str) -> tuple[Table, ...]:

@@ -57,12 +57,20 @@ def fit(
     n, p = matrix.shape
     names = names or [f"coefficient {k + 1}" for k in range(p)]
     if n < p:
-        raise EstimationError(f"{n} observations cannot give {p} coefficients ({', '.join(names)}): add segments or leave terms out")
-    scale = np.sqrt(np.einsum("ij,ij->j", matrix, matrix) / n) if magnitudes is None else np.asarray(magnitudes, dtype=float)
+        raise EstimationError(
+            f"{n} observations cannot give {p} coefficients ({', '.join(names)}): add segments or leave terms out"
+        )
+    scale = (
+        np.sqrt(np.einsum("ij,ij->j", matrix, matrix) / n)
+        if magnitudes is None
+        else np.asarray(magnitudes, dtype=float)
+    )
     scale = np.where(scale > 0, scale, 1.0)
     triangle = _triangle(matrix, observed, None if sigma is None else 1.0 / _positive(sigma), 1.0 / scale)
     if not np.isfinite(triangle).all():
-        raise EstimationError("an observation or a planned value is not a finite number: look for missing data in the segments")
+        raise EstimationError(
+            "an observation or a planned value is not a finite number: look for missing data in the segments"
+        )
     left, singular, rows = np.linalg.svd(triangle[:p, :p])
     if singular[-1] <= rank.TOLERANCE * singular[0]:
         null = rows[int(np.sum(singular > rank.TOLERANCE * singular[0])) :]
@@ -103,13 +111,19 @@ def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array
     pieces = []
     for low in range(0, whole, _CHUNK * _BATCH):
         rows = scaled(low, min(low + _CHUNK * _BATCH, whole))
-        pieces.append(np.linalg.qr(rows.reshape(-1, _CHUNK, p + 1), mode="r").reshape(-1, p + 1))
+        pieces.append(_r(rows.reshape(-1, _CHUNK, p + 1)).reshape(-1, p + 1))
     pieces.append(scaled(whole, n))
-    return np.linalg.qr(np.vstack(pieces), mode="r")
+    return _r(np.vstack(pieces))
+
+
+def _r(matrix: Array) -> Array:
+    return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
 def _positive(sigma: Array) -> Array:
     sigma = np.asarray(sigma, dtype=float)
     if not (np.isfinite(sigma).all() and (sigma > 0).all()):
-        raise EstimationError("a standard uncertainty is zero, negative or not a number: the observations cannot be weighted by it")
+        raise EstimationError(
+            "a standard uncertainty is zero, negative or not a number: the observations cannot be weighted by it"
+        )
     return sigma

@@ -62,7 +62,9 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
                 f"segment '{recorded.label}' has no channel '{missing[0]}': {closest(missing[0], statistics.channels)}"
             )
         if statistics.count == 0:
-            raise EstimationError(f"segment '{recorded.label}' holds no usable samples: leave it out of `segments` or record it again")
+            raise EstimationError(
+                f"segment '{recorded.label}' holds no usable samples: leave it out of `segments` or record it again"
+            )
         index = [statistics.of(channel) for channel in channels]
         mean[row] = statistics.mean[index]
         covariance = statistics.covariance[np.ix_(index, index)] if statistics.count > 1 else np.zeros((k, k))
@@ -124,5 +126,7 @@ def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:
 def _unit(segments: Sequence[RecordedSegment], channel: str) -> str:
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
-        raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)}): use segments of one kind")
+        raise EstimationError(
+            f"channel '{channel}' is recorded in different units ({', '.join(units)}): use segments of one kind"
+        )
     return units[0]

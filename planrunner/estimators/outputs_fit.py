@@ -107,7 +107,9 @@ class OutputsFit:
         for output, fit, noise in zip(self.outputs, self.fits, self.noises, strict=True):
             if self.freedom and noise.known:
                 ratio = fit.variance_factor
-                found.append(BasisComparison(output, ratio, float(fdtrc(self.freedom, noise.degrees_of_freedom, ratio))))
+                found.append(
+                    BasisComparison(output, ratio, float(fdtrc(self.freedom, noise.degrees_of_freedom, ratio)))
+                )
         return tuple(found)
 
 
@@ -120,10 +122,13 @@ def fit_outputs(
     """
     noises = tuple(within_segment_noise(observations, k) for k in range(len(observations.channels)))
     fits = tuple(
-        least_squares.fit(matrix, observations.mean[:, k], noise.sigma, magnitudes, names) for k, noise in enumerate(noises)
+        least_squares.fit(matrix, observations.mean[:, k], noise.sigma, magnitudes, names)
+        for k, noise in enumerate(noises)
     )
     # (AᵀWA)⁻¹·Aᵀ·W^½: coefficients from weighted observations of unit variance.
-    roots = np.array([fit.cofactor @ (matrix / noise.sigma[:, None]).T for fit, noise in zip(fits, noises, strict=True)])
+    roots = np.array(
+        [fit.cofactor @ (matrix / noise.sigma[:, None]).T for fit, noise in zip(fits, noises, strict=True)]
+    )
     cofactors = np.einsum("ain,bjn->aibj", roots, roots)
     pooled = pooled and all(noise.known for noise in noises)
     return OutputsFit(observations.channels, fits, noises, cofactors, observations.correlation, pooled)
@@ -166,7 +171,7 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
     """Notes and warnings on the basis that was chosen, for the report."""
     notes, warnings = [], []
     if basis == "residual":
-        together = f", pooled over the outputs" if fit.pooled else ""
+        together = ", pooled over the outputs" if fit.pooled else ""
         notes.append(
             f"Uncertainties rest on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
             "so the coverage factors are large."
@@ -174,12 +179,16 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
         if fit.pooled and (different := unlike_outputs(fit)):
             warnings.append(different)
     else:
-        notes.append("Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them.")
+        notes.append(
+            "Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them."
+        )
     for found in fit.comparison():
         text = f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the segments"
         if found.exceeds:
             consequence = (
-                "the within-segment uncertainties are too small" if basis == "within_segment" else "keep to the residual basis"
+                "the within-segment uncertainties are too small"
+                if basis == "within_segment"
+                else "keep to the residual basis"
             )
             warnings.append(
                 f"{text} (chance of that from noise alone: {found.probability:.2g}). Something changes from segment to segment "

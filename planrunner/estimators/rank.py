@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-9  # singular values below this times the largest count as zero; planned attitudes are exact to about 1e-15
+TOLERANCE = (
+    1e-9  # singular values below this times the largest count as zero; planned attitudes are exact to about 1e-15
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,9 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
     """The names that have a part in the null space, in their own order: none of them can be told from the data."""
-    return tuple(name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6)
+    return tuple(
+        name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
+    )
 
 
 def explain(null: Array, names: Sequence[str]) -> str:
@@ -85,5 +89,7 @@ def explain(null: Array, names: Sequence[str]) -> str:
             involved = [name for name, _ in combination]
             listed = ", ".join(involved[:-1]) + " and " + involved[-1]
             parts = " ".join(f"{weight:+.3g}·{name}" for name, weight in combination)
-            sentences.append(f"{listed} cannot be told apart ({parts} = 0 in every position, each in units of its own size)")
+            sentences.append(
+                f"{listed} cannot be told apart ({parts} = 0 in every position, each in units of its own size)"
+            )
     return "; ".join(sentences)

@@ -39,11 +39,19 @@ class ScaleFactorParameters(Record):
     """Keys of the estimator scale_factor."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True), "Channels to fit, each by a line of its own.", ["gyro_z"], default_factory=tuple
+        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        "Channels to fit, each by a line of its own.",
+        ["gyro_z"],
+        default_factory=tuple,
     )
-    rate_unit: str = key(Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s")
+    rate_unit: str = key(
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+    )
     rate_uncertainty: Quantity | None = key(
-        QuantityOf("ratio", "not negative"), "Relative standard uncertainty of the table's rate, common to all rates.", "50 ppm", None
+        QuantityOf("ratio", "not negative"),
+        "Relative standard uncertainty of the table's rate, common to all rates.",
+        "50 ppm",
+        None,
     )
     uncertainty: str = key(
         Choice(BASES),
@@ -73,10 +81,18 @@ class ScaleFactor:
                 raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
             rate_unit, output_unit = _units(request.parameters, output.unit)
             hertz = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
-            sigma = np.array([output.noise.standard_error(s.dwell or 1.0, f) for s, f in zip(request.segments, hertz, strict=True)])
-            blocks.append(DesignBlock(name, TERMS, matrix, magnitudes, sigma, tuple(segment.label for segment in request.segments)))
+            sigma = np.array(
+                [output.noise.standard_error(s.dwell or 1.0, f) for s, f in zip(request.segments, hertz, strict=True)]
+            )
+            blocks.append(
+                DesignBlock(
+                    name, TERMS, matrix, magnitudes, sigma, tuple(segment.label for segment in request.segments)
+                )
+            )
             if np.unique(rates).size > 1 and np.all(sigma > 0):
-                spread = np.sqrt(np.diag(least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor))
+                spread = np.sqrt(
+                    np.diag(least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor)
+                )
                 shown = _slope_unit(rate_unit, output_unit)
                 nominal = request.sensor.nominal.get(f"K_{name}", math.nan)
                 if math.isfinite(nominal):
@@ -92,7 +108,9 @@ class ScaleFactor:
         observations = observe(request.segments, outputs, request.sensor)
         rates = _rates([recorded.segment for recorded in request.segments])
         if np.unique(rates).size < 2:
-            raise EstimationError(f"{request.name}: all segments have the same rate, so a line cannot be told from a constant")
+            raise EstimationError(
+                f"{request.name}: all segments have the same rate, so a line cannot be told from a constant"
+            )
         matrix = np.column_stack([np.ones(len(rates)), rates])
         fit = fit_outputs(matrix, observations, np.array([1.0, np.abs(rates).max()]), TERMS)
         require_basis(fit, parameters.uncertainty, request.name)
@@ -103,7 +121,9 @@ def _rates(segments: Sequence[Segment]) -> Array:
     for segment in segments:
         if isinstance(segment.motion, Rock | Cycle):
             kind = type(segment.motion).__name__.lower()
-            raise EstimationError(f"segment '{segment.label}' has no constant rate ({kind}): leave it out of `segments`")
+            raise EstimationError(
+                f"segment '{segment.label}' has no constant rate ({kind}): leave it out of `segments`"
+            )
     return np.array([segment.rate for segment in segments], dtype=float)
 
 
@@ -113,7 +133,9 @@ def _units(parameters: ScaleFactorParameters, output_unit: str) -> tuple[Unit, U
     except UnknownUnitError as error:
         raise EstimationError(str(error)) from None
     if rate.dimension != unit("rad/s").dimension:
-        raise EstimationError(f"rate_unit is '{parameters.rate_unit}', which is no unit of angular rate; write for example 'deg/s'")
+        raise EstimationError(
+            f"rate_unit is '{parameters.rate_unit}', which is no unit of angular rate; write for example 'deg/s'"
+        )
     return rate, own
 
 
@@ -143,16 +165,27 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
         dof = float(freedom[2 * k + 1]) * (u_slope**2 / fitted) ** 2 if fitted > 0 else math.inf
         words = f"{name}: offset at zero rate", f"{name}: scale factor against the table's rate"
         coefficients.append(
-            Coefficient(f"F0_{name}", float(fit.coefficients[k, 0]), units[k][1].text, float(u_offset), float(freedom[2 * k]), words[0])
+            Coefficient(
+                f"F0_{name}",
+                float(fit.coefficients[k, 0]),
+                units[k][1].text,
+                float(u_offset),
+                float(freedom[2 * k]),
+                words[0],
+            )
         )
-        coefficients.append(Coefficient(f"K_{name}", float(slope_values[k]), slopes[k][0], float(u_slope), dof, words[1]))
+        coefficients.append(
+            Coefficient(f"K_{name}", float(slope_values[k]), slopes[k][0], float(u_slope), dof, words[1])
+        )
         metrics += _metrics(name, rates, observations, k, fit, basis)
     full = np.zeros((2 * m + len(metrics), 2 * m + len(metrics)))
     full[: 2 * m, : 2 * m] = covariance
     full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item in metrics]
     notes, warnings = judge(fit, basis)
     if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
-        notes.append("All rates have one sign, so asymmetry cannot be told, and an offset that depends on the sense of rotation is in F0.")
+        notes.append(
+            "All rates have one sign, so asymmetry cannot be told, and an offset that depends on the sense of rotation is in F0."
+        )
     if relative == 0:
         notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
     return Estimate(
@@ -170,7 +203,9 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
     )
 
 
-def _metrics(name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str) -> list[Coefficient]:
+def _metrics(
+    name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str
+) -> list[Coefficient]:
     """Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
     at zero rate; it needs both signs and three different rates."""
     one, sigma = fit.fits[k], fit.noises[k].sigma
@@ -182,17 +217,27 @@ def _metrics(name: str, rates: Array, observations: Observations, k: int, fit: O
     if full_scale > 0 and fit.freedom:
         u = math.sqrt(factor) * float(sigma[worst]) / full_scale * 1e6
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
-        found.append(Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, f"{name}: largest residual over the largest output"))
+        found.append(
+            Coefficient(
+                f"nonlinearity_{name}", value, "ppm", u, freedom, f"{name}: largest residual over the largest output"
+            )
+        )
     if np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
         halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
-        half = least_squares.fit(halves, observations.mean[:, k], sigma, names=("offset", "rate forward", "rate backward"))
+        half = least_squares.fit(
+            halves, observations.mean[:, k], sigma, names=("offset", "rate forward", "rate backward")
+        )
         plus, minus = half.coefficients[1:]
         gradient = 4e6 / (plus + minus) ** 2 * np.array([0.0, minus, -plus])
         left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor
         own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
         u = math.sqrt(max(0.0, gradient @ half.cofactor @ gradient * left))
         value = float(2e6 * (plus - minus) / (plus + minus))
-        found.append(Coefficient(f"asymmetry_{name}", value, "ppm", u, own, f"{name}: difference of forward and backward scale factors"))
+        found.append(
+            Coefficient(
+                f"asymmetry_{name}", value, "ppm", u, own, f"{name}: difference of forward and backward scale factors"
+            )
+        )
     return found
 
 
@@ -202,13 +247,26 @@ def _table(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit
         columns += [f"{name} mean [{its_unit}]", f"{name} residual [{its_unit}]"]
     rows = []
     for n, label in enumerate(observations.labels):
-        values = [v for k in range(len(fit.fits)) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))]
+        values = [
+            v for k in range(len(fit.fits)) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))
+        ]
         rows.append((label, float(rates[n] / rate.factor), *values))
     return Table("Means and residuals per rate", tuple(columns), tuple(rows))
 
 
 def _plot(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit) -> Plot:
     series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
-    spreads = {name: tuple(map(float, noise.sigma)) for name, noise in zip(observations.channels, fit.noises, strict=True) if noise.known}
+    spreads = {
+        name: tuple(map(float, noise.sigma))
+        for name, noise in zip(observations.channels, fit.noises, strict=True)
+        if noise.known
+    }
     x = tuple(float(value / rate.factor) for value in rates)
-    return Plot("Residuals from the straight line", f"rate [{rate.text}]", f"residual [{observations.units[0]}]", x, series, spreads)
+    return Plot(
+        "Residuals from the straight line",
+        f"rate [{rate.text}]",
+        f"residual [{observations.units[0]}]",
+        x,
+        series,
+        spreads,
+    )

@@ -68,10 +68,14 @@ def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
     limits = []
     for channel in detection.channels:
         if channel not in recorded.units:
-            raise EstimationError(f"segment '{recorded.label}' has no channel '{channel}': {closest(channel, recorded.units)}")
+            raise EstimationError(
+                f"segment '{recorded.label}' has no channel '{channel}': {closest(channel, recorded.units)}"
+            )
         resolved = unit(recorded.units[channel])
         if resolved.dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(f"channel '{channel}' is recorded in {resolved.text}: stillness is judged on accelerations")
+            raise EstimationError(
+                f"channel '{channel}' is recorded in {resolved.text}: stillness is judged on accelerations"
+            )
         limits.append(detection.threshold.value / resolved.factor)
     return np.array(limits)
 

@@ -17,7 +17,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.physics.terms import ACCEL_X, ACCEL_X_ACCEL_Z, ACCEL_Y, ACCEL_Y_ACCEL_Z, ACCEL_Z, BIAS, RATE_X, RATE_Y, ErrorModel, Term
+from planrunner.physics.terms import (
+    ACCEL_X,
+    ACCEL_X_ACCEL_Z,
+    ACCEL_Y,
+    ACCEL_Y_ACCEL_Z,
+    ACCEL_Z,
+    BIAS,
+    RATE_X,
+    RATE_Y,
+    ErrorModel,
+    Term,
+)
 
 Array = NDArray[np.float64]
 
@@ -134,7 +145,13 @@ def _mixing(outputs: Array) -> tuple[Array, Array]:
     mixing = np.asarray(outputs, dtype=float)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
     scale = np.abs(mixing).max()
-    if not np.isfinite(scale) or scale == 0 or abs(determinant) < 1e-12 * scale**2 or mixing[0, 0] == 0 or mixing[1, 1] == 0:
+    if (
+        not np.isfinite(scale)
+        or scale == 0
+        or abs(determinant) < 1e-12 * scale**2
+        or mixing[0, 0] == 0
+        or mixing[1, 1] == 0
+    ):
         raise ValueError(
             "the outputs do not respond to rate as a flexure gyro's do (U1·V2 − U2·V1 is zero): "
             "check that the two outputs are named in the right order and that neither is dead"

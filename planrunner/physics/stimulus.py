@@ -61,7 +61,9 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
             axis = _unit(segment.motion.about)
             turned = 0.0 if seconds is None else segment.motion.rate * seconds
             whole = seconds is None
-            omega[row] = attitude @ (mean_while_turning(site.earth_rate_enu, axis, turned, whole) + segment.motion.rate * axis)
+            omega[row] = attitude @ (
+                mean_while_turning(site.earth_rate_enu, axis, turned, whole) + segment.motion.rate * axis
+            )
             force[row] = attitude @ mean_while_turning(site.specific_force_enu, axis, turned, whole)
             angle[row] = turned / 2
         elif isinstance(segment.motion, Rest):
@@ -69,9 +71,13 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
             force[row] = attitude @ site.specific_force_enu
         else:
             kind = type(segment.motion).__name__.lower()
-            raise StimulusError(f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest")
+            raise StimulusError(
+                f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest"
+            )
         if segment.temperature is not None:
-            temperature[row] = segment.temperature if segment.ramp_to is None else (segment.temperature + segment.ramp_to) / 2
+            temperature[row] = (
+                segment.temperature if segment.ramp_to is None else (segment.temperature + segment.ramp_to) / 2
+            )
         time[row] = segment.start + (seconds or 0.0) / 2
     rates = np.array([segment.rate for segment in segments], dtype=float)
     return Stimulus(omega, force, temperature, time, rates, angle, rates != 0)

@@ -39,7 +39,9 @@ class Term:
     def column(self, stimulus: Stimulus) -> Array:
         """The column, shape (n,). Raises `StimulusError` for a product over a moving attitude."""
         if self.degree > 1 and bool(stimulus.moving.any()):
-            raise StimulusError(f"the term {self.name} is a product and cannot be taken from means over turning segments")
+            raise StimulusError(
+                f"the term {self.name} is a product and cannot be taken from means over turning segments"
+            )
         return np.asarray(self.of(stimulus), dtype=float)
 
 
@@ -63,8 +65,12 @@ RATE_Z = Term("rate_z", "Angular rate about the sensor's z axis.", EARTH_RATE, "
 ACCEL_X = Term("accel_x", "Specific force along the sensor's x axis.", STANDARD_GRAVITY, "m/s^2", _accel(0))
 ACCEL_Y = Term("accel_y", "Specific force along the sensor's y axis.", STANDARD_GRAVITY, "m/s^2", _accel(1))
 ACCEL_Z = Term("accel_z", "Specific force along the sensor's z axis.", STANDARD_GRAVITY, "m/s^2", _accel(2))
-ACCEL_X_ACCEL_Z = Term("accel_x_accel_z", "Product of the specific forces along x and z.", _G2, "(m/s^2)^2", _product(0, 2), 2)
-ACCEL_Y_ACCEL_Z = Term("accel_y_accel_z", "Product of the specific forces along y and z.", _G2, "(m/s^2)^2", _product(1, 2), 2)
+ACCEL_X_ACCEL_Z = Term(
+    "accel_x_accel_z", "Product of the specific forces along x and z.", _G2, "(m/s^2)^2", _product(0, 2), 2
+)
+ACCEL_Y_ACCEL_Z = Term(
+    "accel_y_accel_z", "Product of the specific forces along y and z.", _G2, "(m/s^2)^2", _product(1, 2), 2
+)
 
 
 def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:

@@ -1,6 +1,6 @@
 """Numbers for people: a value rounded by its uncertainty, the uncertainty to two significant digits (JCGM 100:2008, 7.2.6).
 
-    -1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300
+-1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300
 """
 
 from __future__ import annotations

@@ -26,7 +26,9 @@ def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -
     return float(stdtrit(degrees_of_freedom, upper))
 
 
-def expanded_uncertainty(standard_uncertainty: float, degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
+def expanded_uncertainty(
+    standard_uncertainty: float, degrees_of_freedom: float, confidence: float = CONFIDENCE
+) -> float:
     """U = k·u; zero for u = 0."""
     return coverage_factor(degrees_of_freedom, confidence) * standard_uncertainty if standard_uncertainty else 0.0
 
@@ -67,14 +69,24 @@ def decide(
     if not lower <= value <= upper:
         return Decision("fail", "the value lies outside the limit", probability, band, expanded)
     if not (lower + band <= value <= upper - band):
-        reason = "the value lies within the limit, but not by as much as its expanded uncertainty (inside the guard band)"
+        reason = (
+            "the value lies within the limit, but not by as much as its expanded uncertainty (inside the guard band)"
+        )
         return Decision("fail", reason, probability, band, expanded)
-    reason = "the value and its expanded uncertainty lie within the limit" if rule == "guarded" else "the value lies within the limit"
+    reason = (
+        "the value and its expanded uncertainty lie within the limit"
+        if rule == "guarded"
+        else "the value lies within the limit"
+    )
     return Decision("pass", reason, probability, band, expanded)
 
 
 def conformance_probability(
-    value: float, standard_uncertainty: float, degrees_of_freedom: float, lower: float = -math.inf, upper: float = math.inf
+    value: float,
+    standard_uncertainty: float,
+    degrees_of_freedom: float,
+    lower: float = -math.inf,
+    upper: float = math.inf,
 ) -> float:
     """The probability that the true value lies in [lower, upper], for Student's t about the value scaled by the uncertainty."""
     from scipy.special import ndtr, stdtr

@@ -18,12 +18,22 @@ from planrunner.plan.schedule import Rest, Segment
 
 SITE = Site(math.radians(39.98))
 WORDS = {"e": (1, 0, 0), "w": (-1, 0, 0), "n": (0, 1, 0), "s": (0, -1, 0), "u": (0, 0, 1), "d": (0, 0, -1)}
-OPTIMAL = "unw dne nue ndw esd seu wsu swd".split()
-CARDINAL = ["".join(p) for p in itertools.permutations(WORDS, 3) if np.array_equal(np.cross(WORDS[p[0]], WORDS[p[1]]), WORDS[p[2]])]
+OPTIMAL = ["unw", "dne", "nue", "ndw", "esd", "seu", "wsu", "swd"]
+CARDINAL = [
+    "".join(p)
+    for p in itertools.permutations(WORDS, 3)
+    if np.array_equal(np.cross(WORDS[p[0]], WORDS[p[1]]), WORDS[p[2]])
+]
 
 
-def block(positions: list[str] | np.ndarray, products: tuple[str, ...] = (), extra: tuple[Term, ...] = ()) -> DesignBlock:
-    attitudes = positions if isinstance(positions, np.ndarray) else [np.array([WORDS[a] for a in p], dtype=float) for p in positions]
+def block(
+    positions: list[str] | np.ndarray, products: tuple[str, ...] = (), extra: tuple[Term, ...] = ()
+) -> DesignBlock:
+    attitudes = (
+        positions
+        if isinstance(positions, np.ndarray)
+        else [np.array([WORDS[a] for a in p], dtype=float) for p in positions]
+    )
     segments = [Segment(k, f"P{k}", a, "", Rest(), 120.0) for k, a in enumerate(attitudes)]
     model = static_model(products)
     terms = (*model.terms, *extra)

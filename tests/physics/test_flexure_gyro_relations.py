@@ -12,7 +12,14 @@ from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
 
 LATITUDE = math.radians(39.98)
-WORDS = {"east": (1, 0, 0), "west": (-1, 0, 0), "north": (0, 1, 0), "south": (0, -1, 0), "up": (0, 0, 1), "down": (0, 0, -1)}
+WORDS = {
+    "east": (1, 0, 0),
+    "west": (-1, 0, 0),
+    "north": (0, 1, 0),
+    "south": (0, -1, 0),
+    "up": (0, 0, 1),
+    "down": (0, 0, -1),
+}
 OPTIMAL = (
     "up north west",
     "down north east",
@@ -137,9 +144,9 @@ def test_jacobian_matches_central_differences(count: int) -> None:
             up, down = flat.copy(), flat.copy()
             up[k] += step
             down[k] -= step
-            difference = flexure_gyro.physical_coefficients(up.reshape(outputs.shape)) - flexure_gyro.physical_coefficients(
-                down.reshape(outputs.shape)
-            )
+            difference = flexure_gyro.physical_coefficients(
+                up.reshape(outputs.shape)
+            ) - flexure_gyro.physical_coefficients(down.reshape(outputs.shape))
             numeric = difference / (2 * step)
             assert analytic[:, k] == pytest.approx(numeric, rel=2e-5, abs=1e-7 * np.abs(analytic[:, k]).max() + 1e-18)
 
@@ -175,6 +182,8 @@ def test_static_model_agrees_with_the_pulses_worked_by_hand() -> None:
         Segment(k, position, np.array([WORDS[w] for w in position.split()], dtype=float), position, Rest(), 120.0)
         for k, position in enumerate(OPTIMAL)
     ]
-    predicted = flexure_gyro.static_model().columns(segment_means(segments, site)) @ flexure_gyro.output_coefficients(si).T
+    predicted = (
+        flexure_gyro.static_model().columns(segment_means(segments, site)) @ flexure_gyro.output_coefficients(si).T
+    )
     expected = np.array([hand_worked_pulses(position, truth, site) for position in OPTIMAL])
     assert predicted == pytest.approx(expected, rel=1e-12)

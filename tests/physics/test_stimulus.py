@@ -25,7 +25,9 @@ def test_rest_in_words() -> None:
     """x up, y north, z west at 40°: Earth rate Ω·sin φ on x, Ω·cos φ on y, nothing on z; +g on x."""
     attitude = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=float)
     felt = segment_means([segment(Rest(), attitude=attitude)], SITE)
-    assert felt.omega[0] == pytest.approx([EARTH_RATE * math.sin(SITE.latitude), EARTH_RATE * math.cos(SITE.latitude), 0])
+    assert felt.omega[0] == pytest.approx(
+        [EARTH_RATE * math.sin(SITE.latitude), EARTH_RATE * math.cos(SITE.latitude), 0]
+    )
     assert felt.specific_force[0] == pytest.approx([9.80, 0, 0])
     assert felt.time[0] == 10.0
     assert felt.temperature[0] == 300.0
@@ -42,7 +44,9 @@ def test_spin_mean_equals_sampling(about: tuple[float, float, float], rate: floa
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     omega, force = np.zeros(3), np.zeros(3)
     for angle in angles:
-        turned = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross  # Rodrigues, of the sensor's axes
+        turned = (
+            np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+        )  # Rodrigues, of the sensor's axes
         axes = (turned @ TILTED.T).T
         omega += axes @ SITE.earth_rate_enu
         force += axes @ SITE.specific_force_enu

@@ -1,0 +1,143 @@
+"""From a recording to results: every estimate of a plan in the order that `uses` asks for, then the limits.
+
+What goes wrong with one estimate is kept as a message; the others are made all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from planrunner import plugins
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.limits import LimitVerdict, hold
+from planrunner.estimators.results import Results, segment_statistics
+from planrunner.instruments.models import SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.findings import InputError
+from planrunner.plan.schedule import Segment
+from planrunner.plan.selection import Detection, select
+
+__all__ = ["LimitVerdict", "Results", "analyse", "design_of", "predict"]
+
+
+def analyse(
+    estimates: Mapping[str, Any],
+    limits: Sequence[Any],
+    recording: Sequence[RecordedSegment],
+    site: Site,
+    sensor: SensorModel,
+) -> Results:
+    """All estimates and limits of a plan.
+
+    estimates: name → `plan.model.EstimateSpec` (estimator, segments, uses, parameters); limits: of `plan.model.Limit`. Never raises for
+    what the data hold: failures are messages by the estimate's name, or by `limit on …`.
+    """
+    made: dict[str, Estimate] = {}
+    failures: dict[str, str] = {}
+    for name in _in_order(estimates):
+        spec = estimates[name]
+        try:
+            made[name] = _estimate(name, spec, recording, site, sensor, made, estimates)
+        except EstimationError as error:
+            failures[name] = str(error)
+        except InputError as error:
+            failures[name] = "; ".join(finding.message for finding in error.findings)
+        except Exception as error:  # an estimator may come from anywhere
+            failures[name] = (
+                f"the estimator '{spec.estimator}' failed unexpectedly ({type(error).__name__}: {error}); tell its author"
+            )
+    verdicts: list[LimitVerdict] = []
+    for limit in limits:
+        try:
+            verdicts.append(hold(limit, made))
+        except EstimationError as error:
+            failures[f"limit on {limit.quantity}"] = str(error)
+    written = {name: made[name] for name in estimates if name in made}
+    return Results(written, tuple(verdicts), failures, tuple(segment_statistics(recorded) for recorded in recording))
+
+
+def design_of(
+    name: str,
+    spec: Any,
+    segments: Sequence[Segment],
+    site: Site,
+    sensor: SensorModel,
+    designs: Mapping[str, Design],
+) -> Design | None:
+    """What one estimate could learn from the planned segments; None where its estimator has no linear model.
+
+    designs: of the estimates before it. Raises `EstimationError` when the segments make no sense for the estimator.
+    """
+    missing = [used for used in spec.uses if used not in designs]
+    if missing:
+        raise EstimationError(f"it uses '{missing[0]}', which has no design")
+    chosen = [segments[index] for index in select([segment.label for segment in segments], _patterns(spec))]
+    if not chosen:
+        raise EstimationError(f"no segment has a label like {', '.join(_patterns(spec))}")
+    estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
+    uses = {used: designs[used] for used in spec.uses}
+    design: Design | None = estimator.design(DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses))
+    return design
+
+
+def predict(
+    estimates: Mapping[str, Any], segments: Sequence[Segment], site: Site, sensor: SensorModel
+) -> tuple[dict[str, Design], dict[str, str]]:
+    """The designs of all estimates, and messages for those that have none because something is wrong."""
+    designs: dict[str, Design] = {}
+    failures: dict[str, str] = {}
+    for name in _in_order(estimates):
+        try:
+            design = design_of(name, estimates[name], segments, site, sensor, designs)
+        except EstimationError as error:
+            failures[name] = str(error)
+            continue
+        if design is not None:
+            designs[name] = design
+    return designs, failures
+
+
+def _in_order(estimates: Mapping[str, Any]) -> list[str]:
+    """Names such that what is used comes first; whatever waits for itself comes last and fails on its missing input."""
+    order: list[str] = []
+    waiting = list(estimates)
+    while waiting:
+        ready = [
+            name for name in waiting if all(used in order or used not in estimates for used in estimates[name].uses)
+        ]
+        if not ready:
+            return order + waiting
+        order += ready
+        waiting = [name for name in waiting if name not in ready]
+    return order
+
+
+def _patterns(spec: Any) -> tuple[str, ...]:
+    patterns: tuple[str, ...] = spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)
+    return patterns
+
+
+def _estimate(
+    name: str,
+    spec: Any,
+    recording: Sequence[RecordedSegment],
+    site: Site,
+    sensor: SensorModel,
+    made: Mapping[str, Estimate],
+    estimates: Mapping[str, Any],
+) -> Estimate:
+    for used in spec.uses:
+        if used not in made:
+            why = "could not be made" if used in estimates else "is not in the plan"
+            raise EstimationError(f"it uses '{used}', which {why}")
+    chosen = [recording[index] for index in select([recorded.label for recorded in recording], _patterns(spec))]
+    if not chosen:
+        raise EstimationError(f"no recorded segment has a label like {', '.join(_patterns(spec))}")
+    estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
+    detection = spec.segments if isinstance(spec.segments, Detection) else None
+    uses = {used: made[used] for used in spec.uses}
+    request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection)
+    estimate: Estimate = estimator.estimate(request)
+    return estimate

@@ -1,0 +1,113 @@
+"""Limits held against coefficients: unit conversion, decision rule, verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from planrunner.estimators.interface import Coefficient, Estimate, EstimationError
+from planrunner.plan.findings import closest
+from planrunner.plan.quantity import Quantity, parse_symmetric
+from planrunner.plan.units import UnknownUnitError, unit
+from planrunner.uncertainty.decision import coverage_factor, decide
+
+
+@dataclass(frozen=True, slots=True)
+class LimitVerdict:
+    """One limit and what became of it. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
+
+    quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: that the true value conforms.
+    """
+
+    quantity: str
+    requirement: str
+    rule: str
+    verdict: Literal["pass", "fail"]
+    value: float
+    unit: str
+    standard_uncertainty: float
+    expanded_uncertainty: float
+    coverage_factor: float
+    reason: str = ""
+    probability: float = math.nan
+    lower: float = -math.inf
+    upper: float = math.inf
+
+
+def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
+    """The verdict on one limit (`plan.model.Limit`). Raises `EstimationError` when its quantity is missing or of another dimension."""
+    coefficient = _coefficient(limit.quantity, estimates)
+    lower, upper = _bounds(limit, coefficient)
+    decision = decide(
+        coefficient.value, coefficient.standard_uncertainty, coefficient.degrees_of_freedom, lower, upper, limit.rule
+    )
+    return LimitVerdict(
+        limit.quantity,
+        _in_words(limit),
+        limit.rule,
+        decision.verdict,
+        coefficient.value,
+        coefficient.unit,
+        coefficient.standard_uncertainty,
+        decision.expanded_uncertainty,
+        coverage_factor(coefficient.degrees_of_freedom),
+        decision.reason,
+        decision.probability,
+        lower,
+        upper,
+    )
+
+
+def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficient:
+    name, _, wanted = quantity.partition(".")
+    if name not in estimates:
+        raise EstimationError(f"there is no result '{name}' to hold it against: {closest(name, estimates)}")
+    try:
+        return estimates[name][wanted]
+    except KeyError:
+        known = [item.name for item in estimates[name].coefficients]
+        raise EstimationError(f"'{name}' has no coefficient '{wanted}': {closest(wanted, known)}") from None
+
+
+def _bounds(limit: Any, coefficient: Coefficient) -> tuple[float, float]:
+    if limit.within is not None:
+        bound = parse_symmetric(limit.within)
+        if bound is None:
+            raise EstimationError(f"'{limit.within}' is no limit about zero; write for example ±0.5 {coefficient.unit}")
+        width = _in_unit(bound, coefficient)
+        return -width, width
+    lower = -math.inf if limit.at_least is None else _in_unit(limit.at_least, coefficient)
+    upper = math.inf if limit.at_most is None else _in_unit(limit.at_most, coefficient)
+    if math.isinf(lower) and math.isinf(upper):
+        raise EstimationError("the limit gives no bound: write within, at_least or at_most")
+    if lower > upper:
+        raise EstimationError("at_least is larger than at_most, so nothing can pass")
+    return lower, upper
+
+
+def _in_unit(bound: Quantity, coefficient: Coefficient) -> float:
+    try:
+        own = unit(coefficient.unit)
+    except UnknownUnitError:
+        raise EstimationError(
+            f"its unit '{coefficient.unit}' is not known, so no limit can be held against it"
+        ) from None
+    if own.dimension != bound.unit.dimension:
+        raise EstimationError(
+            f"the limit is in {bound.unit.text}, the coefficient in {coefficient.unit}: write it in {coefficient.unit}"
+        )
+    # A limit written in the coefficient's own unit is compared as it was written, without a way through SI and back.
+    return bound.unit.from_si(bound.value) if bound.unit.text == own.text else own.from_si(bound.value)
+
+
+def _in_words(limit: Any) -> str:
+    if limit.within is not None:
+        return f"within {limit.within}"
+    parts = [
+        f"{word} {bound}"
+        for word, bound in (("at least", limit.at_least), ("at most", limit.at_most))
+        if bound is not None
+    ]
+    return ", ".join(parts)

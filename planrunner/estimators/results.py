@@ -1,0 +1,172 @@
+"""Results of an analysis and their form as JSON (schemas/results.schema.json): full precision, so that floats come back bit by bit.
+
+JSON has no infinity and no NaN: these are written as the texts "inf", "-inf" and "nan", everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import Coefficient, Estimate, Plot, Table
+from planrunner.estimators.limits import LimitVerdict
+from planrunner.plan.findings import InputError, Mark
+
+FORMAT = 1
+_NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """What an analysis found.
+
+    estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could
+    not be made. segments: one mapping of statistics a recorded segment, as `segment_statistics` gives them.
+    """
+
+    estimates: Mapping[str, Estimate]
+    limits: tuple[LimitVerdict, ...] = ()
+    failures: Mapping[str, str] = field(default_factory=dict)
+    segments: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything was estimated and every limit kept."""
+        return not self.failures and all(limit.verdict == "pass" for limit in self.limits)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON data without NaN or infinities."""
+        found: dict[str, Any] = _plain(
+            {
+                "planrunner_results": FORMAT,
+                "estimates": [_estimate_to(estimate) for estimate in self.estimates.values()],
+                "limits": [{item.name: getattr(limit, item.name) for item in fields(limit)} for limit in self.limits],
+                "failures": dict(self.failures),
+                "segments": [dict(segment) for segment in self.segments],
+            }
+        )
+        return found
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], file: str = "results.json") -> Results:
+        """The results that `to_json` wrote. Raises `InputError` for another format."""
+        if not isinstance(data, Mapping) or data.get("planrunner_results") != FORMAT:
+            message = "this file holds no results of a format that this version reads"
+            raise InputError.at(
+                Mark(file), "results-format", message, "open it with the version that wrote it, or estimate again"
+            )
+        restored = _numbers(data)
+        try:
+            estimates = [_estimate_from(item) for item in restored["estimates"]]
+            limits = tuple(LimitVerdict(**item) for item in restored["limits"])
+            return cls(
+                {item.name: item for item in estimates}, limits, restored["failures"], tuple(restored["segments"])
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            message = f"the results are incomplete or changed ({type(error).__name__}: {error})"
+            raise InputError.at(Mark(file), "results-format", message, "estimate again from the run folder") from None
+
+
+def segment_statistics(recorded: RecordedSegment) -> dict[str, Any]:
+    """One recorded segment's statistics as plain data; means and the like by channel, in the channel's unit."""
+    statistics = recorded.statistics
+    deviation = np.sqrt(np.diag(np.atleast_2d(statistics.covariance)))
+    channels = {
+        name: {
+            "unit": recorded.units.get(name, ""),
+            "mean": float(statistics.mean[k]),
+            "standard_deviation": float(deviation[k]),
+            "standard_error": float(statistics.standard_error[k]),
+            "minimum": float(statistics.minimum[k]),
+            "maximum": float(statistics.maximum[k]),
+        }
+        for k, name in enumerate(statistics.channels)
+    }
+    return {
+        "label": recorded.label,
+        "count": int(statistics.count),
+        "rejected": int(statistics.rejected),
+        "batches": int(statistics.batches),
+        "start": float(statistics.start),
+        "end": float(statistics.end),
+        "largest_gap": float(statistics.largest_gap),
+        "truncated": bool(recorded.truncated),
+        "readings": {name: float(value) for name, value in recorded.readings.items()},
+        "channels": channels,
+    }
+
+
+def _estimate_to(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "name": estimate.name,
+        "estimator": estimate.estimator,
+        "coefficients": [{item.name: getattr(one, item.name) for item in fields(one)} for one in estimate.coefficients],
+        "covariance": np.asarray(estimate.covariance, dtype=float).tolist(),
+        "headline": list(estimate.headline),
+        "settings": dict(estimate.settings),
+        "tables": [{"title": table.title, "columns": table.columns, "rows": table.rows} for table in estimate.tables],
+        "plots": [{item.name: getattr(plot, item.name) for item in fields(plot)} for plot in estimate.plots],
+        "notes": list(estimate.notes),
+        "warnings": list(estimate.warnings),
+        "segments": list(estimate.segments),
+        "extra": dict(estimate.extra),
+    }
+
+
+def _estimate_from(data: Mapping[str, Any]) -> Estimate:
+    rest = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
+    tables = tuple(
+        Table(item["title"], tuple(item["columns"]), tuple(map(tuple, item["rows"]))) for item in data["tables"]
+    )
+    plots = tuple(
+        Plot(
+            item["title"],
+            item["x_title"],
+            item["y_title"],
+            tuple(item["x"]),
+            {name: tuple(values) for name, values in item["series"].items()},
+            {name: tuple(values) for name, values in item["uncertainties"].items()},
+        )
+        for item in data["plots"]
+    )
+    return Estimate(
+        name=data["name"],
+        estimator=data["estimator"],
+        coefficients=tuple(Coefficient(**item) for item in data["coefficients"]),
+        covariance=np.array(data["covariance"], dtype=float),
+        settings=data["settings"],
+        tables=tables,
+        plots=plots,
+        extra=data["extra"],
+        **rest,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Plain JSON data: numpy scalars and arrays, tuples and mappings unpacked; numbers that JSON lacks as texts."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return "nan" if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _numbers(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_numbers(item) for item in value]
+    return _NUMBERS.get(value, value) if isinstance(value, str) else value
