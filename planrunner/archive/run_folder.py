@@ -122,7 +122,11 @@ class RunWriter:
             shutil.rmtree(aside, ignore_errors=True)
             raise
         lock = FolderLock(path)
-        file = storage.open_existing(path / journal_lines.NAME)
+        try:
+            file = storage.open_existing(path / journal_lines.NAME)
+        except BaseException:
+            lock.release()
+            raise
         journal = Journal(storage, file, head=created.head, count=created.count, size=file.tell())
         return cls(path, storage, lock, journal, ResumePoint(files=digests))
 
@@ -263,13 +267,18 @@ class RunWriter:
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Any]) -> None:
         """The segment in progress, if any, was cut short: keep its samples, and count them if the plan says so."""
-        segment = self._segment
+        segment, samples = self._segment, self._samples
         if segment is None:
             return
-        if segment.on_break == "keep" and self._samples is not None and self._samples.rows:
+        if samples is not None and samples.rows:
+            try:
+                self._close_samples()
+            except OSError:  # what is finished is on the disk; the rest is lost
+                self._drop_samples()
+        parts = self._drop_samples()
+        if segment.on_break == "keep" and any(part.rows for part in parts):
             self.acknowledge(clock, states, {}, truncated=True, reason=reason)
             return
-        parts = self._close_samples() if self._samples is not None and self._samples.rows else self._drop_samples()
         self._journal.append(
             "rejected",
             {
@@ -296,10 +305,12 @@ class RunWriter:
 
     def close(self) -> None:
         """Let go of the folder. A segment in progress stays as after a crash."""
-        self._drop_samples()
-        with contextlib.suppress(OSError):
-            self._journal.close()
-        self._lock.release()
+        try:
+            self._drop_samples()
+        finally:
+            with contextlib.suppress(OSError):
+                self._journal.close()
+            self._lock.release()
 
     def __enter__(self) -> RunWriter:
         return self
@@ -319,7 +330,9 @@ class RunWriter:
         return self._parts
 
     def _drop_samples(self) -> list[Part]:
+        """Let go of the file in progress; returns the parts that are finished."""
         if self._samples is not None:
-            self._samples.abandon()
-            self._samples = None
+            samples, self._samples = self._samples, None
+            self._parts.extend(samples.take_finished())
+            samples.abandon()
         return self._parts

@@ -133,8 +133,7 @@ class SegmentWriter:
         """Drop the part in progress and its file."""
         part, self._open, self._waiting = self._open, None, []
         if part is not None:
-            with contextlib.suppress(OSError):
-                part.abandon()
+            part.abandon()
 
     def _check(self, block: Block) -> None:
         if set(block.channels) != set(self.channels):
@@ -189,9 +188,14 @@ class _HashedSink:
         self.hash = hashlib.sha256()
         self.size = 0
         self.closed = False
+        self.broken = False
 
     def write(self, data: Any) -> int:
+        if self.broken:
+            raise OSError("an earlier write of this file failed")
+        self.broken = True  # until this write has succeeded: a file with a hole in it is never finished
         self.storage.write(self.file, memoryview(data))
+        self.broken = False
         self.hash.update(data)
         self.size += len(data)
         return len(data)
@@ -236,20 +240,31 @@ class _OpenPart:
         self.rows += table.num_rows
 
     def finish(self) -> Part:
-        self._writer.close()
-        self._native.close()
-        self._storage.sync(self._sink.file)
-        self._sink.file.close()
-        self._storage.replace(self.aside, self.path)
+        try:
+            self._writer.close()
+            self._native.close()
+            if self._sink.broken:
+                raise OSError("an earlier write of this file failed")
+            self._storage.sync(self._sink.file)
+            self._sink.file.close()
+            self._storage.replace(self.aside, self.path)
+        except BaseException:
+            self.abandon()
+            raise
         self._storage.sync_folder(self.path.parent)
         name = f"{self.path.parent.name}/{self.path.name}"
         return Part(name, self._sink.hash.hexdigest(), self.rows, self._sink.size)
 
     def abandon(self) -> None:
-        with contextlib.suppress(Exception):
-            self._writer.close()
-        self._sink.file.close()
-        self._storage.remove(self.aside)
+        """Let go of the file and remove it, as far as that goes."""
+        self._sink.broken = True
+        try:
+            with contextlib.suppress(Exception):
+                self._writer.close()
+        finally:
+            self._sink.file.close()
+        with contextlib.suppress(OSError):
+            self._storage.remove(self.aside)
 
 
 def _schema(channels: Mapping[str, str], description: Mapping[str, str]) -> Any:

@@ -222,10 +222,11 @@ class _Execution:
         """Empty on a real bench, whose state stands in the laboratory."""
         if not self.resumable:
             return {}
-        attitude = self.reaching.attitude
+        reaching, attitude = self.reaching, self.reaching.attitude
         executor = {
-            "temperature": self.reaching.temperature,
+            "temperature": reaching.temperature,
             "attitude": None if attitude is None else attitude.tolist(),
+            "soak_again": reaching.soak_again,
         }
         return {"executor": executor, "instruments": {name: item.checkpoint() for name, item in self.resumable.items()}}
 
@@ -243,6 +244,9 @@ class _Execution:
         self.doing = "going back to where the run broke off"
         self.clock.set(point.clock)  # type: ignore[attr-defined]
         self.reaching.forget()
+        simulated_chamber = isinstance(self.bench.chamber, Resumable)
+        if simulated_chamber:  # as it was, to the second; as new, when nothing was acknowledged
+            self.reaching.soak_again = False
         if not point.states:
             return
         executor, instruments = point.states["executor"], point.states["instruments"]
@@ -251,9 +255,8 @@ class _Execution:
                 item.restore(instruments[name])
         if isinstance(self.bench.table, Resumable) and executor["attitude"] is not None:
             self.reaching.attitude = np.array(executor["attitude"], dtype=np.float64)
-        if isinstance(self.bench.chamber, Resumable):
-            self.reaching.temperature = executor["temperature"]
-            self.reaching.soak_again = False
+        if simulated_chamber:
+            self.reaching.temperature, self.reaching.soak_again = executor["temperature"], executor["soak_again"]
 
     # -- words for people ----------------------------------------------------------------------------------------------
 
