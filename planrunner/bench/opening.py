@@ -6,13 +6,14 @@ safe tries every instrument in the bench's order, whatever the others do.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from planrunner.bench.model import Bench, driver_of, safe_order, site_of
-from planrunner.instruments.interfaces import Clock, Instrument, InstrumentError, Surroundings
+from planrunner.bench.model import SINGLE_ROLES, Bench, driver_of, safe_order, site_of
+from planrunner.instruments.interfaces import Clock, InstrumentError, Surroundings
 from planrunner.physics.earth import Site
 
 
@@ -28,41 +29,29 @@ class SafetyFailure:
 
 
 class OpenBench:
-    """A bench whose instruments are connected. A context manager: leaving it makes everything safe, then closes it."""
+    """A bench whose instruments are connected. A context manager: leaving it makes everything safe, then closes it.
 
-    def __init__(self, bench: Bench, instruments: dict[str, Any], clock: Clock, site: Site):
+    table, chamber, sensor: the instrument of that role, or None. monitors: every other instrument by name. instruments: all of them
+    by name.
+    """
+
+    def __init__(self, bench: Bench, clock: Clock, site: Site):
         self.bench = bench
-        self.instruments = instruments
-        self.clock = clock
+        self.clock: Any = clock
         self.site = site
+        self.table: Any = None
+        self.chamber: Any = None
+        self.sensor: Any = None
+        self.monitors: Any = {}
+        self.instruments: Mapping[str, Any] = {}
 
-    @property
-    def table(self) -> Any:
-        """The table, or None."""
-        return self._of_role("table")
-
-    @property
-    def chamber(self) -> Any:
-        """The temperature chamber, or None."""
-        return self._of_role("chamber")
-
-    @property
-    def sensor(self) -> Any:
-        """The sensor under test, or None."""
-        return self._of_role("sensor")
-
-    @property
-    def monitors(self) -> dict[str, Any]:
-        """Every other instrument, by name."""
-        roles = ("table", "chamber", "sensor")
-        return {name: item for name, item in self.instruments.items() if self.role(name) not in roles}
-
-    def role(self, name: str) -> str:
-        """The role of an instrument: table, chamber, sensor or monitor."""
-        return str(driver_of(self.bench.instruments[name]).role)
-
-    def _of_role(self, role: str) -> Instrument | None:
-        return next((item for name, item in self.instruments.items() if self.role(name) == role), None)
+    def add(self, name: str, role: str, instrument: Any) -> None:
+        """Take in a connected instrument."""
+        self.instruments = {**self.instruments, name: instrument}
+        if role in SINGLE_ROLES:
+            setattr(self, role, instrument)
+        else:
+            self.monitors = {**self.monitors, name: instrument}
 
     def make_safe(self) -> list[SafetyFailure]:
         """Bring every instrument to its safe state, in the bench's order; returns those that failed."""
@@ -71,7 +60,8 @@ class OpenBench:
     def close(self) -> list[SafetyFailure]:
         """Disconnect every instrument; returns those that failed. May be called twice."""
         failures = self._each("close")
-        self.instruments = {}
+        self.instruments, self.monitors = {}, {}
+        self.table = self.chamber = self.sensor = None
         return failures
 
     def _each(self, action: str) -> list[SafetyFailure]:
@@ -110,7 +100,7 @@ def open_bench(
     site = site_of(bench)
     chosen_seed = bench.seed if seed is None else seed
     surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=bench.clock == "wall")
-    opened = OpenBench(bench, {}, clock, site)
+    opened = OpenBench(bench, clock, site)
     for name, entry in bench.instruments.items():
         try:
             driver = driver_of(entry)
@@ -122,7 +112,7 @@ def open_bench(
             also = "; and could not be made safe: " + "; ".join(map(str, failures)) if failures else ""
             reason = f"{error}" or type(error).__name__
             raise InstrumentError(f"{name} ({entry.driver}) cannot be connected: {reason}{also}") from error
-        opened.instruments[name] = instrument
+        opened.add(name, driver.role, instrument)
         surroundings.instruments[driver.role] = instrument
     return opened
 

@@ -190,22 +190,24 @@ class RecordingPlayer:
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
-        begin, end = span.start, span.end
-        if segment.dwell is not None:
-            if segment.dwell > span.end - span.start + 1.5 * interval:
-                raise self._too_short(segment, span.end - span.start)
-            end = min(end, begin + segment.dwell - 0.5 * interval)
-        last: float | None = None
-        first: float | None = None
-        for time, columns in self.file.rows(begin, end):
-            first = float(time[0]) if first is None else first
-            last = float(time[-1])
-            yield from self._pieces(time, columns)
-        if first is None or last is None:
-            where = f"between {begin:g} s and {end:g} s" if math.isfinite(end) else "at all"
+        if segment.dwell is not None and segment.dwell > span.end - span.start + 1.5 * interval:
+            raise self._too_short(segment, span.end - span.start)
+        first = last = until = math.inf
+        for time, columns in self.file.rows(span.start, span.end):
+            if math.isinf(first):
+                first = float(time[0])
+                until = math.inf if segment.dwell is None else first + segment.dwell - 0.5 * interval
+            count = int(np.searchsorted(time, until))
+            if count:
+                last = float(time[count - 1])
+                yield from self._pieces(time[:count], {name: values[:count] for name, values in columns.items()})
+            if count < time.size:
+                break
+        if math.isinf(first):
+            where = f"between {span.start:g} s and {span.end:g} s"
             raise InstrumentError(f"{self.parameters.file} has no samples {where} for '{segment.label}'")
         if segment.dwell is not None and last - first + 1.5 * interval < segment.dwell:
-            raise self._too_short(segment, last - first)
+            raise self._too_short(segment, last - first + interval)
 
     def identify(self) -> Mapping[str, str]:
         return {"manufacturer": "recording", "model": self.parameters.kind, "file": self.parameters.file}
@@ -247,7 +249,7 @@ class RecordingPlayer:
             )
             raise InstrumentError(message)
         self._served = segment.label
-        return Span(-math.inf, math.inf)
+        return Span(self.file.origin, math.inf)
 
     def _too_short(self, segment: Segment, available: float) -> InstrumentError:
         return InstrumentError(

@@ -1,0 +1,234 @@
+"""The virtual table and chamber: moves, limits, errors that stay, and temperatures by an independent integration."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from planrunner.execution.clock import VirtualClock
+from planrunner.instruments.interfaces import (
+    HoldsOrientation,
+    HoldsTemperature,
+    InstrumentError,
+    Moves,
+    Readable,
+    Resumable,
+    Surroundings,
+)
+from planrunner.instruments.virtual.chamber import VirtualChamber, VirtualChamberParameters
+from planrunner.instruments.virtual.courses import trapezoid
+from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
+from planrunner.instruments.virtual.thermal import Command, Lags, temperatures
+from planrunner.physics.earth import Site
+from planrunner.plan import source
+from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import RecordOf
+from planrunner.plan.schedule import Cycle, Move, Rock, Spin
+
+DEG = math.pi / 180
+LEVEL = np.eye(3)
+AXES = """[{name: outer, direction: up, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2},
+ {name: middle, direction: east, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2, lowest: -100 deg, highest: 100 deg},
+ {name: inner, direction: north, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2}]"""
+
+
+def read(record, text):
+    log = Findings()
+    made = RecordOf(record).read(source.parse(text, "t"), log)
+    assert list(log) == []
+    return made
+
+
+def table(seed=1, more=""):
+    surroundings = Surroundings(VirtualClock(), Site(0.7), seed=seed)
+    return VirtualTable.connect(
+        read(VirtualTableParameters, f"{{axes: {AXES}{more}}}"), surroundings
+    ), surroundings.clock
+
+
+def chamber():
+    surroundings = Surroundings(VirtualClock(), Site(0.7))
+    text = "{lowest: -40 degC, highest: 60 degC, ramp: 3 K/min, lag: 2 min, tolerance: 0.5 K}"
+    return VirtualChamber.connect(read(VirtualChamberParameters, text), surroundings), surroundings.clock
+
+
+def test_they_can_do_what_they_must():
+    for protocol in (HoldsOrientation, Moves, Readable, Resumable):
+        assert isinstance(table()[0], protocol)
+    for protocol in (HoldsTemperature, Readable, Resumable):
+        assert isinstance(chamber()[0], protocol)
+
+
+def test_a_move_takes_its_trapezoid_and_holds_only_then():
+    moving, clock = table()
+    quarter = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # x north: 90 deg about up
+    assert moving.orient(quarter) == pytest.approx(11.0)  # 2 s up, 7 s at 10 deg/s, 2 s down
+    clock.sleep(10.9)
+    assert not moving.holding()
+    assert moving.read()["outer_deg"] == pytest.approx(90 - 0.5 * 5 * 0.1**2)
+    clock.sleep(0.1)
+    assert moving.holding()
+    assert moving.read() == pytest.approx({"outer_deg": 90, "middle_deg": 0, "inner_deg": 0})
+
+
+def test_the_trapezoid_is_the_integral_of_its_rate():
+    t = np.linspace(0, 30, 30_001)
+    for distance in (170 * DEG, -4 * DEG, 0.0):
+        angle, rate = trapezoid(t, distance, 10 * DEG, 5 * DEG)
+        integral = np.concatenate(([0], np.cumsum((rate[1:] + rate[:-1]) / 2 * 1e-3)))
+        assert np.abs(angle - integral).max() < 1e-6
+        assert angle[-1] == pytest.approx(distance, abs=1e-12)
+        assert np.abs(np.diff(rate)).max() <= 5 * DEG * 1e-3 + 1e-12
+
+
+def test_orientations_and_motions_beyond_it_are_refused():
+    moving, clock = table()
+    with pytest.raises(InstrumentError, match="cannot take this orientation.*'middle'"):
+        # Outer up, middle tilting past its limit either way round: y (the inner axis) would have to point … straight over.
+        limited, _ = table()
+        limited.axes = (
+            *limited.axes[:1],
+            limited.axes[1].__class__("middle", (1.0, 0.0, 0.0), 1, 1, -DEG, DEG),
+            limited.axes[2],
+        )
+        limited.orient(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    with pytest.raises(InstrumentError, match="20 deg/s of the axis 'outer', which reaches 10 deg/s"):
+        moving.begin_motion(Spin(20 * DEG), 10.0)
+    with pytest.raises(InstrumentError, match="cannot spin about this direction"):
+        clock.sleep(moving.orient(np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]])))
+        moving.begin_motion(Spin(1 * DEG, (0.0, 1.0, 0.0)), 10.0)
+    with pytest.raises(InstrumentError, match="rocking needs"):
+        moving.begin_motion(Rock(10 * DEG, 1.0, (0.0,), 10.0), 10.0)
+    with pytest.raises(InstrumentError, match="4 rings"):
+        moving.begin_motion(Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), 10.0)
+    with pytest.raises(InstrumentError, match="the cycle's turns needs? 30 deg/s"):
+        moving.begin_motion(Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 30 * DEG, 1.0), 10.0)
+
+
+def test_it_does_not_take_an_orientation_while_it_spins():
+    moving, clock = table()
+    clock.sleep(moving.begin_motion(Spin(10 * DEG), 10.0))
+    with pytest.raises(InstrumentError, match="still moving"):
+        moving.orient(LEVEL)
+    assert moving.end_motion() == pytest.approx(2.0)
+    clock.sleep(2.0)
+    clock.sleep(moving.orient(LEVEL))
+    assert moving.holding()
+
+
+def test_made_safe_it_stops_however_often():
+    moving, clock = table()
+    clock.sleep(moving.begin_motion(Spin(-10 * DEG), 10.0))
+    moving.make_safe()
+    moving.make_safe()
+    clock.sleep(2.0)
+    at_rest = moving.read()
+    clock.sleep(100.0)
+    assert moving.read() == at_rest
+    # 10 deg while spinning up, 10 deg while slowing down.
+    assert at_rest["outer_deg"] == pytest.approx(-20.0)
+
+
+def test_the_pointing_error_stays_with_the_orientation_and_has_the_declared_size():
+    first, clock = table(more=", position_error: 10 arcsec")
+    other = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    skews = []
+    for attitude in (LEVEL, other, LEVEL):
+        clock.sleep(first.orient(attitude))
+        skews.append(first.world.skew.copy())
+    assert np.array_equal(skews[0], skews[2])
+    assert not np.array_equal(skews[0], skews[1])
+    again, _ = table(more=", position_error: 10 arcsec")
+    again.orient(LEVEL)
+    assert np.array_equal(again.world.skew, skews[0])
+    angles = []
+    for seed in range(300):
+        drawn, _ = table(seed=seed, more=", position_error: 10 arcsec")
+        drawn.orient(LEVEL)
+        skew = drawn.world.skew
+        angles += [skew[2, 1] / DEG * 3600, skew[0, 2] / DEG * 3600, skew[1, 0] / DEG * 3600]
+    assert np.std(angles) == pytest.approx(10.0, rel=0.1)
+    assert abs(np.mean(angles)) < 1.5
+
+
+def test_what_it_declares_is_kept_apart_from_what_is_simulated():
+    parameters = read(
+        VirtualTableParameters, f"{{axes: {AXES}, position_uncertainty: 3 arcsec, rate_stability: 10 ppm}}"
+    )
+    model = VirtualTable.model(parameters)
+    assert model.position_uncertainty == pytest.approx(3 * DEG / 3600)
+    assert model.rate_stability == pytest.approx(1e-5)
+    assert model.axes[1].lowest == pytest.approx(-100 * DEG)
+
+
+def by_small_steps(command, lags, end, step=0.01):
+    """Both lags integrated by the midpoint rule."""
+    air, sensor, t = command.air, command.sensor, 0.0
+    for _ in range(round(end / step)):
+
+        def setpoint(at):
+            change = command.target - command.setpoint
+            return command.setpoint + math.copysign(min(lags.ramp * at, abs(change)), change)
+
+        half_air = air + step / 2 * (setpoint(t) - air) / lags.air
+        half_sensor = sensor + step / 2 * (air - sensor) / lags.sensor
+        air += step * (setpoint(t + step / 2) - half_air) / lags.air
+        sensor += step * (half_air - half_sensor) / lags.sensor
+        t += step
+    return air, sensor
+
+
+@pytest.mark.parametrize("sensor_lag", [40.0, 600.0, 120.0])
+@pytest.mark.parametrize("end", [50.0, 300.0])
+def test_temperatures_follow_their_equations(sensor_lag, end):
+    command = Command(1000.0, 300.0, 298.0, 297.0, 306.0)
+    lags = Lags(0.05, 120.0, sensor_lag)
+    _, air, sensor = temperatures(command, lags, np.array([1000.0, 1000.0 + end]))
+    expected = by_small_steps(command, lags, end)
+    assert (air[0], sensor[0]) == pytest.approx((298.0, 297.0))
+    # With equal time constants the closed form is taken a millionth apart.
+    assert (air[1], sensor[1]) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_chamber_says_how_long_it_takes_and_is_there_then():
+    warm, clock = chamber()
+    seconds = warm.set_temperature(313.15)
+    # 15 K at 3 K/min are 300 s; the air then lags by 0.05·120·(1 − e^(−300/120)) = 5.5075 K, and comes within 0.5 K after
+    # 120·ln(5.5075/0.5) = 287.9 s.
+    assert seconds == pytest.approx(300 + 287.9, abs=0.1)
+    clock.sleep(seconds - 1)
+    assert not warm.at_temperature()
+    clock.sleep(1)
+    assert warm.at_temperature()
+    assert warm.read()["air_degC"] == pytest.approx(39.5)
+    assert warm.set_temperature(313.15) == 0.0 or warm.at_temperature()
+
+
+def test_the_chamber_refuses_what_it_cannot_reach_and_goes_home():
+    warm, clock = chamber()
+    with pytest.raises(InstrumentError, match="61 degC is beyond the chamber, which reaches -40 to 60 degC"):
+        warm.set_temperature(334.15)
+    clock.sleep(warm.set_temperature(320.0))
+    warm.make_safe()
+    clock.sleep(3600.0)
+    assert warm.read()["air_degC"] == pytest.approx(25.0, abs=1e-3)
+    state = json.dumps(warm.checkpoint())
+    again, later = chamber()
+    later.set(clock.now())
+    again.restore(json.loads(state))
+    assert again.read() == warm.read()
+
+
+def test_temperature_does_not_depend_on_how_often_it_is_asked():
+    asked, clock = chamber()
+    quiet, other = chamber()
+    asked.set_temperature(310.0)
+    quiet.set_temperature(310.0)
+    for _ in range(50):
+        clock.sleep(3.7)
+        asked.read()
+    other.set(clock.now())
+    assert asked.read() == quiet.read()
