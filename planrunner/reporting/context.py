@@ -5,33 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.estimators.interface import Estimate
+from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
-
-Verdict = Literal["pass", "fail"]
-
-
-@dataclass(frozen=True, slots=True)
-class LimitVerdict:
-    """One limit and what became of it. value, standard_uncertainty and expanded_uncertainty are in `unit`.
-
-    quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; rule: simple or guarded.
-    """
-
-    quantity: str
-    requirement: str
-    rule: str
-    verdict: Verdict
-    value: float
-    unit: str
-    standard_uncertainty: float
-    expanded_uncertainty: float
-    coverage_factor: float
-    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +34,7 @@ class ReportContext:
 
     run_information: what was given for this run (operator, device_serial, work_order, fixture, ambient_pressure …).
     bench: facts about the bench (name, description …); instruments: role → identity as the instrument gave it.
+    failures: what could not be estimated → why.
     provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
     probability: coverage probability of the expanded uncertainties.
     """
@@ -68,6 +48,7 @@ class ReportContext:
     segments: tuple[SegmentSummary, ...] = ()
     estimates: tuple[Estimate, ...] = ()
     limits: tuple[LimitVerdict, ...] = ()
+    failures: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from planrunner.reporting.context import LimitVerdict, ReportContext, SegmentSummary
+from planrunner.estimators.limits import LimitVerdict
+from planrunner.reporting.context import ReportContext, SegmentSummary
 from planrunner.reporting.templates import ReportError, available, render
 from planrunner.reporting.view import report_view
 

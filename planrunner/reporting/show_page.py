@@ -19,7 +19,7 @@ from planrunner.reporting.view import coefficient_row, named, table_view
 
 MAX_PICTURES = 200
 MAX_BARS = 5000
-_IDLE = ("T, ", "Temperature", "Soak", "Settle", "Wait")  # left out when nothing is in them
+_IDLE = ("T [", "Temperature", "Soak", "Settle", "Wait")  # left out when nothing is in them
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,20 +144,20 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     waits = [words.number(item.soak + item.settle) for item in segments]
     ends = [words.clock(span.end) if span.segment.dwell is not None else "–" for span in spans(schedule)]
     wide = [
-        ("Soak, s", [words.number(item.soak) for item in segments]),
-        ("Settle, s", [words.number(item.settle) for item in segments]),
+        ("Soak [s]", [words.number(item.soak) for item in segments]),
+        ("Settle [s]", [words.number(item.settle) for item in segments]),
     ]
     columns: list[tuple[str, list[str]]] = [
         ("#", [str(item.index + 1) for item in segments]),
-        ("Start" if brief else "Start, h:mm:ss", [words.clock(item.start) for item in segments]),
+        ("Start" if brief else "Start [h:mm:ss]", [words.clock(item.start) for item in segments]),
         ("Segment", [item.label for item in segments]),
         *([] if brief and len(set(faces)) == 1 else [("Orientation", faces)]),
         *_motion_columns(segments, brief),
-        ("T, °C" if brief else "Temperature, °C", [words.temperature(item) for item in segments]),
-        ("Reach, s", [words.number(round(item.transition, 1)) for item in segments]),
-        *([("Wait, s", waits)] if brief else wide),
+        ("T [°C]" if brief else "Temperature [°C]", [words.temperature(item) for item in segments]),
+        ("Reach [s]", [words.number(round(item.transition, 1)) for item in segments]),
+        *([("Wait [s]", waits)] if brief else wide),
         ("Dwell", [words.duration(item.dwell) for item in segments]),
-        *([] if brief else [("End, h:mm:ss", ends)]),
+        *([] if brief else [("End [h:mm:ss]", ends)]),
     ]
     kept = [item for item in columns if not (item[0].startswith(_IDLE) and set(item[1]) <= {"–", "0"})]
     rows = tuple(zip(*(cells for _, cells in kept), strict=True)) if segments else ()
@@ -172,6 +172,6 @@ def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[tuple[str,
     abouts = {item.about if isinstance(item, Spin) else None for item in moving}
     about = abouts.pop()
     if not abouts and about is not None:
-        title = "Rate, °/s" if brief else f"Rate about {words.direction(about)}, °/s"
+        title = "Rate [°/s]" if brief else f"Rate about {words.direction(about)} [°/s]"
         return [(title, [words.rate(item) for item in segments])]
     return [("Motion", [words.motion(item.motion) for item in segments])]

@@ -5,27 +5,24 @@ Text from files is shown as it stands: no markup is read from it and control cha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Table
+from planrunner.estimators.limits import LimitVerdict
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting import words
-from planrunner.reporting.context import LimitVerdict
 from planrunner.reporting.show_page import timeline_table, totals
 from planrunner.reporting.view import coefficient_row, limit_row, named, table_view
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType
     from rich.table import Table as RichTable
     from rich.text import Text
 
-_LEAST = {
-    "Orientation": 24,
-    "Segment": 5,
-    "Start": 7,
-    "Dwell": 5,
-}  # columns that must stay readable on a narrow terminal
+_GAP = 2  # between columns
+_MOST_TEXT = 24  # characters of a text column that are kept on one line on a narrow terminal
 _VERDICT = {"pass": "bold green", "fail": "bold red"}
 
 
@@ -52,38 +49,33 @@ def predicted_table(name: str, design: Design, probability: float = 0.95) -> Ren
     return _coefficients(f"{name}: predicted", design.predicted, probability, "nominal")
 
 
-def _coefficients(title: str, shown: Iterable[Coefficient], probability: float, value: str) -> RichTable:
+def _coefficients(title: str, shown: Iterable[Coefficient], probability: float, value: str) -> RenderableType:
     percent = words.number(100 * probability)
     titles = ("coefficient", value, "u", f"± U ({percent} %)", "unit", "k", "d.o.f.")
     keys = ("name", "value", "standard", "expanded", "unit", "factor", "freedom")
-    table = _table(title, [(text, text not in ("coefficient", "unit")) for text in titles])
-    for item in shown:
-        row = coefficient_row(item, probability)
-        table.add_row(*(_text(row[key]) for key in keys))
-    return table
+    rows = [coefficient_row(item, probability) for item in shown]
+    columns = [(text, text not in ("coefficient", "unit")) for text in titles]
+    return _Columns(title, columns, [[_text(row[key]) for key in keys] for row in rows])
 
 
 def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
     """Limits with their verdicts, coloured on a terminal and always in words."""
     titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "verdict")
     keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule")
-    table = _table("Limits", [(text, text in ("value", "± U", "k")) for text in titles])
+    rows = []
     for limit in limits:
         row = limit_row(limit)
         verdict = f"{row['verdict']}: {row['reason']}" if row["reason"] else row["verdict"]
-        table.add_row(*(_text(row[key]) for key in keys), _text(verdict, _VERDICT[row["kind"]]))
-    return table
+        rows.append([*(_text(row[key]) for key in keys), _text(verdict, _VERDICT[row["kind"]])])
+    return _Columns("Limits", [(text, text in ("value", "± U", "k")) for text in titles], rows)
 
 
 def data_table(given: Table) -> RenderableType:
     """A table of an estimate, such as a comparison of two sets of coefficients."""
     view = table_view(given)
-    table = _table(view["title"], [(column["title"], column["numeric"]) for column in view["columns"]])
-    for row in view["rows"]:
-        table.add_row(*(_text(cell) for cell in row))
-    if view["more"]:
-        table.caption = view["more"]
-    return table
+    columns = [(column["title"], column["numeric"]) for column in view["columns"]]
+    rows = [[_text(cell) for cell in row] for row in view["rows"]]
+    return _Columns(view["title"], columns, rows, view["more"])
 
 
 def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableType:
@@ -111,23 +103,52 @@ def _plain(facts: Iterable[tuple[str, str]]) -> RichTable:
     return table
 
 
-def _table(title: str, columns: Sequence[tuple[str, bool]]) -> RichTable:
-    from rich import box
-    from rich.table import Table as RichTable
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """A table that prints as several, one under the other, where its columns do not fit side by side.
 
-    table = RichTable(
-        title=_text(title),
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        header_style="bold",
-    )
-    for name, numeric in columns:
-        table.add_column(
-            _text(name), justify="right" if numeric else "left", no_wrap=numeric, min_width=_LEAST.get(name)
-        )
-    return table
+    Numbers are never broken or cut: titles and text are broken first, then columns move down, led by the first one again.
+    columns: (title, whether it holds numbers).
+    """
+
+    title: str
+    columns: Sequence[tuple[str, bool]]
+    rows: Sequence[Sequence[Text]]
+    caption: str = ""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        for part, places in enumerate(self._parts(options.max_width)):
+            yield self._table(f"{self.title} (continued)" if part else self.title, places)
+        if self.caption:
+            yield _text(self.caption)
+
+    def _parts(self, width: int) -> list[list[int]]:
+        """Columns of each part. The first column leads every part."""
+        least = [self._least(place) + _GAP for place in range(len(self.columns))]
+        parts: list[list[int]] = [[]]
+        for place, size in enumerate(least):
+            if len(parts[-1]) > 1 and sum(least[other] for other in parts[-1]) + size + 1 > width:
+                parts.append([0])
+            parts[-1].append(place)
+        return parts
+
+    def _least(self, place: int) -> int:
+        title, numeric = self.columns[place]
+        longest = max((row[place].cell_len for row in self.rows), default=0)
+        return max(longest if numeric else min(longest, _MOST_TEXT), *map(len, title.split()), 1)
+
+    def _table(self, title: str, places: Sequence[int]) -> RichTable:
+        from rich import box
+        from rich.table import Table as RichTable
+
+        style = {"title_justify": "left", "title_style": "bold", "header_style": "bold", "box": box.SIMPLE_HEAD}
+        table = RichTable(title=_text(title), pad_edge=False, padding=(0, 0, 0, 1), **style)  # type: ignore[arg-type]
+        for place in places:
+            name, numeric = self.columns[place]
+            table.add_column(_text(name), justify="right" if numeric else "left", min_width=self._least(place))
+        for row in self.rows:
+            table.add_row(*(row[place] for place in places))
+        return table
 
 
 def _text(words_: str, style: str = "") -> Text:

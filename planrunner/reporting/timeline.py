@@ -53,7 +53,7 @@ def draw_panels(rows: Sequence[Any], panels: Sequence[Panel], schedule: Schedule
     for axes, panel in zip(rows, panels, strict=True):
         draw[panel](axes, times, divisor, longest)
         axes.set_xlim(0, longest / divisor)
-    rows[-1].set_xlabel(f"time since the first move, {unit}")
+    rows[-1].set_xlabel(f"time since the first move [{unit}]")
 
 
 def _bars(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
@@ -97,7 +97,7 @@ def _temperature(axes: Any, times: list[Span], divisor: float, longest: float) -
     if known:
         margin = max(0.08 * (max(known) - min(known)), 2.0)
         axes.set_ylim(min(known) - margin, max(known) + margin)
-    axes.set_ylabel("temperature,\n°C", fontsize=8.5)
+    axes.set_ylabel("temperature\n[°C]", fontsize=8.5)
 
 
 def _rate(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
@@ -120,4 +120,4 @@ def _rate(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
         xs += [span.leave / divisor, span.arrive / divisor, span.end / divisor]
         ys += [ys[-1], value, value]
     axes.plot([*xs, longest / divisor], [*ys, 0.0], color="#0b5394", linewidth=1.2)
-    axes.set_ylabel("rate,\n°/s", fontsize=8.5)
+    axes.set_ylabel("rate\n[°/s]", fontsize=8.5)

@@ -8,7 +8,7 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
     limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
-                                      factor, reason}
+                                      factor, probability, reason}
     estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
                                       correlation, strong_correlations, notes, warnings, segments}
       coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
@@ -30,8 +30,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from planrunner.estimators.interface import Coefficient, Estimate, Table
+from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
-from planrunner.reporting.context import LimitVerdict, ReportContext, SegmentSummary, site_facts
+from planrunner.reporting.context import ReportContext, SegmentSummary, site_facts
 from planrunner.reporting.rounding import rounded
 from planrunner.uncertainty.decision import coverage_factor
 
@@ -74,6 +75,12 @@ def report_view(context: ReportContext) -> dict[str, Any]:
 def headline(context: ReportContext) -> dict[str, str]:
     """The verdict on top: whether the limits are met."""
     total, failed = len(context.limits), len(context.failed)
+    if context.failures:
+        return {
+            "kind": "fail",
+            "text": "Incomplete: not everything could be estimated",
+            "detail": "; ".join(f"{name}: {why}" for name, why in context.failures.items()),
+        }
     if not total:
         return {"kind": "none", "text": "No limits were set", "detail": "The plan asks for values, not for a verdict."}
     names = ", ".join(limit.quantity for limit in context.failed)
@@ -149,7 +156,7 @@ def freedom(value: float) -> str:
     """Degrees of freedom; effective ones keep a decimal below a hundred."""
     if not math.isfinite(value):
         return "∞"
-    return f"{value:.0f}" if value >= 100 or value == round(value) else f"{value:.1f}"
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}".removesuffix(".0")
 
 
 def limit_row(limit: LimitVerdict) -> dict[str, str]:
@@ -164,6 +171,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "expanded": width,
         "unit": "" if limit.unit == "1" else limit.unit,
         "factor": f"{limit.coverage_factor:.2f}",
+        "probability": "–" if math.isnan(limit.probability) else f"{100 * limit.probability:.1f} %",
         "reason": limit.reason,
     }
 
@@ -178,15 +186,15 @@ def segment_table(segments: Sequence[SegmentSummary]) -> Table:
         ("Segment", [item.segment.label for item in segments]),
         ("Orientation", [words.orientation(item.segment) for item in segments]),
         ("Motion", [words.motion(item.segment.motion) for item in segments]),
-        ("Temperature, °C", [words.temperature(item.segment) for item in segments]),
-        ("Recorded, s", [_recorded(item) for item in segments]),
+        ("Temperature [°C]", [words.temperature(item.segment) for item in segments]),
+        ("Recorded [s]", [_recorded(item) for item in segments]),
         ("Samples", ["–" if item.statistics is None else str(item.statistics.count) for item in segments]),
         ("Rejected", [str(item.statistics.rejected) if item.statistics else "0" for item in segments]),
     ]
     for name, unit in units.items():
-        columns.append((f"{name}, {unit}" if unit and unit != "1" else name, [_mean(item, name) for item in segments]))
+        columns.append((f"{name} [{unit}]" if unit and unit != "1" else name, [_mean(item, name) for item in segments]))
     columns.append(("Remarks", [item.remark for item in segments]))
-    idle = {"Motion": {"rest"}, "Rejected": {"0"}, "Remarks": {""}, "Temperature, °C": {"–"}}
+    idle = {"Motion": {"rest"}, "Rejected": {"0"}, "Remarks": {""}, "Temperature [°C]": {"–"}}
     kept = [(title, cells) for title, cells in columns if not set(cells) <= idle.get(title, set())]
     rows = tuple(zip(*(cells for _, cells in kept), strict=True)) if segments else ()
     return Table("Segments: mean ± standard error", tuple(title for title, _ in kept), rows)
@@ -251,7 +259,7 @@ def _measured(value: Any) -> bool:
 
 
 def cell(value: Any) -> str:
-    """A cell as text; numbers without uncertainty in six significant digits."""
+    """A cell as text; numbers without uncertainty in five significant digits."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -259,7 +267,7 @@ def cell(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        return words.number(float(value))
+        return words.number(float(value), 5)
     return str(value)
 
 

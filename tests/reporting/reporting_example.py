@@ -8,10 +8,11 @@ import numpy as np
 
 from planrunner.archive.recording import Statistics
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Plot, Table
+from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
 from planrunner.plan.orientation import DIRECTIONS, in_words
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
-from planrunner.reporting.context import LimitVerdict, ReportContext, SegmentSummary
+from planrunner.reporting.context import ReportContext, SegmentSummary
 
 POSITIONS = {
     "P1": "up north west",
@@ -115,7 +116,7 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
     residuals = Plot(
         "Residuals per position",
         "position",
-        "residual, pulse/s",
+        "residual [pulse/s]",
         labels,
         {
             "torquer_x": tuple(0.03 * scale * np.sin(5.0 * np.arange(8))),
@@ -140,8 +141,14 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
 
 def comparison() -> Estimate:
     table = Table(
-        "Residual sum of squares over the verification positions, (deg/h)²",
-        ("Coefficients from", "Output", "Residual sum of squares", "Expected by design", "Ratio to the first"),
+        "Residual sum of squares over the verification positions",
+        (
+            "Coefficients from",
+            "Output",
+            "Residual sum of squares [(deg/h)²]",
+            "Expected by design",
+            "Ratio to the first",
+        ),
         (
             ("drift", "X", 0.000412, 0.000507, 1.0),
             ("traditional", "X", 0.000971, 0.000683, 2.357),
@@ -152,7 +159,7 @@ def comparison() -> Estimate:
     plot = Plot(
         "Compensated rate left over",
         "position",
-        "residual, °/h",
+        "residual [deg/h]",
         ("V1", "V2", "V3"),
         {"drift": (0.011, -0.014, 0.009), "traditional": (0.021, -0.019, 0.013)},
         {"drift": (0.012, 0.012, 0.012), "traditional": (0.015, 0.015, 0.015)},

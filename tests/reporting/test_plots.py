@@ -66,7 +66,7 @@ def test_pictures_are_valid_named_repeatable_and_alone(name: str) -> None:
 def test_lettering_is_text_in_a_font_that_is_anywhere() -> None:
     picture = PICTURES["labels"]()
     texts = [element.text for element in ElementTree.fromstring(picture).iter(SVG + "text")]
-    assert {"P1", "P8", "position", "residual, pulse/s", "torquer_x"} <= set(texts)
+    assert {"P1", "P8", "position", "residual [pulse/s]", "torquer_x"} <= set(texts)
     assert "sans-serif" in picture
 
 

@@ -157,6 +157,9 @@ def test_headline_says_how_many() -> None:
         "detail": "",
     }
     assert headline(replace(context, limits=()))["kind"] == "none"
+    broken = headline(replace(context, limits=both, failures={"drift": "two segments are missing"}))
+    assert broken["kind"] == "fail"
+    assert broken["detail"] == "drift: two segments are missing"
 
 
 def test_expanded_uncertainty_uses_students_factor() -> None:
@@ -175,7 +178,7 @@ def test_numbers_in_tables_are_rounded_by_the_uncertainty_to_their_right() -> No
         (("a", 1.23456789, 0.0123456, 2.0, 0.0531, 2.3571234), ("b", 0.0, 0.0, math.inf, 0.0, 1.0)),
     )
     view = table_view(table)
-    assert view["rows"] == [["a", "1.235", "0.012", "2", "0.053", "2.35712"], ["b", "0", "0", "∞", "0", "1"]]
+    assert view["rows"] == [["a", "1.235", "0.012", "2", "0.053", "2.3571"], ["b", "0", "0", "∞", "0", "1"]]
     assert [column["numeric"] for column in view["columns"]] == [False, True, True, True, True, True]
 
 

@@ -47,17 +47,17 @@ def test_every_orientation_is_pictured_once() -> None:
 
 
 def test_idle_columns_are_left_out() -> None:
-    assert "Rate about up, °/s" in timeline_table(example.thermal_schedule()).columns
+    assert "Rate about up [°/s]" in timeline_table(example.thermal_schedule()).columns
     assert not [title for title in timeline_table(example.schedule()).columns if title.startswith(("Rate", "Motion"))]
     bare = Schedule((Segment(0, "only", None, "unknown", Rest(), None),), 0.0)
     assert timeline_table(bare).columns == (
         "#",
-        "Start, h:mm:ss",
+        "Start [h:mm:ss]",
         "Segment",
         "Orientation",
-        "Reach, s",
+        "Reach [s]",
         "Dwell",
-        "End, h:mm:ss",
+        "End [h:mm:ss]",
     )
     assert timeline_table(bare).rows == (("1", "0:00:00", "only", "unknown", "0", "as recorded", "–"),)
 

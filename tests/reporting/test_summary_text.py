@@ -6,6 +6,7 @@ import io
 from itertools import pairwise
 
 import golden_files
+import pytest
 import reporting_example as example
 from rich.console import RenderableType
 
@@ -77,8 +78,21 @@ def test_every_row_of_a_summary_table_has_as_many_cells_as_its_header() -> None:
 
 def test_times_of_the_timeline_are_those_of_the_schedule() -> None:
     table = timeline_table(example.schedule())
-    start, end = table.columns.index("Start, h:mm:ss"), table.columns.index("End, h:mm:ss")
+    start, end = table.columns.index("Start [h:mm:ss]"), table.columns.index("End [h:mm:ss]")
     # First position: 1500 s to reach, 600 s soak, 30 s settle = 35 min 30 s; then 120 s.
     assert (table.rows[0][start], table.rows[0][end]) == ("0:35:30", "0:37:30")
     # Every further position: 11.2 s move, 30 s settle, 120 s dwell: 18 × 161.2 s = 2901.6 s later the last one ends.
     assert table.rows[18][end] == "1:25:52"
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
+def test_no_number_is_cut_however_narrow_the_terminal(width: int) -> None:
+    numbers = tuple(f"{place}.{'123456789' * 2}{place}" for place in range(9))
+    titles = tuple(f"column {place} [deg/h]" for place in range(9))
+    table = Table("Wide", ("name", *titles), (("first", *numbers), ("a name of several words", *numbers)))
+    text = printed(terminal.data_table(table), width=width)
+    words = text.split()
+    assert all(words.count(number) == 2 for number in numbers)
+    assert max(map(len, text.splitlines())) <= width
+    estimate = printed(terminal.coefficients_table(example.estimate()), width=width)
+    assert "0.0000031" in estimate.split()

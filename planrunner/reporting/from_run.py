@@ -1,0 +1,94 @@
+"""A report's context from a run folder, the plan and bench that it was run with, and what was estimated from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.run_reader import RunReader
+from planrunner.reporting.context import ReportContext, SegmentSummary
+
+if TYPE_CHECKING:
+    from planrunner.checking import Sound
+    from planrunner.estimators.analysis import Results
+
+FILES = ("plan.yaml", "bench.yaml")
+
+
+def report_context(
+    reader: RunReader,
+    sound: Sound,
+    recording: Iterable[RecordedSegment],
+    results: Results,
+    *,
+    analysis: str = "",
+    analysed: str | None = None,
+) -> ReportContext:
+    """Everything that a report shows of one analysis.
+
+    analysis: its number, if it is known; analysed: when it was made, UTC in ISO 8601, now unless given.
+    """
+    segments = tuple(SegmentSummary.of(item) for item in recording)
+    moment = analysed or datetime.now(UTC).isoformat(timespec="seconds")
+    return ReportContext(
+        title=sound.plan.title,
+        description=" ".join(sound.plan.description.split()),
+        run_information={
+            "run": reader.run["run"],
+            **{name: _text(value) for name, value in reader.run["info"].items()},
+        },
+        bench={"name": sound.bench.name, "description": " ".join(sound.bench.description.split())},
+        instruments=reader.instruments,
+        site=sound.models.site,
+        segments=segments,
+        estimates=tuple(results.estimates.values()),
+        limits=tuple(results.limits),
+        failures=results.failures,
+        warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
+        provenance=provenance(reader, analysis, moment),
+    )
+
+
+def provenance(reader: RunReader, analysis: str, analysed: str) -> dict[str, str]:
+    """What the results rest on: times, digests and versions, those of the run and, where they differ, of the analysis."""
+    from planrunner.archive.provenance import versions
+
+    facts = {"analysis": analysis} if analysis else {}
+    facts |= {"recorded from (UTC)": str(reader.run["created"]), "analysed (UTC)": analysed}
+    if reader.seal is not None:
+        facts["sealed (UTC)"] = str(reader.seal["sealed"])
+        facts["journal head (SHA-256)"] = str(reader.seal["journal"]["head"])
+    digests = reader.state.created.get("files", {})
+    facts |= {f"{name} (SHA-256)": str(digests[name]) for name in FILES if name in digests}
+    if reader.run["seed"] is not None:
+        facts["seed of simulated noise"] = str(reader.run["seed"])
+    ran, now = reader.run["versions"], versions()
+    for name in {**ran, **now}:
+        first, second = ran.get(name, "none"), now.get(name, "none")
+        facts[name] = first if first == second else f"{first} when run, {second} when analysed"
+    return facts
+
+
+def _of_the_run(reader: RunReader, planned: int) -> list[str]:
+    """What a reader must know of how the run went."""
+    warnings = [f"Fault during the run: {text}" for text in reader.state.failures]
+    held = len(reader.acknowledged())
+    if held < planned:
+        warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
+    if not reader.sealed:
+        warnings.append("The run is not finished and not sealed: its data may still grow.")
+    for item in reader.acknowledged():
+        if item.truncated:
+            warnings.append(f"Segment {item.label} is shorter than planned: {item.reason or 'cut short'}.")
+    for other in reader.rejected():
+        reason = other.reason or "no reason given"
+        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded but does not count: {reason}.")
+    return warnings
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}: {_text(item)}" for name, item in value.items())
+    return str(value)
