@@ -118,13 +118,13 @@ class _Columns:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         for part, places in enumerate(self._parts(options.max_width)):
-            yield self._table(f"{self.title} (continued)" if part else self.title, places)
+            yield self._table(f"{self.title} (continued)" if part else self.title, places, options.max_width)
         if self.caption:
             yield _text(self.caption)
 
     def _parts(self, width: int) -> list[list[int]]:
         """Columns of each part. The first column leads every part."""
-        least = [self._least(place) + _GAP for place in range(len(self.columns))]
+        least = [self._least(place, width) + _GAP for place in range(len(self.columns))]
         parts: list[list[int]] = [[]]
         for place, size in enumerate(least):
             if len(parts[-1]) > 1 and sum(least[other] for other in parts[-1]) + size + 1 > width:
@@ -132,12 +132,12 @@ class _Columns:
             parts[-1].append(place)
         return parts
 
-    def _least(self, place: int) -> int:
+    def _least(self, place: int, width: int) -> int:
         title, numeric = self.columns[place]
         longest = max((row[place].cell_len for row in self.rows), default=0)
-        return max(longest if numeric else min(longest, _MOST_TEXT), *map(len, title.split()), 1)
+        return max(longest if numeric else min(longest, _MOST_TEXT, width // 3), *map(len, title.split()), 1)
 
-    def _table(self, title: str, places: Sequence[int]) -> RichTable:
+    def _table(self, title: str, places: Sequence[int], width: int) -> RichTable:
         from rich import box
         from rich.table import Table as RichTable
 
@@ -145,7 +145,7 @@ class _Columns:
         table = RichTable(title=_text(title), pad_edge=False, padding=(0, 0, 0, 1), **style)  # type: ignore[arg-type]
         for place in places:
             name, numeric = self.columns[place]
-            table.add_column(_text(name), justify="right" if numeric else "left", min_width=self._least(place))
+            table.add_column(_text(name), justify="right" if numeric else "left", min_width=self._least(place, width))
         for row in self.rows:
             table.add_row(*(row[place] for place in places))
         return table
