@@ -164,6 +164,8 @@ class SegmentWriter:
         if self._open is None:
             name = f"{self.stem}.parquet" if self.parts == 0 else f"{self.stem}.part{self.parts + 1:03d}.parquet"
             self._open = _OpenPart(self.folder / name, self._schema, self._storage)
+        if not self._waiting:
+            return
         waiting, self._waiting, self._waiting_rows = self._waiting, [], 0
         columns = [_joined([block.time for block in waiting])]
         columns += [_joined([block.channels[name] for block in waiting]) for name in self.channels]
