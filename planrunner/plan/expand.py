@@ -11,7 +11,8 @@ from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import STATE_KEYS, Plan, SegmentSpec, State
 from planrunner.plan.sweep import SweepValue
 
-MAX_SEGMENTS = 200_000
+# What a night's plan needs at most, with room; a file of a few lines can ask for any number.
+MAX_SEGMENTS = 10_000
 
 _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
@@ -27,19 +28,35 @@ class StatedSegment:
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
-    """Every segment in order. Findings: too many, repeated or empty labels, keys that make no sense together."""
+    """Every sound segment in order. Findings: too many, repeated or empty labels, keys that make no sense together."""
+    count = sum(_count(spec) for spec in plan.segments)
+    if count > MAX_SEGMENTS:
+        longest = max(plan.segments, key=_count)
+        message = f"the plan has {_shown(count)} segments, more than {MAX_SEGMENTS}"
+        log.error(
+            "limit-segments",
+            longest.origin.mark,
+            message,
+            "sweep over fewer values, repeat less often, or split the plan",
+        )
+        return []
     state: dict[str, Any] = {}
     marks: dict[str, Mark] = {}
-    if plan.defaults is not None:
+    if plan.defaults is not None and _one_motion(plan.defaults, log):
         _inherit(plan.defaults, state, marks)
-    segments: list[StatedSegment] = []
-    for spec in plan.segments:
-        for segment in _expand(spec, (), state, marks, log):
-            segments.append(segment)
-            if len(segments) > MAX_SEGMENTS:
-                log.error("limit-segments", spec.origin.mark, f"more than {MAX_SEGMENTS} segments", "sweep over fewer values")
-                return []
-    return _unique(segments, log)
+    segments = [segment for spec in plan.segments for segment in _expand(spec, (), state, marks, log)]
+    _check_unique(segments, log)
+    return segments
+
+
+def _count(spec: SegmentSpec) -> int:
+    """How many segments a spec stands for; one that will be left out counts as well, since it is walked over."""
+    own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
+    return own * (sum(_count(step) for step in spec.steps) or 1)
+
+
+def _shown(count: int) -> str:
+    return str(count) if count < 10**9 else "billions of"
 
 
 def _inherit(own: State, state: dict[str, Any], marks: dict[str, Mark]) -> None:
@@ -51,28 +68,53 @@ def _inherit(own: State, state: dict[str, Any], marks: dict[str, Mark]) -> None:
 
 def _set(name: str, value: Any, mark: Mark, state: dict[str, Any], marks: dict[str, Mark]) -> None:
     """A rate replaces an inherited motion and the other way round: both say what the table does."""
-    for other in {"rate": ("motion",), "motion": ("rate",)}.get(name, ()):
+    other = {"rate": "motion", "motion": "rate"}.get(name)
+    if other is not None:
         state.pop(other, None)
+        marks.pop(other, None)
     state[name] = value
     marks[name] = mark
+
+
+def _one_motion(own: State, log: Findings) -> bool:
+    if own.rate is None or own.motion is None:
+        return True
+    hint = "keep one of them: rate is short for motion: {rate: …}"
+    log.error("meaning-motion", own.at("motion"), "both rate and motion are given", hint)
+    return False
+
+
+def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
+    """Whether nothing is swept that is also given beside the sweep, or swept twice as rate and motion."""
+    swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
+    for name in swept:
+        twin = {"rate": "motion", "motion": "rate"}.get(name, name)
+        given = next((key for key in (name, twin) if getattr(spec, key) is not None), None)
+        if given is not None:
+            log.error(
+                "meaning-swept-twice",
+                spec.at(given),
+                f"'{given}' is given here, and for_each sweeps '{name}'",
+                "keep one of them",
+            )
+            return False
+    if "rate" in swept and "motion" in swept:
+        at = swept["motion"].values[0].mark
+        log.error("meaning-swept-twice", at, "for_each sweeps both rate and motion", "keep one of them")
+        return False
+    return True
 
 
 def _expand(
     spec: SegmentSpec, path: tuple[str, ...], state: dict[str, Any], marks: dict[str, Mark], log: Findings
 ) -> Iterator[StatedSegment]:
-    if not spec.sound:
-        return
-    if spec.rate is not None and spec.motion is not None:
-        log.error("meaning-motion", spec.at("motion"), "both rate and motion", "keep one: rate is short for motion: {rate: …}")
-        return
-    if spec.for_each is not None and spec.for_each.size * spec.repeat > MAX_SEGMENTS:
-        log.error("limit-segments", spec.for_each.mark, f"more than {MAX_SEGMENTS} segments", "sweep over fewer values")
+    if not spec.own_sound or not _one_motion(spec, log) or not _swept_once(spec, log):
         return
     state, marks = dict(state), dict(marks)
     _inherit(spec, state, marks)
+    rows = list(spec.for_each.combinations(spec.order, spec.shuffle_seed)) if spec.for_each else [()]
+    keys = [axis.key for axis in spec.for_each.axes] if spec.for_each else []
     for turn in range(1, spec.repeat + 1):
-        rows = spec.for_each.combinations(spec.order, spec.shuffle_seed) if spec.for_each else iter([()])
-        keys = [axis.key for axis in spec.for_each.axes] if spec.for_each else []
         for row in rows:
             own_state, own_marks = dict(state), dict(marks)
             for name, value in zip(keys, row, strict=True):
@@ -84,7 +126,9 @@ def _expand(
             elif own:
                 yield StatedSegment("/".join(own), own_state, own_marks, spec.origin.mark)
             else:
-                log.error("meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`")
+                log.error(
+                    "meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`"
+                )
                 return
 
 
@@ -104,7 +148,9 @@ def _label_parts(
             used.add(name)
             return values[name].short
         known = [*values, "repeat"]
-        log.error("meaning-label", spec.at("label"), f"{{{name[:40]}}} in the label is not swept here", closest(name, known))
+        log.error(
+            "meaning-label", spec.at("label"), f"{{{name[:40]}}} in the label is not swept here", closest(name, known)
+        )
         return name
 
     if spec.label is not None:
@@ -115,12 +161,16 @@ def _label_parts(
     return tuple(parts)
 
 
-def _unique(segments: list[StatedSegment], log: Findings) -> list[StatedSegment]:
+def _check_unique(segments: list[StatedSegment], log: Findings) -> None:
+    """One finding for each place that repeats labels, however many."""
     first: dict[str, Mark] = {}
+    repeated: dict[Mark, list[str]] = {}
     for segment in segments:
         if segment.label in first:
-            message = f"the label '{segment.label}' is used twice (first on line {first[segment.label].line})"
-            log.error("meaning-label-repeated", segment.mark, message, "give each segment or sweep a label of its own")
+            repeated.setdefault(segment.mark, []).append(segment.label)
         else:
             first[segment.label] = segment.mark
-    return segments
+    for mark, labels in repeated.items():
+        more = f" and {len(labels) - 1} more" if len(labels) > 1 else ""
+        message = f"the label '{labels[0]}'{more} is used twice (first on line {first[labels[0]].line})"
+        log.error("meaning-label-repeated", mark, message, "give each segment or sweep a label of its own")

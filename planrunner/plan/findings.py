@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from typing import Any, Literal
 
 Severity = Literal["error", "warning", "note"]
@@ -46,9 +47,15 @@ class Finding:
 
 @dataclass(slots=True)
 class Findings:
-    """A growing list of findings; identical ones are kept once."""
+    """A growing list of findings; identical ones are kept once. Iterating gives them in the order of the file."""
 
     items: list[Finding] = field(default_factory=list)
+    _seen: set[Finding] = field(default_factory=set, repr=False, compare=False)
+    _errors: list[Finding] = field(default_factory=list, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        given, self.items = self.items, []
+        self.extend(given)
 
     def error(self, code: str, mark: Mark, message: str, hint: str = "") -> None:
         self._add(Finding(mark, code, "error", message, hint))
@@ -59,13 +66,21 @@ class Findings:
     def note(self, code: str, mark: Mark, message: str, hint: str = "") -> None:
         self._add(Finding(mark, code, "note", message, hint))
 
+    def extend(self, findings: Iterable[Finding]) -> None:
+        for finding in findings:
+            self._add(finding)
+
     def _add(self, finding: Finding) -> None:
-        if finding not in self.items:
+        if finding not in self._seen:
+            self._seen.add(finding)
             self.items.append(finding)
+            if finding.severity == "error":
+                self._errors.append(finding)
 
     @property
     def errors(self) -> list[Finding]:
-        return [item for item in self.items if item.severity == "error"]
+        """The errors among them, in the order in which they were found."""
+        return self._errors
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(sorted(self.items, key=lambda item: (item.mark.file, item.mark.line, item.mark.column)))
@@ -88,8 +103,19 @@ class InputError(Exception):
 
 def closest(word: str, known: Iterable[str]) -> str:
     """A hint naming the closest known word, or all of them when none is close."""
-    names = sorted(known)
-    match = difflib.get_close_matches(word[:80], names, n=1, cutoff=0.6)
+    return _closest(word[:80], tuple(sorted(known)))
+
+
+@lru_cache(maxsize=1024)
+def _closest(word: str, names: tuple[str, ...]) -> str:
+    letters = set(word.lower())
+    # Comparing sequences is slow; a word that shares less than half of its letters cannot be close.
+    likely = {name.lower(): name for name in names if 2 * len(letters & set(name.lower())) >= len(letters)}
+    match = difflib.get_close_matches(word.lower(), likely, n=1, cutoff=0.6)
     if match:
-        return f"did you mean '{match[0]}'?"
-    return f"known here: {', '.join(names)}" if names else ""
+        return f"did you mean '{likely[match[0]]}'?"
+    shown = names if len(names) <= _MOST_NAMES else (*names[:_MOST_NAMES], f"and {len(names) - _MOST_NAMES} more")
+    return f"known here: {', '.join(shown)}" if names else ""
+
+
+_MOST_NAMES = 25

@@ -11,39 +11,66 @@ parameters in the same way. A kind's `read` returns None when it has added a fin
 from __future__ import annotations
 
 import dataclasses
-import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, dataclass_transform
 
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, InputError, Mark, closest
-from planrunner.plan.quantity import Quantity, read_quantity
-from planrunner.plan.quantity import schema as quantity_schema
+from planrunner.plan.values import (
+    Boolean,
+    ByShape,
+    Choice,
+    Kind,
+    ListOf,
+    MapOf,
+    Number,
+    QuantityOf,
+    Schema,
+    Text,
+    WordOr,
+)
 
-Schema = dict[str, Any]
-
-
-class Kind(Protocol):
-    """What a value may be."""
-
-    def read(self, node: source.Node, log: Findings) -> Any:
-        """The value, or None after adding a finding to `log`."""
-
-    def schema(self) -> Schema:
-        """The same as JSON Schema (draft 2020-12)."""
+__all__ = [
+    "Boolean",
+    "ByShape",
+    "Choice",
+    "Kind",
+    "ListOf",
+    "MapOf",
+    "Number",
+    "Origin",
+    "Plugged",
+    "QuantityOf",
+    "Record",
+    "RecordOf",
+    "Schema",
+    "Text",
+    "WordOr",
+    "is_required",
+    "key",
+    "keys_of",
+    "object_schema",
+    "read_keys",
+]
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a record stands in its file, key by key. Empty for records made in code."""
+    """Where a record stands in its file, key by key. Empty for records made in code.
+
+    keys: `report` is where that key's value begins, `report[1]` where the second entry of its list does, `limits.x` where the value
+    of `x` in its mapping does.
+    """
 
     mark: Mark = field(default_factory=lambda: Mark("<code>"))
     keys: Mapping[str, Mark] = field(default_factory=dict)
 
     def at(self, key: str) -> Mark:
-        return self.keys.get(key, self.mark)
+        """The mark of a key or of an entry of its list or mapping; that of the key, else of the record, where there is none."""
+        if key in self.keys:
+            return self.keys[key]
+        return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
 
 
 _REQUIRED: Any = dataclasses.MISSING
@@ -84,214 +111,13 @@ dataclass(frozen=True, kw_only=True)(Record)
 
 def keys_of(record: type[Record]) -> dict[str, dataclasses.Field[Any]]:
     """YAML key → field, in order of declaration."""
-    fields = [item for item in dataclasses.fields(record) if "kind" in item.metadata]
+    made: Any = record
+    fields = [item for item in dataclasses.fields(made) if "kind" in item.metadata]
     return {item.metadata["name"] or item.name: item for item in fields}
 
 
 def is_required(item: dataclasses.Field[Any]) -> bool:
     return item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
-
-
-# -- scalars ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Text:
-    """A text. `pattern` is matched against all of it; `what` says in words what it must be."""
-
-    pattern: str = ""
-    what: str = "a text"
-
-    def read(self, node: source.Node, log: Findings) -> str | None:
-        if not isinstance(node, source.Scalar) or node.value is None or isinstance(node.value, bool):
-            log.error("form-type", node.mark, f"{self.what} is expected here", "write it on one line, in quotes if in doubt")
-            return None
-        if self.pattern and not re.fullmatch(self.pattern, node.text):
-            log.error("form-text", node.mark, f"'{node.text[:60]}' is not {self.what}", f"it must match {self.pattern}")
-            return None
-        return node.text
-
-    def schema(self) -> Schema:
-        if self.pattern:
-            return {"type": ["string", "number"], "pattern": f"^(?:{self.pattern})$"}
-        return {"type": ["string", "number"]}
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """One word of a fixed set."""
-
-    names: tuple[str, ...]
-
-    def read(self, node: source.Node, log: Findings) -> str | None:
-        if isinstance(node, source.Scalar) and node.value in self.names:
-            return node.text
-        shown = f"'{node.text[:60]}' is not known here" if isinstance(node, source.Scalar) else "one word is expected here"
-        log.error("form-choice", node.mark, shown, closest(getattr(node, "text", ""), self.names))
-        return None
-
-    def schema(self) -> Schema:
-        return {"enum": list(self.names)}
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A plain number without a unit."""
-
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    integer: bool = False
-
-    def read(self, node: source.Node, log: Findings) -> float | int | None:
-        what = "a whole number" if self.integer else "a number"
-        value = node.value if isinstance(node, source.Scalar) else None
-        if isinstance(value, bool) or not isinstance(value, int if self.integer else int | float):
-            log.error("form-type", node.mark, f"{what} is expected here", "write it without a unit")
-            return None
-        if not math.isfinite(value):
-            log.error("meaning-not-finite", node.mark, f"{value} is not a finite number", "write a finite number")
-            return None
-        if not self.minimum <= value <= self.maximum:
-            bounds = f"from {self.minimum:g}" + (f" to {self.maximum:g}" if math.isfinite(self.maximum) else "")
-            log.error("meaning-range", node.mark, f"{value} is out of range", f"{what} {bounds}")
-            return None
-        return value
-
-    def schema(self) -> Schema:
-        schema: Schema = {"type": "integer" if self.integer else "number"}
-        if math.isfinite(self.minimum):
-            schema["minimum"] = self.minimum
-        if math.isfinite(self.maximum):
-            schema["maximum"] = self.maximum
-        return schema
-
-
-@dataclass(frozen=True, slots=True)
-class Boolean:
-    def read(self, node: source.Node, log: Findings) -> bool | None:
-        if isinstance(node, source.Scalar) and isinstance(node.value, bool):
-            return node.value
-        log.error("form-type", node.mark, "true or false is expected here", "YAML 1.2 knows only true and false")
-        return None
-
-    def schema(self) -> Schema:
-        return {"type": "boolean"}
-
-
-@dataclass(frozen=True, slots=True)
-class QuantityOf:
-    """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'."""
-
-    dimension: str | None
-    sign: str = "any"
-
-    def read(self, node: source.Node, log: Findings) -> Quantity | None:
-        quantity = read_quantity(node, self.dimension, log)
-        if quantity is None:
-            return None
-        if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):
-            log.error("meaning-range", node.mark, f"{quantity} must be {self.sign}", "change the number")
-            return None
-        return quantity
-
-    def schema(self) -> Schema:
-        return quantity_schema(self.dimension)
-
-
-# -- collections -----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class ListOf:
-    """A list; with `single`, one item may stand alone."""
-
-    item: Kind
-    single: bool = False
-    minimum: int = 0
-
-    def read(self, node: source.Node, log: Findings) -> tuple[Any, ...] | None:
-        if not isinstance(node, source.Sequence):
-            if self.single:
-                value = self.item.read(node, log)
-                return None if value is None else (value,)
-            log.error("form-type", node.mark, "a list is expected here", "write [a, b] or one item a line after '- '")
-            return None
-        if len(node.items) < self.minimum:
-            log.error("form-size", node.mark, f"at least {self.minimum} entries are needed here")
-            return None
-        values = [self.item.read(item, log) for item in node.items]
-        return tuple(value for value in values if value is not None)
-
-    def schema(self) -> Schema:
-        array: Schema = {"type": "array", "items": self.item.schema()}
-        if self.minimum:
-            array["minItems"] = self.minimum
-        return {"anyOf": [self.item.schema(), array]} if self.single else array
-
-
-@dataclass(frozen=True, slots=True)
-class MapOf:
-    """A mapping from names to values of one kind; `names` restricts the names."""
-
-    item: Kind
-    names: tuple[str, ...] = ()
-    pattern: str = r"[^\x00-\x1f]{1,80}"
-
-    def read(self, node: source.Node, log: Findings) -> dict[str, Any] | None:
-        if not isinstance(node, source.Mapping):
-            log.error("form-type", node.mark, "a mapping of names is expected here", "write {name: value, …}")
-            return None
-        result: dict[str, Any] = {}
-        for name, item in node.entries:
-            if self.names and name.text not in self.names:
-                log.error("form-unknown-key", name.mark, f"unknown name '{name.text[:60]}'", closest(name.text, self.names))
-            elif not re.fullmatch(self.pattern, name.text):
-                log.error("form-name", name.mark, f"'{name.text[:60]}' is not a usable name", "use letters, digits, _ and -")
-            elif (value := self.item.read(item, log)) is not None:
-                result[name.text] = value
-        return result
-
-    def schema(self) -> Schema:
-        schema: Schema = {"type": "object", "additionalProperties": self.item.schema()}
-        schema["propertyNames"] = {"enum": list(self.names)} if self.names else {"pattern": f"^(?:{self.pattern})$"}
-        return schema
-
-
-@dataclass(frozen=True, slots=True)
-class ByShape:
-    """One kind for a scalar, another for a mapping, another for a list; whichever is absent is refused."""
-
-    scalar: Kind | None = None
-    mapping: Kind | None = None
-    sequence: Kind | None = None
-    what: str = "another form"
-
-    def read(self, node: source.Node, log: Findings) -> Any:
-        by_type = {source.Scalar: self.scalar, source.Mapping: self.mapping, source.Sequence: self.sequence}
-        kind = by_type[type(node)]
-        if kind is None:
-            log.error("form-type", node.mark, f"{self.what} is expected here")
-            return None
-        return kind.read(node, log)
-
-    def schema(self) -> Schema:
-        return {"anyOf": [kind.schema() for kind in (self.scalar, self.mapping, self.sequence) if kind is not None]}
-
-
-@dataclass(frozen=True, slots=True)
-class WordOr:
-    """One of a few words, or else another kind."""
-
-    words: tuple[str, ...]
-    other: Kind
-
-    def read(self, node: source.Node, log: Findings) -> Any:
-        if isinstance(node, source.Scalar) and node.value in self.words:
-            return node.value
-        return self.other.read(node, log)
-
-    def schema(self) -> Schema:
-        return {"anyOf": [{"enum": list(self.words)}, self.other.schema()]}
 
 
 # -- records ---------------------------------------------------------------------------------------------------------
@@ -327,8 +153,15 @@ def _inline(example: Any) -> str:
 
 
 def origin_of(node: source.Mapping) -> Origin:
-    """Marks for messages: for each key where its value stands."""
-    return Origin(node.mark, {name.text: item.mark for name, item in node.entries})
+    """Marks for messages: for each key where its value stands, and where the entries of its list or mapping do."""
+    marks: dict[str, Mark] = {}
+    for name, item in node.entries:
+        marks[name.text] = item.mark
+        if isinstance(item, source.Sequence):
+            marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
+        elif isinstance(item, source.Mapping):
+            marks.update({f"{name.text}.{entry.text}": value.mark for entry, value in item.entries})
+    return Origin(node.mark, marks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,7 +181,8 @@ class RecordOf:
         values = read_keys(node, fields, log)
         if any(is_required(item) and item.name not in values for item in fields.values()):
             return None
-        record = self.record(origin=origin_of(node), **values)
+        make: Any = self.record
+        record = make(origin=origin_of(node), **values)
         if self.check and len(log) == before:
             self.check(record, log)
         return record
@@ -395,22 +229,17 @@ class Plugged:
         if not isinstance(node, source.Mapping):
             log.error("form-type", node.mark, "a mapping of keys is expected here", f"with the key {self.selector}")
             return None
-        chosen = node.get(self.selector)
         common = keys_of(self.record)
-        if not isinstance(chosen, source.Scalar):
-            known = ", ".join(self.names())
-            at = node.key_mark(self.selector)
-            log.error("form-missing-key", at, f"the key '{self.selector}' is missing", f"known here: {known}")
-            return None
-        if chosen.text not in self.names():
-            message = f"unknown {self.selector} '{chosen.text[:60]}'"
-            log.error(self.code, chosen.mark, message, closest(chosen.text, self.names()))
-            return None
-        try:
-            plugin = self.load(chosen.text)
-        except InputError as error:
-            for finding in error.findings:
-                log.error(finding.code, chosen.mark, finding.message, finding.hint)
+        plugin = self._chosen(node, log)
+        if plugin is None:
+            # What all plug-ins share can be checked nevertheless; which other keys are right nobody knows.
+            others = [name.text for name, _ in node.entries if name.text not in common]
+            read_keys(
+                node,
+                {name: item for name, item in common.items() if name != self.selector},
+                log,
+                (self.selector, *others),
+            )
             return None
         own = keys_of(plugin.Parameters)
         fields = {**common, **own}
@@ -419,17 +248,45 @@ class Plugged:
             return None
         own_names = {item.name for item in own.values()}
         origin = origin_of(node)
-        parameters = plugin.Parameters(origin=origin, **{k: v for k, v in values.items() if k in own_names})
+        make_parameters: Any = plugin.Parameters
+        make: Any = self.record
+        parameters = make_parameters(origin=origin, **{k: v for k, v in values.items() if k in own_names})
         rest = {k: v for k, v in values.items() if k not in own_names}
-        return self.record(origin=origin, parameters=parameters, **rest)
+        return make(origin=origin, parameters=parameters, **rest)
+
+    def _chosen(self, node: source.Mapping, log: Findings) -> type[Plugin] | None:
+        chosen = node.get(self.selector)
+        known = ", ".join(self.names())
+        if chosen is None:
+            log.error("form-missing-key", node.mark, f"the key '{self.selector}' is missing", f"known here: {known}")
+        elif not isinstance(chosen, source.Scalar) or not isinstance(chosen.value, str):
+            log.error(
+                "form-type", chosen.mark, f"the name of one {self.selector} is expected here", f"known here: {known}"
+            )
+        elif chosen.text not in self.names():
+            message = f"unknown {self.selector} '{chosen.text[:60]}'"
+            log.error(self.code, chosen.mark, message, closest(chosen.text, self.names()))
+        else:
+            try:
+                return self.load(chosen.text)
+            except InputError as error:
+                for finding in error.findings:
+                    log.error(finding.code, chosen.mark, finding.message, finding.hint)
+        return None
 
     def schema(self) -> Schema:
         common = object_schema(keys_of(self.record), closed=False)
-        common["properties"][self.selector] = {**common["properties"][self.selector], "enum": list(self.names())}
-        common["properties"][self.selector].pop("type", None)
+        selector = common["properties"][self.selector]
+        common["properties"][self.selector] = {
+            "description": selector["description"],
+            "examples": selector["examples"],
+            "enum": list(self.names()),
+        }
         cases = []
         for name in self.names():
             own = object_schema(keys_of(self.load(name).Parameters), closed=False)
             own.pop("type")
-            cases.append({"if": {"properties": {self.selector: {"const": name}}}, "then": own})
+            cases.append(
+                {"if": {"properties": {self.selector: {"const": name}}, "required": [self.selector]}, "then": own}
+            )
         return {**common, "allOf": cases, "unevaluatedProperties": False}

@@ -5,76 +5,135 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.findings import Findings, closest
+from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import EstimateSpec, Limit, Plan
 from planrunner.plan.quantity import QuantityError, parse_symmetric
-from planrunner.plan.selection import Detection, select
+from planrunner.plan.selection import Detection, Labels
 
 
 def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iterable[str], log: Findings) -> None:
-    """Adds findings on estimates, limits and reports. `templates`: the names of reports that can be written."""
-    labels = [segment.label for segment in segments]
+    """Adds findings on estimates, limits and reports. `templates`: the names of reports that can be written.
+
+    What refers to a part that could not be read is not called unknown: one mistake gives one finding.
+    """
+    names = [key.removeprefix("estimates.") for key in plan.origin.keys if key.startswith("estimates.")] or list(
+        plan.estimates
+    )
+    complete = bool(segments) and all(spec.sound for spec in plan.segments)
+    labels = Labels([segment.label for segment in segments])
     used: set[int] = set()
-    complete = all(spec.sound for spec in plan.segments)
     for name, spec in plan.estimates.items():
-        used.update(_check_estimate(plan, name, spec, labels, complete, log))
-    if plan.estimates and complete:
-        for index, segment in enumerate(segments):
-            if index not in used:
-                message = f"the segment '{segment.label}' is recorded but no estimate uses it"
-                log.warning("meaning-unused-label", segment.mark, message, "use it in an estimate, or leave it out")
+        _check_uses(name, spec, names, log)
+        if complete:
+            used.update(_check_selection(spec, labels, log))
+    if plan.estimates and complete and len(plan.estimates) == len(names):
+        _check_unused(segments, used, log)
     for limit in plan.limits:
-        _check_limit(plan, limit, log)
+        _check_limit(limit, names, log)
     known = sorted(templates)
-    for report in plan.report:
+    for index, report in enumerate(plan.report):
         if report not in known:
-            message = f"there is no report '{report}'"
-            log.error("meaning-unknown-report", plan.at("report"), message, closest(report, known))
+            log.error(
+                "meaning-unknown-report",
+                plan.at(f"report[{index}]"),
+                f"there is no report '{report}'",
+                closest(report, known),
+            )
 
 
-def _check_estimate(
-    plan: Plan, name: str, spec: EstimateSpec, labels: list[str], complete: bool, log: Findings
-) -> list[int]:
-    earlier = list(plan.estimates)[: list(plan.estimates).index(name)]
-    for other in spec.uses:
-        if other not in plan.estimates:
-            log.error("meaning-unknown-estimate", spec.at("uses"), f"'{other}' is no estimate of this plan", closest(other, plan.estimates))
-        elif other not in earlier:
+def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) -> None:
+    for index, other in enumerate(spec.uses):
+        at = spec.at(f"uses[{index}]")
+        if other not in names:
+            log.error("meaning-unknown-estimate", at, f"'{other}' is no estimate of this plan", closest(other, names))
+        elif other == name:
+            log.error("meaning-estimate-order", at, f"'{name}' uses itself", "name an estimate that stands above it")
+        elif name in names and names.index(other) > names.index(name):
             message = f"'{name}' uses '{other}', which is not estimated before it"
-            log.error("meaning-estimate-order", spec.at("uses"), message, f"put '{other}' first")
+            log.error("meaning-estimate-order", at, message, f"put '{other}' above '{name}'")
+
+
+def _check_selection(spec: EstimateSpec, labels: Labels, log: Findings) -> set[int]:
+    """The segments chosen; a pattern that means none of them is a finding."""
+    detected = isinstance(spec.segments, Detection)
     patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
-    chosen: list[int] = []
-    for pattern in patterns:
-        found = select(labels, [pattern])
-        if not found and complete:
-            at = spec.at("segments")
-            log.error("meaning-undefined-label", at, f"no segment is labelled '{pattern}'", closest(pattern, labels[:50]))
-        chosen.extend(found)
+    chosen: set[int] = set()
+    for index, pattern in enumerate(patterns):
+        found = labels.meant_by(pattern)
+        if not found:
+            at = (
+                spec.segments.at(f"within[{index}]")
+                if isinstance(spec.segments, Detection)
+                else spec.at(f"segments[{index}]")
+            )
+            hint = closest(pattern, labels.parts[:50])
+            log.error("meaning-undefined-label", at, f"no segment is labelled '{pattern}'", hint)
+        chosen.update(found)
+    if not patterns:
+        at = spec.segments.at("within") if detected else spec.at("segments")  # type: ignore[union-attr]
+        log.error(
+            "meaning-undefined-label", at, "no segment is chosen", "leave the key out for all of them, or name some"
+        )
     return chosen
 
 
-def _check_limit(plan: Plan, limit: Limit, log: Findings) -> None:
+def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
+    """One warning for each place that makes unused segments, however many."""
+    unused: dict[Mark, list[str]] = {}
+    for index, segment in enumerate(segments):
+        if index not in used:
+            unused.setdefault(segment.mark, []).append(segment.label)
+    for mark, labels in unused.items():
+        shown = ", ".join(f"'{label}'" for label in labels[:3]) + (
+            f" and {len(labels) - 3} more" if len(labels) > 3 else ""
+        )
+        what = f"the segment {shown} is" if len(labels) == 1 else f"the segments {shown} are"
+        log.warning(
+            "meaning-unused-label",
+            mark,
+            f"{what} recorded but no estimate uses {'it' if len(labels) == 1 else 'them'}",
+            _UNUSED_HINT,
+        )
+
+
+_UNUSED_HINT = "name it in the 'segments' of an estimate, or leave it out"
+
+
+def _check_limit(limit: Limit, names: list[str], log: Findings) -> None:
     estimate = limit.quantity.split(".", 1)[0]
-    if estimate not in plan.estimates:
+    if estimate not in names:
         at = limit.at("quantity")
-        log.error("meaning-unknown-estimate", at, f"'{estimate}' is no estimate of this plan", closest(estimate, plan.estimates))
+        log.error("meaning-unknown-estimate", at, f"'{estimate}' is no estimate of this plan", closest(estimate, names))
     if limit.within is None and limit.at_least is None and limit.at_most is None:
-        log.error("meaning-limit", limit.origin.mark, "a limit needs within, at_least or at_most", "add for example within: ±0.5 deg/h")
+        log.error(
+            "meaning-limit",
+            limit.origin.mark,
+            "a limit needs within, at_least or at_most",
+            "add for example within: ±0.5 deg/h",
+        )
     if limit.within is not None:
-        if limit.at_least is not None or limit.at_most is not None:
-            log.error("meaning-limit", limit.at("within"), "within stands alone", "use at_least and at_most for a lopsided limit")
-        try:
-            bound = parse_symmetric(limit.within)
-        except QuantityError as error:
-            log.error(error.code, limit.at("within"), str(error), error.hint)
-        else:
-            if bound is None:
-                message = f"'{limit.within[:40]}' is not symmetric about zero"
-                log.error("meaning-limit", limit.at("within"), message, "write ±0.5 deg/h, or use at_least and at_most")
-            elif bound.value <= 0:
-                log.error("meaning-range", limit.at("within"), f"±{bound} must be positive", "change the number")
+        _check_within(limit, limit.within, log)
     if limit.at_least is not None and limit.at_most is not None:
         if limit.at_least.unit.dimension != limit.at_most.unit.dimension:
-            log.error("meaning-dimension", limit.at("at_most"), "at_least and at_most are of different dimensions", "use one unit")
-        elif limit.at_least.value > limit.at_most.value:
-            log.error("meaning-limit", limit.at("at_least"), "at_least is above at_most: nothing could pass", "exchange them")
+            message = f"at_least is in {limit.at_least.unit.text}, at_most in {limit.at_most.unit.text}: these are of different dimensions"
+            log.error("meaning-dimension", limit.at("at_most"), message, "give both in the unit of the coefficient")
+        elif limit.at_least.value >= limit.at_most.value:
+            message = f"at_least ({limit.at_least}) is not below at_most ({limit.at_most}): nothing could pass"
+            log.error("meaning-limit", limit.at("at_least"), message, "exchange them")
+
+
+def _check_within(limit: Limit, within: str, log: Findings) -> None:
+    at = limit.at("within")
+    if limit.at_least is not None or limit.at_most is not None:
+        log.error(
+            "meaning-limit", at, "within stands alone", "use at_least and at_most for a limit that is not symmetric"
+        )
+    try:
+        bound = parse_symmetric(within)
+    except QuantityError as error:
+        log.error(error.code, at, str(error), error.hint)
+    else:
+        if bound is not None and bound.value - bound.unit.offset <= 0:
+            log.error(
+                "meaning-range", at, f"'{within}' lets nothing pass: the bound must be positive", "change the number"
+            )

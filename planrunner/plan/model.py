@@ -28,7 +28,7 @@ from planrunner.plan.kinds import (
     key,
 )
 from planrunner.plan.orientation import Orientation, OrientationKind
-from planrunner.plan.quantity import Quantity
+from planrunner.plan.quantity import SYMMETRIC, Quantity
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.sweep import ForEachKind, Sweep
 
@@ -39,17 +39,25 @@ FILE_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}"
 class Sensor(Record):
     """The sensor under test, as the plan expects it."""
 
-    kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that the plan is for; the bench must carry one.", "flexure-gyro")
+    kind: str = key(
+        Text(NAME, "a sensor kind"), "Kind of sensor that the plan is for; the bench must carry one.", "flexure-gyro"
+    )
     outputs: tuple[str, ...] = key(
-        ListOf(Text(NAME, "an output's name"), minimum=1), "Outputs that are recorded and used.", ["torquer_x", "torquer_y"]
+        ListOf(Text(NAME, "an output's name"), minimum=1),
+        "Outputs that are recorded and used.",
+        ["torquer_x", "torquer_y"],
     )
 
 
 class MountedAxis(Record):
     """How one input axis stands in a tilted fixture."""
 
-    angle: Quantity = key(QuantityOf("angle"), "Angle between the input axis and the rotation axis.", "54.7356 deg ± 20 arcsec")
-    azimuth: Quantity | None = key(QuantityOf("angle"), "Azimuth of the input axis about the rotation axis, at home.", "120 deg", None)
+    angle: Quantity = key(
+        QuantityOf("angle"), "Angle between the input axis and the rotation axis.", "54.7356 deg ± 20 arcsec"
+    )
+    azimuth: Quantity | None = key(
+        QuantityOf("angle"), "Azimuth of the input axis about the rotation axis, at home.", "120 deg", None
+    )
 
 
 # -- motion ----------------------------------------------------------------------------------------------------------
@@ -68,7 +76,9 @@ class RockSpec(Record):
     )
 
 
-MOVE = r"\s*(?P<start>\S{1,20})\s+(?P<turn>[+-]?[0-9.]{1,10})\s*(?:deg)?\s+(?P<end>\S{1,20})\s*"
+POSITION = r"[^ \x00-\x1f]{1,20}"
+_TURN = r"[-+−]?(?:[0-9]{1,6}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})"
+MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSITION}) *"
 
 
 class Motion(Record):
@@ -82,21 +92,27 @@ class Motion(Record):
         RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, None
     )
     for_: Quantity | None = key(
-        QuantityOf("time", "positive"), "Rock for this part of the dwell only, then stand still.", "8 min", None, name="for"
+        QuantityOf("time", "positive"),
+        "Rock for this part of the dwell only, then stand still.",
+        "8 min",
+        None,
+        name="for",
     )
     cycle: dict[str, Quantity] | None = key(
-        MapOf(QuantityOf("angle"), pattern=r"\S{1,20}"),
+        MapOf(QuantityOf("angle"), pattern=POSITION),
         "Named positions of an indexing cycle.",
         {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
         None,
     )
     moves: tuple[str, ...] = key(
-        ListOf(Text(MOVE, "a move such as 'A +180 C'"), minimum=1),
+        ListOf(Text(MOVE, "a move such as 'A +180 C'", "write from, turn in degrees, to"), minimum=1),
         "Moves of one cycle in order: from, turn in degrees, to.",
         ["A +180 C", "C -180 A"],
         default_factory=tuple,
     )
-    turn_rate: Quantity | None = key(QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", None)
+    turn_rate: Quantity | None = key(
+        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", None
+    )
     stop: Quantity | None = key(QuantityOf("time", "positive"), "Time at each stop.", "5 min", None)
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
@@ -133,9 +149,14 @@ class State(Record):
         {"x": "up", "y": "north", "z": "west"},
         None,
     )
-    rate: Quantity | None = key(QuantityOf("angular rate"), "Constant rate about up; short for motion: {rate: …}.", "10 deg/s", None)
+    rate: Quantity | None = key(
+        QuantityOf("angular rate"), "Constant rate about up; short for motion: {rate: …}.", "10 deg/s", None
+    )
     motion: Motion | None = key(
-        WordOr(("rest",), RecordOf(Motion)), "What the table does while recording; at rest without it.", {"rate": "10 deg/s"}, None
+        WordOr(("rest",), RecordOf(Motion)),
+        "What the table does while recording; at rest without it.",
+        {"rate": "10 deg/s"},
+        None,
     )
     temperature: Quantity | Ramp | None = key(
         ByShape(QuantityOf("temperature"), RecordOf(Ramp), what="a temperature or {ramp_to: …}"),
@@ -143,17 +164,26 @@ class State(Record):
         "25 degC",
         None,
     )
-    soak: Quantity | None = key(QuantityOf("time", "not negative"), "Wait after a new temperature is reached.", "60 min", None)
-    settle: Quantity | None = key(QuantityOf("time", "not negative"), "Wait after the motion is steady, before recording.", "30 s", None)
+    soak: Quantity | None = key(
+        QuantityOf("time", "not negative"), "Wait after a new temperature is reached.", "60 min", None
+    )
+    settle: Quantity | None = key(
+        QuantityOf("time", "not negative"), "Wait after the motion is steady, before recording.", "30 s", None
+    )
     dwell: Quantity | Turns | str | None = key(
         WordOr(("recorded",), ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time or {turns: …}")),
         "How long to record: a time, whole turns, or 'recorded' for as long as a played-back segment lasts.",
         "2 min",
         None,
     )
-    sample_rate: Quantity | None = key(QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None)
+    sample_rate: Quantity | None = key(
+        QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None
+    )
     on_break: str | None = key(
-        Choice(("retake", "keep")), "What to do with a segment cut short by a crash when the run is resumed.", "keep", None
+        Choice(("retake", "keep")),
+        "What to do with a segment cut short by a crash when the run is resumed.",
+        "keep",
+        None,
     )
 
 
@@ -164,7 +194,10 @@ class SegmentKind:
         before = len(log.errors)
         spec = RecordOf(SegmentSpec).read(node, log)
         if spec is not None and len(log.errors) > before:
+            trouble = len(log.errors) - before
+            object.__setattr__(spec, "trouble", trouble)
             object.__setattr__(spec, "sound", False)
+            object.__setattr__(spec, "own_sound", trouble == sum(step.trouble for step in spec.steps))
         return spec
 
     def schema(self) -> Schema:
@@ -181,7 +214,10 @@ class SegmentSpec(State):
         None,
     )
     for_each: Sweep | None = key(
-        ForEachKind(), "Repeat for every value; several keys multiply, the first changing slowest.", {"rate": "±300, ±150 deg/s"}, None
+        ForEachKind(),
+        "Repeat for every value; several keys multiply, the first changing slowest.",
+        {"rate": "±300, ±150 deg/s"},
+        None,
     )
     order: str = key(
         Choice(("as_written", "reversed", "serpentine", "shuffled")),
@@ -192,9 +228,15 @@ class SegmentSpec(State):
     shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, 0)
     repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, 1)
     steps: tuple[SegmentSpec, ...] = key(
-        ListOf(SegmentKind(), minimum=1), "Segments that share this state.", [{"label": "start-zero", "dwell": "60 s"}], default_factory=tuple
+        ListOf(SegmentKind(), minimum=1),
+        "Segments that share this state.",
+        [{"label": "start-zero", "dwell": "60 s"}],
+        default_factory=tuple,
     )
+    # Whether all of it could be read; whether all but its steps could; and how many errors it holds.
     sound: bool = field(default=True, compare=False)
+    own_sound: bool = field(default=True, compare=False)
+    trouble: int = field(default=0, compare=False)
 
 
 # -- what is learnt --------------------------------------------------------------------------------------------------
@@ -208,7 +250,10 @@ class EstimateSpec(Record):
         SelectionKind(), "Labels of the segments to use, with * and ?; or {detect: still}.", "P*", ("*",)
     )
     uses: tuple[str, ...] = key(
-        ListOf(Text(NAME, "an estimate's name"), single=True), "Earlier estimates that this one builds on.", "drift", default_factory=tuple
+        ListOf(Text(NAME, "an estimate's name"), single=True),
+        "Earlier estimates that this one builds on.",
+        "drift",
+        default_factory=tuple,
     )
     parameters: Any = field(default=None)
 
@@ -216,10 +261,23 @@ class EstimateSpec(Record):
 class Limit(Record):
     """A requirement on one quantity; its verdict decides the exit code."""
 
-    quantity: str = key(Text(rf"{NAME}\.\S{{1,60}}", "estimate.coefficient"), "Which coefficient of which estimate.", "drift.D_X_F")
-    within: str | None = key(Text("", "a limit such as ±0.5 deg/h"), "Symmetric about zero.", "±0.5 deg/h", None)
-    at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", "0.99 1", None)
-    at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", "1.01 1", None)
+    quantity: str = key(
+        Text(
+            rf"{NAME}\.[^ \x00-\x1f]{{1,60}}",
+            "the name of an estimate, a dot and a coefficient",
+            "write for example drift.D_X_F",
+        ),
+        "Which coefficient of which estimate.",
+        "drift.D_X_F",
+    )
+    within: str | None = key(
+        Text(SYMMETRIC, "a limit such as ±0.5 deg/h", "write ± and one quantity, or use at_least and at_most"),
+        "Symmetric about zero.",
+        "±0.5 deg/h",
+        None,
+    )
+    at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, None)
+    at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, None)
     rule: str = key(
         Choice(("simple", "guarded")),
         "Decision rule (JCGM 106): simple compares the value, guarded keeps the expanded uncertainty inside as well.",
@@ -250,7 +308,7 @@ ESTIMATE: Kind = Plugged(
     "estimator",
     lambda: plugins.names(plugins.ESTIMATORS),
     lambda name: plugins.load(plugins.ESTIMATORS, name),
-    "meaning-unknown-estimator",
+    "form-unknown-estimator",
 )
 
 
@@ -258,12 +316,21 @@ class Plan(Record):
     """A test plan."""
 
     planrunner: int = key(Number(1, 1, integer=True), "Version of the plan language.", 1)
-    title: str = key(Text(r"[^\x00-\x1f]{1,200}", "a title"), "One line that says what the test is.", "Eight-position calibration")
-    description: str = key(Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", "")
-    bench: str = key(
-        Text(r"[^\x00-\x1f]{1,200}", "a bench's name or file"), "Bench to run on: a shipped one by name, or a file.", "virtual", "virtual"
+    title: str = key(
+        Text(r"[^\x00-\x1f]{1,200}", "a title"), "One line that says what the test is.", "Eight-position calibration"
     )
-    sensor: Sensor = key(RecordOf(Sensor), "The sensor that the plan is for.", {"kind": "flexure-gyro", "outputs": ["torquer_x"]})
+    description: str = key(
+        Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", ""
+    )
+    bench: str = key(
+        Text(r"[^\x00-\x1f]{1,200}", "a bench's name or file"),
+        "Bench to run on: a shipped one by name, or a file.",
+        "virtual",
+        "virtual",
+    )
+    sensor: Sensor = key(
+        RecordOf(Sensor), "The sensor that the plan is for.", {"kind": "flexure-gyro", "outputs": ["torquer_x"]}
+    )
     record: dict[str, RunItem] = key(
         MapOf(RunItemKind(), pattern=NAME),
         "Run information to be given with --set or --info, kept in the run folder.",
@@ -276,9 +343,13 @@ class Plan(Record):
         {"x": {"angle": "54.7356 deg ± 20 arcsec", "azimuth": "0 deg"}},
         default_factory=dict,
     )
-    defaults: State | None = key(RecordOf(State), "State that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, None)
+    defaults: State | None = key(
+        RecordOf(State), "State that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, None
+    )
     segments: tuple[SegmentSpec, ...] = key(
-        ListOf(SegmentKind(), minimum=1), "What to do, in order.", [{"label": "zero", "orientation": {"x": "up", "y": "north"}}]
+        ListOf(SegmentKind(), minimum=1),
+        "What to do, in order.",
+        [{"label": "zero", "orientation": {"x": "up", "y": "north"}}],
     )
     estimates: dict[str, EstimateSpec] = key(
         MapOf(ESTIMATE, pattern=NAME),
@@ -287,7 +358,10 @@ class Plan(Record):
         default_factory=dict,
     )
     limits: tuple[Limit, ...] = key(
-        ListOf(RecordOf(Limit)), "Requirements on what was learnt.", [{"quantity": "drift.D_X_F", "within": "±0.5 deg/h"}], default_factory=tuple
+        ListOf(RecordOf(Limit)),
+        "Requirements on what was learnt.",
+        [{"quantity": "drift.D_X_F", "within": "±0.5 deg/h"}],
+        default_factory=tuple,
     )
     report: tuple[str, ...] = key(
         ListOf(Text(FILE_NAME, "a file name")),

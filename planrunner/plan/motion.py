@@ -21,6 +21,14 @@ TURN = 2 * math.pi
 _ANGLE_TOLERANCE = math.radians(1e-6)
 
 
+# Which keys of a motion belong to which form.
+_KEYS = {
+    "rate": {"rate", "about", "sense"},
+    "rock": {"rock", "for"},
+    "cycle": {"cycle", "moves", "turn_rate", "stop", "sense"},
+}
+
+
 def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
     """The motion of one segment; None after a finding."""
     rate: Quantity | None = state.get("rate")
@@ -29,24 +37,40 @@ def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float 
     motion: model.Motion | str | None = state.get("motion")
     if motion is None or isinstance(motion, str):
         return Rest()
-    stated = [name for name in ("rate", "rock", "cycle") if getattr(motion, name) is not None]
+    stated = [name for name in _KEYS if getattr(motion, name) is not None]
     if len(stated) != 1:
-        what = " and ".join(stated) if stated else "nothing"
-        log.error("meaning-motion", marks["motion"], f"a motion is one of rate, rock and cycle; this says {what}", "keep one")
+        what = " and ".join(stated) if stated else "none of them"
+        log.error(
+            "meaning-motion",
+            marks["motion"],
+            f"a motion is one of rate, rock and cycle; this says {what}",
+            "keep one of them",
+        )
+        return None
+    form = stated[0]
+    foreign = [key for key in motion.origin.keys if "." not in key and "[" not in key and key not in _KEYS[form]]
+    for key in foreign:
+        log.error("meaning-motion", motion.at(key), f"'{key}' has no meaning for a motion by {form}", "remove it")
+    if foreign:
         return None
     sign = -1.0 if motion.sense == "clockwise" else 1.0
     if motion.rate is not None:
         about = DIRECTIONS[motion.about]
-        return Spin(sign * motion.rate.value, (float(about[0]), float(about[1]), float(about[2])))
+        return (
+            Spin(sign * motion.rate.value, (float(about[0]), float(about[1]), float(about[2])))
+            if motion.rate.value
+            else Rest()
+        )
     if motion.rock is not None:
-        return _rock(motion, motion.rock, dwell, marks["motion"], log)
+        return _rock(motion, motion.rock, dwell, log)
     return _cycle(motion, sign, log)
 
 
-def _rock(motion: model.Motion, rock: model.RockSpec, dwell: float | None, mark: Mark, log: Findings) -> Rock | None:
+def _rock(motion: model.Motion, rock: model.RockSpec, dwell: float | None, log: Findings) -> Rock | None:
     duration = motion.for_.value if motion.for_ else (dwell if dwell is not None else math.inf)
     if dwell is not None and duration > dwell:
-        log.error("meaning-rock", motion.at("for"), f"rocks for {motion.for_}, longer than the dwell of {dwell:g} s", "shorten it")
+        message = f"rocks for {motion.for_}, longer than the dwell of {dwell:g} s"
+        log.error("meaning-rock", motion.at("for"), message, "shorten it, or dwell longer")
         return None
     phases = tuple(phase.value for phase in rock.phases) or (0.0,)
     return Rock(rock.amplitude.value, rock.frequency.value, phases, duration)
@@ -54,41 +78,66 @@ def _rock(motion: model.Motion, rock: model.RockSpec, dwell: float | None, mark:
 
 def _cycle(motion: model.Motion, sign: float, log: Findings) -> Cycle | None:
     positions = {name: angle.value for name, angle in (motion.cycle or {}).items()}
-    if not motion.moves or motion.stop is None or motion.turn_rate is None:
-        missing = [n for n, v in (("moves", motion.moves), ("turn_rate", motion.turn_rate), ("stop", motion.stop)) if not v]
-        log.error("meaning-cycle", motion.origin.mark, f"a cycle also needs {', '.join(missing)}", "add for example stop: 5 min")
+    needed = {"moves": motion.moves, "turn_rate": motion.turn_rate, "stop": motion.stop}
+    missing = [name for name, value in needed.items() if not value]
+    if missing or motion.turn_rate is None or motion.stop is None:
+        examples = {"moves": "moves: [A +180 C, C -180 A]", "turn_rate": "turn_rate: 10 deg/s", "stop": "stop: 5 min"}
+        hint = "add for example " + ", ".join(examples[name] for name in missing)
+        log.error("meaning-cycle", motion.origin.mark, f"a cycle also needs {' and '.join(missing)}", hint)
         return None
     moves: list[Move] = []
-    here: str | None = None
     net = 0.0
     errors = len(log.errors)
     for number, text in enumerate(motion.moves, start=1):
         match = re.fullmatch(model.MOVE, text)
         assert match is not None
-        start, end = match["start"], match["end"]
-        mark = motion.at("moves")
-        for name in (start, end):
-            if name not in positions:
-                log.error("meaning-cycle-position", mark, f"move {number} names '{name}', no position", closest(name, positions))
-                return None
-        turn = math.radians(float(match["turn"]))
-        if here is not None and start != here:
-            log.error("meaning-cycle-start", mark, f"move {number} starts at {start}, but the one before ends at {here}", f"start it at {here}")
-        landing = (positions[start] + turn - positions[end] + math.pi) % TURN - math.pi
-        if abs(landing) > _ANGLE_TOLERANCE:
-            at = math.degrees((positions[start] + turn) % TURN)
-            message = f"move {number} ({text.strip()}) does not land where it says: it ends at {at:g} deg, {end} is at {math.degrees(positions[end]):g} deg"
-            log.error("meaning-cycle-landing", mark, message, "mend the turn or the position")
+        turn = math.radians(float(match["turn"].replace("−", "-")))
+        move = Move(match["start"], sign * turn, match["end"])
+        _check_move(number, text.strip(), move, turn, positions, motion.at(f"moves[{number - 1}]"), log)
+        if moves and move.start != moves[-1].end:
+            message = f"move {number} starts at {move.start}, but the one before ends at {moves[-1].end}"
+            log.error("meaning-cycle-start", motion.at(f"moves[{number - 1}]"), message, f"start it at {moves[-1].end}")
         net += turn
-        here = end
-        moves.append(Move(start, sign * turn, end))
-    if here != moves[0].start:
-        message = f"the cycle starts at {moves[0].start} and ends at {here}, so it cannot be repeated"
-        log.error("meaning-cycle-closed", motion.at("moves"), message, "add the move back")
-    elif abs(net) > _ANGLE_TOLERANCE:
-        message = f"every cycle winds the cables up by {math.degrees(net):+g} deg"
-        log.error("physics-cable-wrap", motion.at("moves"), message, "let as many turns go back as forth")
+        moves.append(move)
+    if len(log.errors) == errors:
+        _check_cycle(moves, net, motion, log)
     if len(log.errors) > errors:
         return None
     signed = {name: sign * angle for name, angle in positions.items()}
     return Cycle(signed, tuple(moves), motion.turn_rate.value, motion.stop.value)
+
+
+def _check_move(
+    number: int, text: str, move: Move, turn: float, positions: Mapping[str, float], mark: Mark, log: Findings
+) -> None:
+    unknown = [name for name in (move.start, move.end) if name not in positions]
+    for name in unknown:
+        message = f"move {number} ({text}) names '{name}', which is no position of this cycle"
+        log.error("meaning-cycle-position", mark, message, closest(name, positions))
+    if unknown:
+        return
+    there = positions[move.start] + turn
+    if abs(math.remainder(there - positions[move.end], TURN)) > _ANGLE_TOLERANCE:
+        angle = math.degrees(positions[move.end])
+        message = f"move {number} ({text}) does not land where it says: it ends at {_degrees(there)} deg, {move.end} is at {angle:g} deg"
+        log.error("meaning-cycle-landing", mark, message, f"to land on {move.end}, turn {_turns(positions, move)}")
+
+
+def _check_cycle(moves: list[Move], net: float, motion: model.Motion, log: Findings) -> None:
+    if moves[-1].end != moves[0].start:
+        message = f"the cycle starts at {moves[0].start} and ends at {moves[-1].end}, so it cannot be repeated"
+        at = motion.at(f"moves[{len(moves) - 1}]")
+        log.error("meaning-cycle-closed", at, message, f"add a move from {moves[-1].end} back to {moves[0].start}")
+    elif abs(net) > _ANGLE_TOLERANCE:
+        message = f"every cycle winds the cables up by {math.degrees(net):+g} deg"
+        log.error("physics-cable-wrap", motion.at("moves"), message, "let as many degrees go back as forth")
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(math.degrees(angle) % 360, 6) % 360:g}"
+
+
+def _turns(positions: Mapping[str, float], move: Move) -> str:
+    """The turns that would land, the short way round and the long one."""
+    short = round(math.degrees(math.remainder(positions[move.end] - positions[move.start], TURN)), 6)
+    return f"{short:+g} or {short - math.copysign(360, short):+g} deg"

@@ -1,9 +1,9 @@
 """Orientations: where the sensor's axes point on the site, in words or as rotations.
 
-    {x: up, y: north, z: west}                       words, at least two axes
-    {from: {x: up, y: north}, rotate: [x 30 deg, z -45 deg]}   then turned about its own axes, in order
-    {quaternion: [w, x, y, z]}                       of the rotation that takes site (ENU) components to sensor components
-    unknown                                          found in the data
+{x: up, y: north, z: west}                       words, at least two axes
+{from: {x: up, y: north}, rotate: [x 30 deg, z -45 deg]}   then turned about its own axes, in order
+{quaternion: [w, x, y, z]}                       of the rotation that takes site (ENU) components to sensor components
+unknown                                          found in the data
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.plan.findings import Findings, closest
-from planrunner.plan.quantity import QuantityError, parse_quantity
+from planrunner.plan.quantity import PLAIN, QuantityError, anchored, parse_quantity
 from planrunner.plan.source import Mapping, Node, Scalar, Sequence
 
 Matrix = NDArray[np.float64]
@@ -31,7 +31,7 @@ DIRECTIONS: dict[str, tuple[int, int, int]] = {
     "down": (0, 0, -1),
 }
 AXES = ("x", "y", "z")
-_WORD = {vector: word for word, vector in DIRECTIONS.items()}
+_WORD: dict[tuple[int, ...], str] = {vector: word for word, vector in DIRECTIONS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,49 +78,67 @@ class OrientationKind:
         if isinstance(node, Scalar):
             if node.value == "unknown":
                 return UNKNOWN
-            hint = "write {x: up, y: north, z: west} or unknown"
-            log.error("form-type", node.mark, f"'{node.text[:40]}' is not an orientation", hint)
+            log.error(
+                "form-type",
+                node.mark,
+                f"'{node.text[:40]}' is not an orientation",
+                "write {x: up, y: north, z: west}, or unknown",
+            )
             return None
         if not isinstance(node, Mapping):
-            log.error("form-type", node.mark, "an orientation is a mapping", "write {x: up, y: north, z: west}")
+            log.error(
+                "form-type", node.mark, "an orientation is a mapping, not a list", "write {x: up, y: north, z: west}"
+            )
             return None
         names = {key.text for key, _ in node.entries}
-        known = (*AXES, "from", "rotate", "quaternion")
+        known = (*AXES, *_TURNED, "quaternion")
         unknown = [key for key, _ in node.entries if key.text not in known]
         for key in unknown:
             log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, known))
         if unknown:
             return None
         if "quaternion" in names:
-            return self._alone(node, "quaternion", names, log) and _read_quaternion(node, log)
-        if "rotate" in names or "from" in names:
-            return _read_rotated(node, log)
+            return _read_quaternion(node, log) if self._only(node, ("quaternion",), log) else None
+        if names & set(_TURNED):
+            return _read_rotated(node, log) if self._only(node, _TURNED, log) else None
         return _read_words(node, log)
 
-    def _alone(self, node: Mapping, key: str, names: set[str], log: Findings) -> bool:
-        if len(names) == 1:
+    def _only(self, node: Mapping, allowed: tuple[str, ...], log: Findings) -> bool:
+        other = next((key for key, _ in node.entries if key.text not in allowed), None)
+        if other is None:
             return True
-        log.error("meaning-orientation", node.mark, f"'{key}' stands alone in an orientation", "remove the other keys")
+        hint = (
+            "put the axes under 'from': {from: {x: up, y: north}, rotate: [x 30 deg]}"
+            if other.text in AXES
+            else f"remove '{other.text}'"
+        )
+        log.error("form-orientation", other.mark, f"'{other.text}' cannot stand beside '{allowed[-1]}'", hint)
         return False
 
     def schema(self) -> dict[str, object]:
-        word = {"enum": list(DIRECTIONS)}
-        words = {
-            "type": "object",
-            "properties": {axis: {**word, "description": f"Where the sensor's {axis} axis points."} for axis in AXES},
-            "additionalProperties": False,
-            "minProperties": 2,
+        axes = {
+            axis: {
+                "description": f"Where the sensor's {axis} axis points.",
+                "examples": [word],
+                "enum": list(DIRECTIONS),
+            }
+            for axis, word in zip(AXES, ("up", "north", "west"), strict=True)
         }
+        words = {"type": "object", "properties": axes, "additionalProperties": False, "minProperties": 2}
         turned = {
             "type": "object",
             "properties": {
-                "from": {**words, "description": "Orientation to start from; x east, y north, z up without it."},
+                "from": {
+                    "description": "Orientation to start from; x east, y north, z up without it.",
+                    "examples": [{"x": "up", "y": "north"}],
+                    **words,
+                },
                 "rotate": {
                     "description": "Turns about the sensor's own axes, one after the other.",
                     "examples": [["x 30 deg", "z -45 deg"]],
                     "type": "array",
                     "minItems": 1,
-                    "items": {"type": "string", "pattern": "^[xyz] "},
+                    "items": {"type": "string", "maxLength": 200, "pattern": anchored(f"[xyz] {PLAIN}")},
                 },
             },
             "required": ["rotate"],
@@ -144,34 +162,54 @@ class OrientationKind:
         return {"anyOf": [{"const": "unknown"}, words, turned, numbers]}
 
 
+_TURNED = ("from", "rotate")
+
+
 def _read_words(node: Mapping, log: Findings) -> Orientation | None:
     given: dict[str, tuple[int, int, int]] = {}
+    before = len(log.errors)
     for key, item in node.entries:
-        word = item.text if isinstance(item, Scalar) else ""
-        if word not in DIRECTIONS:
-            shown = f"'{word[:40]}' is not a direction" if word else "a direction is expected here"
-            log.error("meaning-direction", item.mark, shown, closest(word, DIRECTIONS))
-            return None
-        given[key.text] = DIRECTIONS[word]
+        word = item.value if isinstance(item, Scalar) else None
+        if key.text not in AXES:
+            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, AXES))
+        elif not isinstance(word, str) or word not in DIRECTIONS:
+            text = item.text[:40] if isinstance(item, Scalar) else ""
+            shown = f"'{text}' is not a direction" if text else "a direction is expected here"
+            log.error(
+                "form-direction",
+                item.mark,
+                shown,
+                closest(text, DIRECTIONS) if text else f"one of {', '.join(DIRECTIONS)}",
+            )
+        else:
+            given[key.text] = DIRECTIONS[word]
+    if len(log.errors) > before:
+        return None
     if len(given) < 2:
-        log.error("meaning-orientation", node.mark, "an orientation needs at least two axes", "write {x: up, y: north, z: west}")
+        log.error(
+            "form-orientation", node.mark, "an orientation needs at least two axes", "write {x: up, y: north, z: west}"
+        )
         return None
     for first, second in combinations(given, 2):
-        if abs(np.dot(given[first], given[second])) > 0:
+        if np.dot(given[first], given[second]) != 0:
             same = given[first] == given[second]
             what = "point the same way" if same else "are opposite each other"
             message = f"{first} and {second} {what} ({first} {_WORD[given[first]]}, {second} {_WORD[given[second]]})"
-            log.error("meaning-orientation", node.mark, message, "axes are at right angles to each other")
+            at = next(item.mark for key, item in node.entries if key.text == second)
+            log.error("meaning-orientation", at, message, "the three axes stand at right angles to each other")
             return None
+    return _right_handed(given, node, log)
+
+
+def _right_handed(given: dict[str, tuple[int, int, int]], node: Mapping, log: Findings) -> Orientation | None:
     rows = [np.array(given[axis], dtype=float) if axis in given else None for axis in AXES]
     for index in range(3):
         if rows[index] is None:
             rows[index] = np.cross(rows[(index + 1) % 3], rows[(index + 2) % 3])  # type: ignore[arg-type]
-    matrix = np.array(rows)
+    matrix = np.array(rows) + 0.0  # no negative zeros
     if np.linalg.det(matrix) < 0:
         third = _WORD[tuple(int(v) for v in np.rint(np.cross(matrix[0], matrix[1])))]
-        words = in_words(matrix)
-        message = f"left-handed axes ({words}): x × y points {third}, not {_WORD[tuple(int(v) for v in matrix[2])]}"
+        message = f"left-handed axes ({in_words(matrix)}): x × y points {third}, not {_WORD[tuple(int(v) for v in matrix[2])]}"
         log.error("meaning-left-handed", node.mark, message, "right-handed are " + " or ".join(_repairs(matrix)))
         return None
     return Orientation(in_words(matrix), tuple(map(tuple, matrix.tolist())))
@@ -191,51 +229,69 @@ def _repairs(matrix: Matrix) -> list[str]:
     return ["{" + in_words(m).replace("x ", "x: ").replace("y ", "y: ").replace("z ", "z: ") + "}" for m in repairs]
 
 
-_TURN = re.compile(r"\s*([xyz])\s+(.+)", re.DOTALL)
+_TURN = re.compile(rf"([xyz]) ({PLAIN})")
 
 
 def _read_rotated(node: Mapping, log: Findings) -> Orientation | None:
-    start = node.get("from")
+    start, turns = node.get("from"), node.get("rotate")
+    before = len(log.errors)
     matrix, text = np.eye(3), "x east, y north, z up"
     if start is not None:
         base = _read_words(start, log) if isinstance(start, Mapping) else None
-        if base is None:
-            if not isinstance(start, Mapping):
-                log.error("form-type", start.mark, "axes as words are expected here", "write {x: up, y: north, z: west}")
-            return None
-        matrix, text = np.array(base.matrix), base.text
-    turns = node.get("rotate")
-    if any(key.text in AXES for key, _ in node.entries):
-        log.error("meaning-orientation", node.mark, "axes stand under 'from' when 'rotate' is given", "write {from: {x: …}, rotate: […]}")
-        return None
+        if base is not None:
+            matrix, text = np.array(base.matrix), base.text
+        elif not isinstance(start, Mapping):
+            log.error("form-type", start.mark, "axes as words are expected here", "write {x: up, y: north, z: west}")
     if not isinstance(turns, Sequence) or not turns.items:
         at = turns.mark if turns else node.mark
-        log.error("form-type", at, "a list of turns is expected in 'rotate'", "write [x 30 deg, z -45 deg]")
+        log.error("form-type", at, "a list of turns is expected in 'rotate'", "write rotate: [x 30 deg, z -45 deg]")
         return None
     for turn in turns.items:
-        match = _TURN.fullmatch(turn.text) if isinstance(turn, Scalar) else None
+        match = (
+            _TURN.fullmatch(turn.value)
+            if isinstance(turn, Scalar) and isinstance(turn.value, str) and len(turn.value) <= 200
+            else None
+        )
         if not match:
-            log.error("meaning-turn", turn.mark, "a turn is an axis and an angle", "write for example 'x 30 deg'")
-            return None
+            shown = f"'{turn.text[:40]}' is not a turn: " if isinstance(turn, Scalar) else ""
+            log.error(
+                "form-turn",
+                turn.mark,
+                f"{shown}a turn is an axis of the sensor and an angle",
+                "write for example x 30 deg",
+            )
+            continue
         try:
             angle = parse_quantity(match[2], "angle")
         except QuantityError as error:
             log.error(error.code, turn.mark, str(error), error.hint)
-            return None
+            continue
         matrix = rotation(AXES.index(match[1]), angle.value) @ matrix
         text += f", then {match[1]} {angle}"
-    return Orientation(text, tuple(map(tuple, matrix.tolist())))
+    return Orientation(text, tuple(map(tuple, matrix.tolist()))) if len(log.errors) == before else None
 
 
 def _read_quaternion(node: Mapping, log: Findings) -> Orientation | None:
     numbers = node.get("quaternion")
     items = numbers.items if isinstance(numbers, Sequence) else ()
     values = [item.value for item in items if isinstance(item, Scalar)]
-    good = len(values) == 4 and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values)
-    norm = math.sqrt(sum(float(v) ** 2 for v in values)) if good else 0.0  # type: ignore[arg-type]
-    if not good or not 1e-6 < norm < 1e6:
-        at = numbers.mark if numbers else node.mark
-        log.error("meaning-quaternion", at, "a quaternion is four finite numbers [w, x, y, z], not all zero", "write [1, 0, 0, 0]")
+    at = numbers.mark if numbers else node.mark
+    if (
+        len(items) != 4
+        or len(values) != 4
+        or any(isinstance(v, bool) or not isinstance(v, int | float) for v in values)
+    ):
+        log.error(
+            "form-quaternion",
+            at,
+            "a quaternion is a list of four numbers [w, x, y, z]",
+            "write for example [1, 0, 0, 0]",
+        )
+        return None
+    norm = math.hypot(*(float(v) for v in values))  # type: ignore[arg-type]
+    if not 1e-6 < norm < 1e6:
+        message = "this quaternion has no direction: its length is zero, not finite or out of all proportion"
+        log.error("meaning-quaternion", at, message, "write for example [1, 0, 0, 0]")
         return None
     w, x, y, z = (float(v) / norm for v in values)  # type: ignore[arg-type]
     matrix = np.array(

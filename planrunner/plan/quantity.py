@@ -1,9 +1,9 @@
 """Quantities: one number and one unit, never an expression.
 
-    300 deg/s          a value
-    54.7356 deg ± 20 arcsec   with its standard uncertainty
-    ±0.5 deg/h         both signs: a sweep over +/-, or a limit around zero
-    {value: 54.7356 deg, half_width: 30 arcsec, distribution: rectangular}   anything richer
+300 deg/s          a value
+54.7356 deg ± 20 arcsec   with its standard uncertainty
+±0.5 deg/h         both signs: a sweep over +/-, or a limit around zero
+{value: 54.7356 deg, half_width: 30 arcsec, distribution: rectangular}   anything richer
 """
 
 from __future__ import annotations
@@ -12,15 +12,40 @@ import math
 import re
 from dataclasses import dataclass
 
-from planrunner.plan.findings import Findings
+from planrunner.plan.findings import Findings, closest
 from planrunner.plan.source import Mapping, Node, Scalar
-from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, dimension_name, unit
+from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, dimension_name, suggestion, unit
 
-_NUMBER = r"[-+−]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][-+]?[0-9]{1,3})?"
-_VALUE = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
-_SIGNS = re.compile(r"(±|\+/-|\+-)\s*(.*)", re.DOTALL)
-_SPLIT = re.compile(r"±|\+/-")
-PATTERN = rf"^\s*(±|\+/-)?\s*{_NUMBER}\s*\S.*$"
+# One grammar for the reader and for the JSON Schema. No-break and thin spaces come with text copied from documents.
+_SPACE = "[ \\t\\r\\n\\u00a0\\u2009\\u202f]*"
+_NUMBER = r"[-+−]?(?:[0-9]{1,30}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][-+−]?[0-9]{1,9})?"
+_UNIT = r"(?:1(?![0-9.,])|[A-Za-zµμ°′″%√(])[A-Za-z0-9_µμ°′″%√²³^*/·⋅() \u00a0\u2009\u202f-]{0,80}"
+_SIGN = r"(?:±|\+/-|\+-)"
+_VALUE = rf"{_NUMBER}{_SPACE}(?:{_UNIT}{_SPACE})?"
+PLAIN = rf"{_SPACE}{_NUMBER}{_SPACE}{_UNIT}{_SPACE}"
+_BOTH = rf"{_NUMBER}{_SPACE}{_UNIT}{_SPACE}{_SIGN}{_SPACE}{_VALUE}"
+_SHARED = rf"{_NUMBER}{_SPACE}{_SIGN}{_SPACE}{_NUMBER}{_SPACE}{_UNIT}{_SPACE}"
+_UNCERTAIN = rf"{_SPACE}(?:{_BOTH}|{_SHARED})"
+_BARE = rf"{_SPACE}{_NUMBER}{_SPACE}(?:{_SIGN}{_SPACE}{_NUMBER}{_SPACE})?"
+_PIECE = rf"(?:{_SIGN}{_SPACE})?{_VALUE}(?:{_SIGN}{_SPACE}{_VALUE})?"
+WITH_UNIT = rf"(?:{PLAIN}|{_UNCERTAIN})"
+BARE_OR_WITH_UNIT = rf"(?:{_BARE}|{PLAIN}|{_UNCERTAIN})"
+SIGNED = rf"{_SPACE}{_SIGN}{WITH_UNIT}"
+SYMMETRIC = rf"{_SPACE}{_SIGN}{_SPACE}{_VALUE}"
+
+_SPACE_NEEDED = _SPACE.replace("*", "+")
+_MAX_TEXT, _MAX_SWEEP = 200, 4000
+
+_PARTS = re.compile(rf"{_SPACE}{_SIGN}?{_SPACE}{_NUMBER}{_SPACE}({_UNIT})?{_SPACE}(?:{_SIGN}.*)?", re.DOTALL)
+
+_PARTS = re.compile(
+    rf"{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?(?:{_SIGN}{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?)?"
+)
+_UNITLESS = re.compile(rf"{_SPACE}(?:{_SIGN})?{_BARE}")
+_SIGNED = re.compile(rf"{_SPACE}({_SIGN})(.*)", re.DOTALL)
+_FITS = {True: re.compile(BARE_OR_WITH_UNIT), False: re.compile(WITH_UNIT)}
+# Nothing that is measured lies outside; computing with larger figures would overflow.
+_SMALLEST, _LARGEST = 1e-30, 1e30
 
 # Divisors of a half-width that give a standard uncertainty (JCGM 100:2008, 4.3.7 to 4.3.9; U-shaped: F.2.3.3).
 DISTRIBUTIONS = {"rectangular": math.sqrt(3), "triangular": math.sqrt(6), "u-shaped": math.sqrt(2), "normal": 2.0}
@@ -55,105 +80,150 @@ class QuantityError(ValueError):
         self.hint = hint
 
 
+def takes_bare_number(dimension: str | None) -> bool:
+    """Whether a number without a unit is a quantity of this dimension: a ratio, or where any dimension will do."""
+    return dimension in (None, "ratio")
+
+
 def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
-    """The quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError`."""
-    parts = _SPLIT.split(text)
-    if len(parts) > 2 or not parts[0].strip():
+    """The quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError`.
+
+    `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg` all mean a standard uncertainty.
+    """
+    match = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
+    if not match or not _FITS[takes_bare_number(dimension)].fullmatch(text):
         raise _no_quantity(text, dimension)
-    value, resolved = _value(parts[0], dimension, text)
-    if len(parts) == 1:
+    number, unit_text, width, width_unit = match.groups()
+    unit_text = unit_text or width_unit or "1"
+    resolved = _unit(unit_text, dimension)
+    value = _in_range(resolved.to_si(_float(number)), text, dimension)
+    if width is None:
         return Quantity(value, resolved)
-    wanted = "temperature" if resolved.offset else dimension
-    width, own = _value(parts[1], wanted, text, fallback=resolved)
+    own = _unit(width_unit, None) if width_unit else resolved
     if own.dimension != resolved.dimension:
-        raise QuantityError("meaning-dimension", f"{own.text} after ± is not of the dimension of {resolved.text}")
-    uncertainty = (width - own.offset) if own.offset else width
+        kinds = dimension_name(own.dimension), dimension_name(resolved.dimension)
+        message = f"'{own.text}' after ± is a unit of {kinds[0]}, the value is one of {kinds[1]}"
+        raise QuantityError("meaning-dimension", message, f"give the uncertainty in {resolved.text}")
+    # An uncertainty is a difference: no offset of degC or degF enters.
+    uncertainty = _in_range(_float(width) * own.factor, text, dimension)
     if uncertainty < 0:
-        raise QuantityError("meaning-range", "a standard uncertainty cannot be negative", "write ± and a positive number")
+        raise QuantityError(
+            "meaning-range", "a standard uncertainty cannot be negative", "write ± and a positive number"
+        )
     return Quantity(value, resolved, uncertainty)
 
 
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
-    """`±300, ±150 deg/s` or `10, 20, 30 deg` as quantities, ± giving + then −. Raises `QuantityError`."""
-    pieces = [piece.strip() for piece in text.split(",")]
-    last = _VALUE.fullmatch(_SIGNS.sub(r"\2", pieces[-1]))
-    shared = last[2].strip() if last else ""
+    """`±300, ±150 deg/s` or `10, 20, 30 deg` as quantities, ± giving + then −. Raises `QuantityError`.
+
+    A unit after the last value holds for those that have none. A comma is followed by a space, so that a decimal comma is not
+    taken for two values.
+    """
+    if re.search(r",[^ \t\r\n\u00a0\u2009\u202f]", text):
+        hint = "write a decimal point (1.5 deg/s), or a space after the comma between two values (1, 5 deg/s)"
+        raise QuantityError("form-quantity", f"'{text.strip()[:40]}': does this comma separate values?", hint)
+    if len(text) > _MAX_SWEEP:
+        raise QuantityError(
+            "form-quantity", f"a sweep longer than {_MAX_SWEEP} characters", "write the values as a list"
+        )
+    pieces = text.split(",")
+    signed = _SIGNED.fullmatch(pieces[-1])
+    last = _PARTS.fullmatch(signed[2] if signed else pieces[-1])
+    shared = (last[2] or last[4] or "") if last else ""
     values: list[Quantity] = []
     for piece in pieces:
-        signed = _SIGNS.fullmatch(piece)
-        body = signed[2] if signed else piece
-        match = _VALUE.fullmatch(body)
-        if match and not match[2].strip():
-            body = f"{body} {shared}"
-        quantity = parse_quantity(body, dimension)
-        values.append(quantity)
-        if signed:
-            values.append(Quantity(-quantity.value, quantity.unit, quantity.standard_uncertainty))
+        values.extend(parse_signed(f"{piece} {shared}" if _UNITLESS.fullmatch(piece) else piece, dimension))
     return values
+
+
+def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
+    """`±300 deg/s` as +300 and −300 deg/s, and a text without a leading sign of both as one quantity. Raises `QuantityError`."""
+    signed = _SIGNED.fullmatch(text)
+    quantity = parse_quantity(signed[2] if signed else text, dimension)
+    if not signed or quantity.value == 0:
+        return [quantity]
+    if quantity.unit.offset:
+        hint = "list both temperatures"
+        raise QuantityError("meaning-range", f"± of a temperature in {quantity.unit.text} is unclear", hint)
+    return [quantity, Quantity(-quantity.value, quantity.unit, quantity.standard_uncertainty)]
+
+
+def is_signed(text: str) -> bool:
+    """Whether a text begins with the sign of both signs."""
+    return _SIGNED.fullmatch(text) is not None
 
 
 def parse_symmetric(text: str, dimension: str | None = None) -> Quantity | None:
     """The positive bound of `±0.5 deg/h`, or None when the text has no leading ±. Raises `QuantityError`."""
-    signed = _SIGNS.fullmatch(text.strip())
+    signed = _SIGNED.fullmatch(text)
     return parse_quantity(signed[2], dimension) if signed else None
 
 
-def _value(text: str, dimension: str | None, whole: str, fallback: Unit | None = None) -> tuple[float, Unit]:
-    match = _VALUE.fullmatch(text.strip())
-    if not match:
-        raise _no_quantity(whole, dimension)
-    number, unit_text = float(match[1].replace("−", "-")), match[2].strip()
-    example = EXAMPLES.get(dimension or "", "300 deg/s")
-    if not unit_text:
-        if fallback is None:
-            if dimension == "ratio":
-                unit_text = "1"
-            else:
-                raise QuantityError("meaning-unit-missing", f"'{whole.strip()[:40]}' has no unit", f"write for example '{example}'")
-        else:
-            unit_text = fallback.text
-    if re.match(r"[\^*/+\-−0-9.(]", unit_text):
-        if unit_text[:1] != "(" or re.search(r"[0-9]\*\*|[-+]", unit_text):
-            raise _no_quantity(whole, dimension)
+def _float(number: str) -> float:
+    return float(number.replace("−", "-"))
+
+
+def _unit(text: str, dimension: str | None) -> Unit:
     try:
-        resolved = unit(unit_text)
+        resolved = unit(text)
     except UnknownUnitError as error:
-        raise QuantityError("meaning-unit", f"{error}", f"write for example '{example}'") from None
+        raise QuantityError("meaning-unit", str(error), suggestion(text) or _example(dimension)) from None
     if dimension is not None and resolved.dimension != DIMENSIONS[dimension]:
-        raise QuantityError(
-            "meaning-dimension",
-            f"'{unit_text[:40]}' is a unit of {dimension_name(resolved.dimension)}; a unit of {dimension} is needed",
-            f"write for example '{example}'",
+        message = (
+            f"'{text.strip()[:40]}' is a unit of {dimension_name(resolved.dimension)}; a unit of {dimension} is needed"
         )
-    value = resolved.to_si(number)
+        raise QuantityError("meaning-dimension", message, _example(dimension))
+    return resolved
+
+
+def _in_range(value: float, text: str, dimension: str | None) -> float:
     if not math.isfinite(value):
-        raise QuantityError("meaning-not-finite", f"'{whole.strip()[:40]}' is not a finite number", f"write for example '{example}'")
-    return value, resolved
+        raise QuantityError(
+            "meaning-not-finite", f"'{text.strip()[:40]}' is too large for any computer", _example(dimension)
+        )
+    if value and not _SMALLEST <= abs(value) <= _LARGEST:
+        raise QuantityError(
+            "meaning-range", f"'{text.strip()[:40]}' is beyond anything that is measured", _example(dimension)
+        )
+    return value
 
 
 def _no_quantity(text: str, dimension: str | None) -> QuantityError:
-    example = EXAMPLES.get(dimension or "", "300 deg/s")
-    if re.match(r"\s*[-+.]*(nan|inf)", text, re.IGNORECASE):
-        return QuantityError("meaning-not-finite", f"'{text.strip()[:40]}' is not a finite number", f"write for example '{example}'")
-    return QuantityError(
-        "meaning-quantity",
-        f"'{text.strip()[:40]}' is not one number and one unit",
-        f"write for example '{example}'; expressions are not computed",
-    )
+    shown, example = text.strip()[:40], _example(dimension)
+    if re.match(r"\s*[-+.±]*(nan|inf)", text, re.IGNORECASE):
+        return QuantityError("form-quantity", f"'{shown}' is not a finite number", example)
+    if len(text) > _MAX_TEXT:
+        return QuantityError("form-quantity", "this text is too long for one quantity", example)
+    if re.fullmatch(_BARE, text):
+        return QuantityError("form-unit-missing", f"'{shown}' has no unit", example)
+    if _SIGNED.fullmatch(text):
+        return QuantityError(
+            "form-quantity", f"'{shown}' has two values; one is expected here", "both signs belong in for_each"
+        )
+    if re.match(r"\s*[-+−]?[0-9]+,[0-9]", text):
+        return QuantityError("form-quantity", f"'{shown}' has a decimal comma", f"write a decimal point; {example}")
+    hint = f"{example}; expressions are not computed"
+    return QuantityError("form-quantity", f"'{shown}' is not one number and one unit", hint)
 
 
 def read_quantity(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
     """The quantity a node holds, text or mapping; findings go to `log`, and then the result is None."""
     if isinstance(node, Mapping):
         return _read_rich(node, dimension, log)
-    if not isinstance(node, Scalar):
-        log.error("form-type", node.mark, "one quantity is expected here, not a list", _example(dimension))
+    return read_scalar(node, dimension, log)
+
+
+def read_scalar(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
+    """As `read_quantity`, for the text forms alone."""
+    if not isinstance(node, Scalar) or node.value is None or isinstance(node.value, bool):
+        found = f", not '{node.text[:40]}'" if isinstance(node, Scalar) and node.text else ", as a text"
+        log.error("form-type", node.mark, f"one quantity is expected here{found}", _example(dimension))
         return None
-    if node.value is None or isinstance(node.value, bool):
-        log.error("form-type", node.mark, f"a quantity is expected here, not '{node.text[:40]}'", _example(dimension))
+    if isinstance(node.value, float) and not math.isfinite(node.value) and takes_bare_number(dimension):
+        log.error("meaning-not-finite", node.mark, f"'{node.text[:40]}' is not a finite number", _example(dimension))
         return None
     try:
-        return parse_quantity(node.text, dimension)
+        return parse_quantity(node.text if isinstance(node.value, str) else repr(node.value), dimension)
     except QuantityError as error:
         log.error(error.code, node.mark, str(error), error.hint)
         return None
@@ -163,73 +233,141 @@ def _example(dimension: str | None) -> str:
     return f"write for example '{EXAMPLES.get(dimension or '', '300 deg/s')}'"
 
 
-_RICH_KEYS = ("value", "standard_uncertainty", "half_width", "distribution", "degrees_of_freedom")
+_RICH_KEYS = {
+    "value": ("The value with its unit.", "54.7356 deg"),
+    "standard_uncertainty": ("Standard uncertainty of the value.", "20 arcsec"),
+    "half_width": (
+        "Half-width of the interval that surely holds the value; 'distribution' says what lies between.",
+        "30 arcsec",
+    ),
+    "distribution": (
+        "Shape of the distribution within the half-width; 'normal' takes it as two standard deviations.",
+        "rectangular",
+    ),
+    "degrees_of_freedom": ("Degrees of freedom of the uncertainty; infinite without it.", 9),
+}
 
 
 def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity | None:
+    before = len(log.errors)
     for key, _ in node.entries:
         if key.text not in _RICH_KEYS:
-            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", f"known here: {', '.join(_RICH_KEYS)}")
-            return None
+            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, _RICH_KEYS))
     value_node = node.get("value")
-    if not isinstance(value_node, Scalar):
-        log.error("form-missing-key", node.mark, "a quantity needs 'value'", _example(dimension))
+    value = read_scalar(value_node, dimension, log) if value_node is not None else None
+    if value_node is None:
+        log.error(
+            "form-missing-key", node.mark, "a quantity written as a mapping needs the key 'value'", _example(dimension)
+        )
+    if value is not None and value.standard_uncertainty and len(node.entries) > 1 and value_node is not None:
+        log.error(
+            "meaning-uncertainty", value_node.mark, "the uncertainty is stated twice", "leave out what follows ± here"
+        )
+    width, divisor = _width(node, dimension, log)
+    degrees = _degrees(node, log)
+    if value is None or len(log.errors) > before:
         return None
-    value = read_quantity(value_node, dimension, log)
-    if value is None:
+    if width is None:
+        return Quantity(value.value, value.unit, value.standard_uncertainty, degrees)
+    if width.unit.dimension != value.unit.dimension or width.unit.from_si(width.value) < 0:
+        at = node.get("half_width") or node.get("standard_uncertainty") or node
+        message = f"the uncertainty must be positive and of the dimension of {value.unit.text}"
+        log.error("meaning-uncertainty", at.mark, message, f"give it in {value.unit.text}")
         return None
-    spread, divisor = node.get("standard_uncertainty"), 1.0
-    half_width = node.get("half_width")
-    if half_width is not None:
-        if spread is not None:
-            log.error("meaning-uncertainty", half_width.mark, "both standard_uncertainty and half_width", "give one of them")
-            return None
-        shape = node.get("distribution")
-        name = shape.text if isinstance(shape, Scalar) else "rectangular"
+    return Quantity(value.value, value.unit, (width.value - width.unit.offset) / divisor, degrees)
+
+
+def _width(node: Mapping, dimension: str | None, log: Findings) -> tuple[Quantity | None, float]:
+    """The stated width and what divides it into a standard uncertainty."""
+    standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
+    name = "rectangular"
+    if shape is not None:
+        name = str(shape.value) if isinstance(shape, Scalar) else ""
         if name not in DISTRIBUTIONS:
-            at = shape.mark if shape else node.mark
-            log.error("form-choice", at, f"unknown distribution '{name[:40]}'", f"known here: {', '.join(DISTRIBUTIONS)}")
-            return None
-        spread, divisor = half_width, DISTRIBUTIONS[name]
-    uncertainty = 0.0
-    if spread is not None:
-        width = read_quantity(spread, _width_dimension(value.unit), log)
-        if width is None:
-            return None
-        uncertainty = (width.value - width.unit.offset) / divisor
-        if uncertainty < 0 or width.unit.dimension != value.unit.dimension:
-            log.error("meaning-uncertainty", spread.mark, "an uncertainty must be positive and of the value's dimension", "")
-            return None
+            log.error(
+                "form-choice",
+                shape.mark,
+                f"unknown distribution '{name[:40]}'",
+                f"known here: {', '.join(DISTRIBUTIONS)}",
+            )
+        elif half is None:
+            log.error(
+                "meaning-uncertainty",
+                shape.mark,
+                "a distribution needs a half_width",
+                "add for example half_width: 30 arcsec",
+            )
+    widths = [(read_scalar(item, dimension, log), item) for item in (standard, half) if item is not None]
+    if len(widths) == 2:
+        log.error(
+            "meaning-uncertainty", widths[1][1].mark, "both standard_uncertainty and half_width", "give one of them"
+        )
+    if not widths:
+        return None, 1.0
+    return widths[0][0], DISTRIBUTIONS.get(name, 1.0) if half is not None else 1.0
+
+
+def _degrees(node: Mapping, log: Findings) -> float:
     freedom = node.get("degrees_of_freedom")
-    degrees = math.inf
-    if freedom is not None:
-        if not isinstance(freedom, Scalar) or not isinstance(freedom.value, int | float) or not freedom.value > 0:
-            log.error("form-type", freedom.mark, "degrees of freedom must be a positive number", "write for example 9")
-            return None
-        degrees = float(freedom.value)
-    return Quantity(value.value, value.unit, uncertainty, degrees)
+    if freedom is None:
+        return math.inf
+    value = freedom.value if isinstance(freedom, Scalar) else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or value <= 0:
+        log.error("form-type", freedom.mark, "degrees of freedom are a number above zero", "write for example 9")
+        return math.inf
+    if math.isnan(value):
+        log.error(
+            "meaning-not-finite", freedom.mark, "'.nan' is not a number of degrees of freedom", "write for example 9"
+        )
+    return float(value)
 
 
-def _width_dimension(value_unit: Unit) -> str | None:
-    return next((name for name, known in DIMENSIONS.items() if known == value_unit.dimension), None)
+def anchored(pattern: str) -> str:
+    """A pattern that matches all of a text, in JSON Schema's dialect as in Python's ('$' alone lets a final newline pass)."""
+    return rf"^(?:{pattern})$(?!\n)"
+
+
+def text_schema(dimension: str | None) -> dict[str, object]:
+    """JSON Schema of a quantity as text; the unit itself is checked by `planrunner check`, which knows units."""
+    if takes_bare_number(dimension):
+        return {"type": ["string", "number"], "maxLength": _MAX_TEXT, "pattern": anchored(BARE_OR_WITH_UNIT)}
+    return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(WITH_UNIT)}
 
 
 def schema(dimension: str | None) -> dict[str, object]:
-    """JSON Schema of a quantity; the unit itself is checked by `planrunner check`, which knows units."""
-    text = {"type": ["string", "number"]} if dimension == "ratio" else {"type": "string", "pattern": r"[0-9]"}
-    spread = {"type": ["string", "number"]}
-    rich = {
-        "type": "object",
-        "additionalProperties": False,
-        "required": ["value"],
-        "properties": {
-            "value": text,
-            "standard_uncertainty": spread,
-            "half_width": spread,
-            "distribution": {"enum": list(DISTRIBUTIONS)},
-            "degrees_of_freedom": {"type": "number", "exclusiveMinimum": 0},
-        },
+    """JSON Schema of a quantity, as text or as a mapping."""
+    text = text_schema(dimension)
+    number = {"type": "number", "exclusiveMinimum": 0}
+    kinds: dict[str, dict[str, object]] = {"distribution": {"enum": list(DISTRIBUTIONS)}, "degrees_of_freedom": number}
+    properties = {
+        name: {
+            "description": description,
+            "examples": [_rich_example(name, example, dimension)],
+            **kinds.get(name, text),
+        }
+        for name, (description, example) in _RICH_KEYS.items()
     }
-    return {"anyOf": [text, rich]}
+    return {
+        "anyOf": [
+            text,
+            {"type": "object", "additionalProperties": False, "required": ["value"], "properties": properties},
+        ]
+    }
 
 
+def _rich_example(name: str, example: object, dimension: str | None) -> object:
+    if name in ("distribution", "degrees_of_freedom"):
+        return example
+    return EXAMPLES.get(dimension or "", example)
+
+
+def sweep_schema(dimension: str) -> dict[str, object]:
+    """JSON Schema of values swept in one text such as '±300, ±150 deg/s'."""
+    pattern = rf"{_SPACE}(?:{_PIECE},{_SPACE_NEEDED})*{_SPACE}(?:{SIGNED}|{WITH_UNIT})"
+    description = "Values with a shared unit; ± gives both signs."
+    return {"type": "string", "description": description, "maxLength": _MAX_SWEEP, "pattern": anchored(pattern)}
+
+
+def signed_schema() -> dict[str, object]:
+    """JSON Schema of one value with both signs."""
+    return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(SIGNED)}

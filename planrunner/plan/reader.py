@@ -10,22 +10,32 @@ from planrunner.plan.kinds import RecordOf
 from planrunner.plan.model import Plan
 
 
-def read_plan(root: source.Mapping) -> tuple[Plan | None, Findings]:
-    """The plan that a document holds, as far as it can be read, and what is wrong with it.
+def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
+    """The plan that a document holds, as far as it can be read, and what is wrong with it (added to `log`, if given).
 
     A part with an error is left out (a segment is marked as not sound), so that all other parts can still be checked.
     """
-    log = Findings()
+    log = Findings() if log is None else log
     if root.get("planrunner") is None and root.get("planrunner_bench") is not None:
         log.error("form-bench", root.mark, "this is a bench file, not a plan", "give it with --bench")
         return None, log
     return RecordOf(Plan).read(root, log), log
 
 
-def load_plan(path: Path, shown: str | None = None) -> tuple[Plan | None, Findings]:
-    """As `read_plan`, from a file. Never raises for what the file holds."""
+def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
+    """The plan that `text` holds and every finding on it; `shown` is the file's name in findings. Never raises for what it holds."""
+    log = Findings()
     try:
-        root = source.load(path, shown)
+        root = source.parse(text, shown, log)
     except InputError as error:
         return None, Findings(error.findings)
-    return read_plan(root)
+    return read_plan(root, log)
+
+
+def load_plan(path: Path, shown: str | None = None) -> tuple[Plan | None, Findings]:
+    """As `parse_plan`, from a file."""
+    try:
+        text = source.read_text(path, shown)
+    except InputError as error:
+        return None, Findings(error.findings)
+    return parse_plan(text, shown or str(path))

@@ -20,7 +20,10 @@ def plan_schema() -> Schema:
     from planrunner.plan.model import Plan, SegmentSpec
 
     schema = object_schema(keys_of(Plan))
-    segment = {"description": "A state to reach and hold, a sweep, or steps that share a state.", **object_schema(keys_of(SegmentSpec))}
+    segment = {
+        "description": "A state to reach and hold, a sweep, or steps that share a state.",
+        **object_schema(keys_of(SegmentSpec)),
+    }
     return {"$schema": DRAFT, "title": "planrunner plan", **schema, "$defs": {"segment": segment}}
 
 

@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
+from fnmatch import fnmatchcase, translate
 
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.quantity import Quantity
 
+# Each pattern is held against every label, so their number is bounded.
 _PATTERN = Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?")
+_PATTERNS = ListOf(_PATTERN, single=True, minimum=1, maximum=100)
 
 
 class Detection(Record):
     """Spans that are found in the data instead of being commanded: for hand-held recordings."""
 
     detect: str = key(Choice(("still",)), "What to look for: spans in which nothing moves.", "still")
-    within: tuple[str, ...] = key(ListOf(_PATTERN, single=True), "Labels of the segments to look in.", "tumble", ("*",))
+    within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to look in.", "tumble", ("*",))
     channels: tuple[str, ...] = key(
         ListOf(Text("", "a channel's name"), minimum=1),
         "Channels that must be still.",
         ["accel_x", "accel_y", "accel_z"],
         ("accel_x", "accel_y", "accel_z"),
     )
-    window: Quantity = key(QuantityOf("time", "positive"), "Length of the window in which the standard deviation is taken.", "0.5 s")
+    window: Quantity = key(
+        QuantityOf("time", "positive"), "Length of the window in which the standard deviation is taken.", "0.5 s"
+    )
     threshold: Quantity = key(
-        QuantityOf("acceleration", "positive"), "Still means every channel's standard deviation stays below this.", "0.05 m/s^2"
+        QuantityOf("acceleration", "positive"),
+        "Still means every channel's standard deviation stays below this.",
+        "0.05 m/s^2",
     )
     at_least: Quantity = key(QuantityOf("time", "positive"), "Shortest span that counts.", "1 s")
 
@@ -38,10 +45,10 @@ class SelectionKind:
         if isinstance(node, source.Mapping):
             found: Detection | None = RecordOf(Detection).read(node, log)
             return found
-        return ListOf(_PATTERN, single=True, minimum=1).read(node, log)
+        return _PATTERNS.read(node, log)
 
     def schema(self) -> Schema:
-        return {"anyOf": [ListOf(_PATTERN, single=True, minimum=1).schema(), RecordOf(Detection).schema()]}
+        return {"anyOf": [_PATTERNS.schema(), RecordOf(Detection).schema()]}
 
 
 def matches(label: str, pattern: str) -> bool:
@@ -54,3 +61,33 @@ def matches(label: str, pattern: str) -> bool:
 def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
     """Indices of the labels that any pattern means, in their own order."""
     return [index for index, label in enumerate(labels) if any(matches(label, pattern) for pattern in patterns)]
+
+
+class Labels:
+    """The labels of a plan, ready to be asked for many patterns: each distinct part is held against a pattern once."""
+
+    def __init__(self, labels: Sequence[str]):
+        self._whole: dict[str, list[int]] = {}
+        self._parts: dict[str, list[int]] = {}
+        for index, label in enumerate(labels):
+            self._whole.setdefault(label, []).append(index)
+            for part in dict.fromkeys(label.split("/")):
+                self._parts.setdefault(part, []).append(index)
+        self._found: dict[str, set[int]] = {}
+
+    @property
+    def parts(self) -> list[str]:
+        """The distinct parts of all labels, in their own order."""
+        return list(self._parts)
+
+    def meant_by(self, pattern: str) -> set[int]:
+        """Indices of the labels that a pattern means (as `matches`)."""
+        if pattern not in self._found:
+            known = self._whole if "/" in pattern else self._parts
+            if any(sign in pattern for sign in "*?["):
+                expression = re.compile(translate(pattern))
+                found = {index for name, indices in known.items() if expression.match(name) for index in indices}
+            else:
+                found = set(known.get(pattern, ()))
+            self._found[pattern] = found
+        return self._found[pattern]

@@ -7,7 +7,7 @@ events without recursion, within limits on size, depth, nodes and aliases, so th
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +17,25 @@ from planrunner.plan.findings import Findings, InputError, Mark
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 40
-MAX_NODES = 100_000
+MAX_NODES = 20_000
 MAX_ALIASED_NODES = 10_000
 MAX_SCALAR = 10_000
 
+# What YAML 1.2 does not allow, and the line breaks of YAML 1.1 that editors do not count as such.
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
+_BREAK = re.compile("\r\n|\r|\n")
+
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
+# Bounded repetitions, so that no text takes long and none that counts as a number is longer than a label may be.
 _INT = re.compile(r"[-+]?[0-9]{1,18}|0o[0-7]{1,18}|0x[0-9a-fA-F]{1,15}")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]{1,40}|[0-9]{1,40}(\.[0-9]{0,40})?)([eE][-+]?[0-9]{1,4})?")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]{1,30}|[0-9]{1,30}(\.[0-9]{0,30})?)([eE][-+]?[0-9]{1,9})?")
 _SPECIAL = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
-    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf"), float("inf")),
-    "-.inf": float("-inf"),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
 
@@ -70,73 +75,127 @@ def read_text(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> s
     """The text of a UTF-8 file of at most `limit` bytes. Raises `InputError`, never `OSError`."""
     name = shown or str(path)
     try:
+        if path.is_dir():
+            raise InputError.at(Mark(name), "file-directory", "this is a folder, not a file", "name a file in it")
         with path.open("rb") as file:
             data = file.read(limit + 1)
-    except IsADirectoryError:
-        raise InputError.at(Mark(name), "file-directory", "this is a folder, not a file", "name a file in it") from None
     except FileNotFoundError:
-        raise InputError.at(Mark(name), "file-missing", "there is no such file", "check the path") from None
+        hint = "check the path; `planrunner new` lists and copies the plans that come with planrunner"
+        raise InputError.at(Mark(name), "file-missing", "there is no such file", hint) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError.at(Mark(name), "file-unreadable", f"the file cannot be read: {reason}") from None
+        hint = "check its permissions and that no other program holds it"
+        raise InputError.at(Mark(name), "file-unreadable", f"the file cannot be read: {reason}", hint) from None
     if len(data) > limit:
-        raise InputError.at(
-            Mark(name), "file-size", f"the file is larger than {limit / 1e6:g} MB", "keep data apart from the plan"
-        )
+        message = f"the file is larger than {limit / 1e6:g} MB"
+        raise InputError.at(Mark(name), "file-size", message, "keep data apart from the plan")
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        hint = "save the file as UTF-8 text"
-        raise InputError.at(Mark(name, line), "file-encoding", "the file is not UTF-8 text", hint) from None
-    return text
+        before = data[: error.start].decode("utf-8", "replace")
+        message = f"not UTF-8 text: byte 0x{data[error.start]:02x} cannot be read"
+        raise InputError.at(
+            _mark_at(before, len(before), name), "file-encoding", message, "save the file as UTF-8 text"
+        ) from None
 
 
-def load(path: Path, shown: str | None = None) -> Mapping:
-    """The mapping a file holds. Raises `InputError` with `file:line:column` for whatever prevents that."""
-    return parse(read_text(path, shown), shown or str(path))
+def load(path: Path, shown: str | None = None, log: Findings | None = None) -> Mapping:
+    """The mapping a file holds. Raises `InputError` with `file:line:column` for whatever prevents that (see `parse`)."""
+    return parse(read_text(path, shown), shown or str(path), log)
 
 
-def parse(text: str, file: str) -> Mapping:
-    """The mapping that `text` holds; `file` is the name findings show."""
+def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
+    """The mapping that `text` holds; `file` is the name findings show.
+
+    Raises `InputError`. With `log`, duplicate keys and the like, which leave the rest readable, are added to it instead.
+    """
+    forbidden = _FORBIDDEN.search(text)
+    if forbidden:
+        message = f"the character U+{ord(forbidden[0]):04X} is not allowed in YAML text"
+        raise InputError.at(
+            _mark_at(text, forbidden.start(), file),
+            "syntax-character",
+            message,
+            "remove it, or save the file as plain text",
+        )
     builder = _Builder(file)
     try:
         for event in yaml.parse(text, Loader=_Loader):
             builder.take(event)
-    except yaml.reader.ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        raise InputError.at(
-            Mark(file, line), "syntax-character", "a character that YAML does not allow", "remove the control character"
-        ) from None
     except yaml.MarkedYAMLError as error:
         raise _syntax_error(error, text, file) from None
-    except yaml.YAMLError:
-        raise InputError.at(Mark(file), "syntax", "this is not readable as YAML") from None
-    if builder.root is None:
-        raise InputError.at(Mark(file), "file-empty", "the file is empty", "start from `planrunner new`")
-    if not isinstance(builder.root, Mapping):
+    except (yaml.YAMLError, UnicodeError, ValueError):
         raise InputError.at(
-            builder.root.mark, "form-type", "a mapping of keys is expected here", "start with `planrunner: 1`"
+            Mark(file), "syntax", "this is not readable as YAML", "check brackets, quotes and escapes"
+        ) from None
+    if builder.root is None or (isinstance(builder.root, Scalar) and builder.root.value is None):
+        raise InputError.at(
+            Mark(file), "file-empty", "the file is empty", "start from a plan that `planrunner new` copies"
         )
-    if builder.findings.errors:
+    if not isinstance(builder.root, Mapping):
+        message = "the file must hold keys and values, `key: value` on each line"
+        raise InputError.at(builder.root.mark, "form-type", message, "start with `planrunner: 1`")
+    if log is not None:
+        log.extend(builder.findings.items)
+    elif builder.findings.errors:
         raise InputError(builder.findings)
     return builder.root
 
 
+def _mark_at(text: str, position: int, file: str) -> Mark:
+    breaks = [match.end() for match in _BREAK.finditer(text, 0, position)]
+    return Mark(file, len(breaks) + 1, position - (breaks[-1] if breaks else 0) + 1)
+
+
+# libyaml's words, and what a reader who has never heard of tokens needs to know instead.
+_PLAIN_WORDS = {
+    "mapping values are not allowed in this context": "a ':' stands where no key can be: a text that holds ': ' needs quotes",
+    "did not find expected key": "a key is expected here: this line is indented unlike its neighbours, or a quote or bracket is open",
+    "could not find expected ':'": "a ':' is missing after this key",
+    "did not find expected ',' or ']'": "a list opened with '[' is not closed: ',' or ']' is missing",
+    "did not find expected ',' or '}'": "a mapping opened with '{' is not closed: ',' or '}' is missing",
+    "did not find expected '-' indicator": "a list entry beginning with '-' is expected here: check the indentation",
+    "found unexpected end of stream": "the file ends inside a quoted text: the closing quote is missing",
+    "did not find expected node content": "a value is missing here",
+    "found character that cannot start any token": "this character cannot begin a value: put the text in quotes",
+    "did not find expected <document start>": "text follows after the end of the content",
+    "block sequence entries are not allowed in this context": "a list entry '- ' cannot begin here: put it on a line of its own",
+}
+
+
 def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputError:
-    mark = error.problem_mark or error.context_mark
+    open_quote = error.problem == "found unexpected end of stream"
+    mark = (open_quote and error.context_mark) or error.problem_mark or error.context_mark
     line, column = (mark.line, mark.column) if mark else (0, 0)
-    lines = text.split("\n")
+    lines = _BREAK.split(text)
     here = lines[line] if line < len(lines) else ""
     tab = here.find("\t")
     if tab >= 0 and not here[:tab].strip(" -?:"):
-        return InputError.at(
-            Mark(file, line + 1, tab + 1), "syntax-tab", "a tab is used for indentation", "indent with spaces"
-        )
+        message = "a tab is used for indentation"
+        return InputError.at(Mark(file, line + 1, tab + 1), "syntax-tab", message, "indent with spaces")
     problem = str(error.problem or "cannot be read")[:200]
-    context = f" {str(error.context)[:100]}" if error.context else ""
+    opened = (
+        f" (it began on line {error.context_mark.line + 1})"
+        if error.context_mark and error.context_mark.line != line
+        else ""
+    )
     hint = "check indentation, brackets, quotes and the space after ':'"
-    return InputError.at(Mark(file, line + 1, column + 1), "syntax", f"not valid YAML: {problem}{context}", hint)
+    return InputError.at(
+        Mark(file, line + 1, column + 1),
+        "syntax",
+        f"not valid YAML: {_PLAIN_WORDS.get(problem, problem)}{opened}",
+        hint,
+    )
+
+
+@dataclass(slots=True)
+class _Open:
+    """A sequence or mapping whose end has not come yet."""
+
+    mark: Mark
+    anchor: str | None
+    items: list[Any] = field(default_factory=list)
+    size: int = 1
 
 
 class _Builder:
@@ -146,7 +205,7 @@ class _Builder:
         self.file = file
         self.findings = Findings()
         self.root: Node | None = None
-        self._stack: list[tuple[Mark, bool, list[Any], str | None]] = []
+        self._stack: list[_Open] = []
         self._anchors: dict[str, tuple[Node, int]] = {}
         self._nodes = 0
         self._aliased = 0
@@ -164,24 +223,24 @@ class _Builder:
                 if len(event.value) > MAX_SCALAR:
                     message = f"a text longer than {MAX_SCALAR} characters"
                     raise InputError.at(mark, "limit-text", message, "shorten it")
-                plain = not event.style
+                plain = not event.style and event.tag != "!"
                 value = _resolve(event.value) if plain else event.value
-                self._put(Scalar(mark, event.value, value), event.anchor)
+                self._put(Scalar(mark, event.value, value), event.anchor, 1)
             case yaml.SequenceStartEvent() | yaml.MappingStartEvent():
                 self._reject_tag(event, mark)
                 if len(self._stack) >= MAX_DEPTH:
                     raise InputError.at(
                         mark, "limit-depth", f"nested more than {MAX_DEPTH} levels deep", "flatten the structure"
                     )
-                self._stack.append((mark, isinstance(event, yaml.MappingStartEvent), [], event.anchor))
+                self._stack.append(_Open(mark, event.anchor))
             case yaml.SequenceEndEvent():
-                start, _, items, anchor = self._stack.pop()
-                self._put(Sequence(start, tuple(items)), anchor)
+                done = self._stack.pop()
+                self._put(Sequence(done.mark, tuple(done.items)), done.anchor, done.size)
             case yaml.MappingEndEvent():
-                start, _, items, anchor = self._stack.pop()
-                self._put(self._mapping(start, items), anchor)
+                done = self._stack.pop()
+                self._put(self._mapping(done.mark, done.items), done.anchor, done.size)
             case yaml.AliasEvent():
-                self._alias(event.anchor, mark)
+                self._alias(str(event.anchor), mark)
 
     def _reject_tag(self, event: Any, mark: Mark) -> None:
         if event.tag and event.tag != "!":
@@ -189,22 +248,29 @@ class _Builder:
 
     def _alias(self, anchor: str, mark: Mark) -> None:
         if anchor not in self._anchors:
-            raise InputError.at(mark, "syntax-alias", f"*{anchor[:60]} has no &{anchor[:60]} before it")
+            message = f"*{anchor[:60]} refers to nothing: there is no &{anchor[:60]} before it"
+            raise InputError.at(
+                mark, "syntax-alias", message, "write the value itself, or quote a text that begins with *"
+            )
         node, size = self._anchors[anchor]
         self._aliased += size
         if self._aliased > MAX_ALIASED_NODES:
             message = f"aliases repeat more than {MAX_ALIASED_NODES} values"
             raise InputError.at(mark, "limit-aliases", message, "use for_each instead of aliases")
-        self._put(node, None)
+        self._put(node, None, size)
 
-    def _put(self, node: Node, anchor: str | None) -> None:
+    def _put(self, node: Node, anchor: str | None, size: int) -> None:
+        """`size`: how many nodes an alias of this one would stand for."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
-            raise InputError.at(node.mark, "limit-nodes", f"more than {MAX_NODES} values", "use for_each for repetition")
+            raise InputError.at(
+                node.mark, "limit-nodes", f"more than {MAX_NODES} values", "use for_each for repetition"
+            )
         if anchor:
-            self._anchors[anchor] = (node, _size(node))
+            self._anchors[anchor] = (node, size)
         if self._stack:
-            self._stack[-1][2].append(node)
+            self._stack[-1].items.append(node)
+            self._stack[-1].size += size
         else:
             self.root = node
 
@@ -213,7 +279,15 @@ class _Builder:
         first: dict[str, Mark] = {}
         for key, value in zip(items[::2], items[1::2], strict=True):
             if not isinstance(key, Scalar):
-                self.findings.error("form-key", key.mark, "a key must be a word", "write `key: value`")
+                self.findings.error(
+                    "form-key", key.mark, "a key must be a word, not a list or a mapping", "write `key: value`"
+                )
+                continue
+            if key.text == "<<":
+                message = "'<<' merges nothing: YAML 1.2 has no merge keys"
+                self.findings.error(
+                    "syntax-merge", key.mark, message, "use `defaults` or nested `steps` for what segments share"
+                )
                 continue
             if key.text in first:
                 self.findings.error(
@@ -226,19 +300,6 @@ class _Builder:
             first[key.text] = key.mark
             entries.append((key, value))
         return Mapping(mark, tuple(entries))
-
-
-def _size(node: Node) -> int:
-    """How many nodes an alias of `node` stands for."""
-    total, queue = 0, [node]
-    while queue and total <= MAX_ALIASED_NODES:
-        item = queue.pop()
-        total += 1
-        if isinstance(item, Sequence):
-            queue.extend(item.items)
-        elif isinstance(item, Mapping):
-            queue.extend(value for _, value in item.entries)
-    return total
 
 
 def _resolve(text: str) -> str | int | float | bool | None:

@@ -1,8 +1,8 @@
 """`for_each`: sweeps over states. Several keys multiply, the first changing slowest.
 
-    for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
-    for_each: {temperature: [-40 degC, 20 degC]}
-    for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
+for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
+for_each: {temperature: [-40 degC, 20 degC]}
+for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
 """
 
 from __future__ import annotations
@@ -16,7 +16,16 @@ from typing import Any
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.kinds import QuantityOf, Record, Schema, WordOr, keys_of
-from planrunner.plan.quantity import Quantity, QuantityError, parse_sweep
+from planrunner.plan.quantity import (
+    Quantity,
+    QuantityError,
+    anchored,
+    is_signed,
+    parse_signed,
+    parse_sweep,
+    signed_schema,
+    sweep_schema,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +81,22 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
 SWEPT = ("orientation", "rate", "motion", "temperature", "soak", "settle", "dwell", "sample_rate")
 
 
-def _state_kinds() -> dict[str, Any]:
+def _state_fields() -> dict[str, Any]:
     from planrunner.plan.model import State
 
     state: type[Record] = State
-    return {name: item.metadata["kind"] for name, item in keys_of(state).items() if name in SWEPT}
+    return {name: item for name, item in keys_of(state).items() if name in SWEPT}
 
 
-_QUANTITY_KEYS = {"rate": "angular rate", "temperature": "temperature", "soak": "time", "settle": "time", "dwell": "time", "sample_rate": "frequency"}
+_QUANTITY_KEYS = {
+    "rate": "angular rate",
+    "temperature": "temperature",
+    "soak": "time",
+    "settle": "time",
+    "dwell": "time",
+    "sample_rate": "frequency",
+}
+_NAME = r"[^/\x00-\x1f]{1,60}"
 
 
 class ForEachKind:
@@ -87,13 +104,17 @@ class ForEachKind:
 
     def read(self, node: source.Node, log: Findings) -> Sweep | None:
         if not isinstance(node, source.Mapping) or not node.entries:
-            log.error("form-type", node.mark, "for_each is a mapping of states to values", "write {rate: '±300, ±150 deg/s'}")
+            log.error(
+                "form-type", node.mark, "for_each is a mapping of states to values", "write {rate: '±300, ±150 deg/s'}"
+            )
             return None
         axes = []
-        kinds = _state_kinds()
+        kinds = {name: item.metadata["kind"] for name, item in _state_fields().items()}
         for name, item in node.entries:
             if name.text not in kinds:
-                log.error("form-unknown-key", name.mark, f"'{name.text[:60]}' cannot be swept", closest(name.text, kinds))
+                log.error(
+                    "form-unknown-key", name.mark, f"'{name.text[:60]}' cannot be swept", closest(name.text, kinds)
+                )
                 continue
             values = _values(name.text, kinds[name.text], item, log)
             if values:
@@ -101,52 +122,103 @@ class ForEachKind:
         return Sweep(node.mark, tuple(axes)) if len(axes) == len(node.entries) else None
 
     def schema(self) -> Schema:
-        properties = {}
-        for name, kind in _state_kinds().items():
-            value = kind.schema()
-            forms: list[Schema] = [
-                {"type": "array", "minItems": 1, "items": value},
-                {"type": "object", "minProperties": 1, "additionalProperties": value, "propertyNames": {"pattern": r"^[^/\x00-\x1f]{1,60}$"}},
-            ]
-            if name in _QUANTITY_KEYS:
-                forms.append({"type": "string", "description": "Values with a shared unit; ± gives both signs."})
-            properties[name] = {
-                "description": f"Values of {name}: a list, a mapping of names to values, or for quantities a text such as '±300, ±150 deg/s'.",
-                "examples": [["20 degC", "60 degC"]] if name == "temperature" else ["±300, ±150 deg/s"],
-                "anyOf": forms,
-            }
-        return {"type": "object", "minProperties": 1, "additionalProperties": False, "properties": properties}
+        return {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": False,
+            "properties": {name: self._swept(name, item) for name, item in _state_fields().items()},
+        }
+
+    def _swept(self, name: str, item: Any) -> Schema:
+        value = item.metadata["kind"].schema()
+        one: Schema = {"anyOf": [value, signed_schema()]} if name in _QUANTITY_KEYS else value
+        forms: list[Schema] = [
+            {"type": "array", "minItems": 1, "items": one},
+            {
+                "type": "object",
+                "minProperties": 1,
+                "additionalProperties": value,
+                "propertyNames": {"pattern": anchored(_NAME)},
+            },
+        ]
+        what = "a list, or a mapping of names to values; the names become labels"
+        if name in _QUANTITY_KEYS:
+            forms.append(sweep_schema(_QUANTITY_KEYS[name]))
+            what = "a list, a mapping of names to values, or one text with a shared unit, such as '±300, ±150 deg/s'"
+        example = EXAMPLES.get(name, [item.metadata["example"]])
+        return {"description": f"Values of {name}: {what}.", "examples": [example], "anyOf": forms}
+
+
+EXAMPLES: dict[str, Any] = {
+    "orientation": {"P1": {"x": "up", "y": "north", "z": "west"}, "P2": {"x": "down", "y": "north", "z": "east"}},
+    "rate": "±300, ±150 deg/s",
+    "temperature": "-40, 20, 60 degC",
+}
 
 
 def _values(name: str, kind: Any, node: source.Node, log: Findings) -> tuple[SweepValue, ...] | None:
     if isinstance(node, source.Mapping):
         return _named(kind, node, log)
     if isinstance(node, source.Sequence):
-        read = [(kind.read(item, log), item.mark) for item in node.items]
-        if not read:
-            log.error("form-size", node.mark, "at least one value is needed", "list the values")
-        good = [(value, mark) for value, mark in read if value is not None]
-        return _labelled(name, good) if len(good) == len(read) and read else None
+        if not node.items:
+            log.error("form-size", node.mark, "at least one value is needed here", "list the values")
+            return None
+        before = len(log.errors)
+        read = [value for item in node.items for value in _entry(name, kind, item, log)]
+        return _labelled(name, read) if len(log.errors) == before else None
     if name not in _QUANTITY_KEYS:
-        log.error("form-type", node.mark, f"{name} is swept over a list or a mapping of names", "write {P1: …, P2: …}")
+        log.error("form-type", node.mark, f"{name} is swept over a list or a mapping of names", "write {A: …, B: …}")
+        return None
+    if not isinstance(node.value, str):
+        text = node.text[:40] or "nothing"
+        log.error(
+            "form-type",
+            node.mark,
+            f"values with a unit are expected here, not {text}",
+            "write for example '±300, ±150 deg/s'",
+        )
         return None
     try:
-        quantities = parse_sweep(node.text, _QUANTITY_KEYS[name])
+        quantities = parse_sweep(node.value, _QUANTITY_KEYS[name])
     except QuantityError as error:
         log.error(error.code, node.mark, str(error), error.hint)
         return None
     return _check_signs(name, kind, quantities, node, log)
 
 
+def _entry(name: str, kind: Any, item: source.Node, log: Findings) -> list[tuple[Any, Mark]]:
+    """The values of one entry of a list: two for a quantity with both signs."""
+    if (
+        name in _QUANTITY_KEYS
+        and isinstance(item, source.Scalar)
+        and isinstance(item.value, str)
+        and is_signed(item.value)
+    ):
+        try:
+            quantities = parse_signed(item.value, _QUANTITY_KEYS[name])
+        except QuantityError as error:
+            log.error(error.code, item.mark, str(error), error.hint)
+            return []
+        return [(value.value, value.mark) for value in _check_signs(name, kind, quantities, item, log) or ()]
+    value = kind.read(item, log)
+    return [] if value is None else [(value, item.mark)]
+
+
 def _check_signs(
     name: str, kind: Any, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
     """The values that the swept key itself would accept, such as no negative dwell."""
-    inner = kind.other.scalar if isinstance(kind, WordOr) else getattr(kind, "scalar", kind)
+    scalar = kind.other if isinstance(kind, WordOr) else kind
+    inner = getattr(scalar, "scalar", scalar)
     sign = inner.sign if isinstance(inner, QuantityOf) else "any"
     for quantity in quantities:
         if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
-            log.error("meaning-range", node.mark, f"{name} {quantity} must be {sign}", "change the number")
+            log.error(
+                "meaning-range",
+                node.mark,
+                f"{name} of {quantity} is out of range: it must be {sign}",
+                "change the number",
+            )
             return None
     return _labelled(name, [(quantity, node.mark) for quantity in quantities])
 
@@ -155,13 +227,18 @@ def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, 
     values = []
     for name, item in node.entries:
         if not re.fullmatch(r"[^/\x00-\x1f]{1,60}", name.text):
-            log.error("form-name", name.mark, f"'{name.text[:60]}' is not a usable label", "leave out '/' and control characters")
+            log.error(
+                "form-name",
+                name.mark,
+                f"'{name.text[:60]}' is not a usable label",
+                "leave out '/' and control characters",
+            )
             continue
         value = kind.read(item, log)
         if value is not None:
             values.append(SweepValue(name.text, name.text, value, item.mark))
     if not node.entries:
-        log.error("form-size", node.mark, "at least one value is needed", "write {name: value, …}")
+        log.error("form-size", node.mark, "at least one value is needed here", "write {name: value, …}")
     return tuple(values) if node.entries and len(values) == len(node.entries) else None
 
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
+
+from planrunner.plan.findings import closest
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 
@@ -22,6 +24,7 @@ nano- = 1e-9 = n-
 micro- = 1e-6 = µ- = μ- = u-
 milli- = 1e-3 = m-
 centi- = 1e-2 = c-
+hecto- = 1e2 = h-
 kilo- = 1e3 = k-
 mega- = 1e6 = M-
 meter = [length] = m = metre
@@ -51,6 +54,7 @@ pascal = newton / meter ** 2 = Pa
 volt = kilogram * meter ** 2 / ampere / second ** 3 = V
 tesla = kilogram / ampere / second ** 2 = T
 degC = kelvin; offset: 273.15 = °C = celsius
+dps = degree / second
 degF = 5 / 9 * kelvin; offset: 233.15 + 200 / 9 = °F = fahrenheit
 """
 
@@ -140,9 +144,25 @@ _DAILY = {
     )
 }
 
-# Names, products, quotients, small integer powers, sqrt() and parentheses: nothing that computes at length.
-_SHAPE = re.compile(r"(?:[A-Za-zµμ°%_]{1,24}|sqrt(?=\()|1(?![0-9.])|\^-?[1-6]|\*\*-?[1-6]|[*/·() ])+")
+# Names, products, quotients, sqrt(), parentheses, and small powers of a name alone: towers such as m^6^6^6^6 compute at length.
+_POWER = r"(?:\^|\*\*)-?[1-6](?![0-9^]|\*\*)"
+_SHAPE = re.compile(rf"(?:(?:[A-Za-zµμ_]{{1,24}}|%)(?:{_POWER})?|1(?![0-9.])|\*(?!\*)|[/() ])+")
+_UNCLEAR = re.compile(r"[A-Za-zµμ%)] +[A-Za-zµμ%(]|// *|\) *\(|[A-Za-zµμ%]\((?<!sqrt\()|\)[A-Za-zµμ%]")
 _MAX_TEXT = 60
+_SIGNS = {
+    "°C": "degC",
+    "°F": "degF",
+    "°": "deg",
+    "′": "arcmin",
+    "″": "arcsec",
+    "·": "*",
+    "⋅": "*",
+    "²": "^2",
+    "³": "^3",
+    "√": "sqrt",
+}
+_AS_SIGN = re.compile("|".join(_SIGNS))
+_SQRT = re.compile(r"sqrt *\(([A-Za-zµμ%*/ ]*)\)")
 
 
 @lru_cache(maxsize=4096)
@@ -151,21 +171,34 @@ def unit(text: str) -> Unit:
     text = text.strip()
     if text in _DAILY:
         return _DAILY[text]
-    if len(text) > _MAX_TEXT or not _SHAPE.fullmatch(text) or text.count("(") > 6:
+    written = _AS_SIGN.sub(lambda match: _SIGNS[match[0]], text)
+    if written in _DAILY:
+        return replace(_DAILY[written], text=text)
+    if not written or len(text) > _MAX_TEXT or not _SHAPE.fullmatch(written) or _UNCLEAR.search(written):
         raise UnknownUnitError(f"'{text[:40]}' is not a unit")
-    written = text.replace("·", "*").replace("sqrt(", "sqrt (")
-    written = re.sub(r"sqrt \(([A-Za-zµμ°*/ ]*)\)", r"(\1)**0.5", written)
     try:
-        parsed = _registry().parse_units(written) if written else _registry().parse_units("")
-        factor, root = _registry().get_base_units(parsed)
+        registry = _registry()
+        parsed = registry.parse_units(_SQRT.sub(r"(\1)**0.5", written))
+        factor, root = registry.get_base_units(parsed)
         dimension = {name.strip("[]"): float(power) for name, power in root.dimensionality.items()}
     except Exception:
         raise UnknownUnitError(f"'{text[:40]}' is not a unit") from None
     offset = 0.0
     if str(parsed) in ("degC", "degF"):
-        zero = _registry().Quantity(0.0, parsed).to("kelvin").magnitude
-        offset, factor = zero, _registry().Quantity(1.0, parsed).to("kelvin").magnitude - zero
+        offset = registry.Quantity(0.0, parsed).to("kelvin").magnitude
+        factor, _ = registry.get_base_units(f"delta_{parsed}")
+    if not (1e-30 < float(factor) < 1e30):
+        raise UnknownUnitError(f"'{text[:40]}' is not a unit that anything is measured in")
     return Unit(text, float(factor), tuple(sorted(dimension.items())), float(offset))
+
+
+def suggestion(text: str) -> str:
+    """What was probably meant by a text that is no unit: the same letters in another case, or the closest daily unit; or ''."""
+    for known in (*_DAILY, "mm", "ms", "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
+        if known.lower() == text.strip().lower():
+            return f"units tell capitals from small letters: did you mean '{known}'?"
+    hint = closest(text.strip(), _DAILY)
+    return hint if hint.startswith("did you") else ""
 
 
 @lru_cache(maxsize=1)
