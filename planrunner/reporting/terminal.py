@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
@@ -143,9 +143,14 @@ class _Columns:
 
         style = {"title_justify": "left", "title_style": "bold", "header_style": "bold", "box": box.SIMPLE_HEAD}
         table = RichTable(title=_text(title), pad_edge=False, padding=(0, 0, 0, 1), **style)  # type: ignore[arg-type]
+        least = {place: self._least(place, width) for place in places}
+        texts = [place for place in places if not self.columns[place][1]]
+        spare = max(0, width - 1 - sum(least.values()) - _GAP * len(places)) // max(1, len(texts))
         for place in places:
             name, numeric = self.columns[place]
-            table.add_column(_text(name), justify="right" if numeric else "left", min_width=self._least(place, width))
+            most = None if numeric else least[place] + spare
+            justify: Literal["left", "right"] = "right" if numeric else "left"
+            table.add_column(_text(name), justify=justify, min_width=least[place], max_width=most)
         for row in self.rows:
             table.add_row(*(row[place] for place in places))
         return table

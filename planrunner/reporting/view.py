@@ -171,9 +171,17 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "expanded": width,
         "unit": "" if limit.unit == "1" else limit.unit,
         "factor": f"{limit.coverage_factor:.2f}",
-        "probability": "–" if math.isnan(limit.probability) else f"{100 * limit.probability:.1f} %",
-        "reason": limit.reason,
+        "probability": _percent(limit.probability),
+        "reason": "" if limit.verdict == "pass" else limit.reason,
     }
+
+
+def _percent(probability: float) -> str:
+    if math.isnan(probability):
+        return "–"
+    if probability > 0.9995:
+        return "> 99.9 %"
+    return "< 0.1 %" if probability < 0.0005 else f"{100 * probability:.1f} %"
 
 
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:
