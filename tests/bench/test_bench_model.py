@@ -9,11 +9,14 @@ from pathlib import Path
 import jsonschema
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from planrunner.bench.model import locate, models, parse_bench, read_bench, safe_order, shipped_benches
 from planrunner.plan import source
 from planrunner.plan.findings import InputError
 from planrunner.plan.schema import bench_schema
+from planrunner.shipped import shipped
 
 TABLE = """
   table:
@@ -179,3 +182,26 @@ def test_the_order_of_making_safe():
         source.parse(text.replace("instruments", "safe_order: [chamber, table]\ninstruments"), "b.yaml")
     )
     assert safe_order(stated) == ("chamber", "table")
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.sampled_from(sorted(shipped_benches())), st.integers(0, 10**9), st.text(max_size=6), st.integers(0, 30))
+def test_a_bench_with_a_slip_of_the_pen_gives_findings_never_a_traceback(name, place, typed, deleted):
+    text = shipped_benches()[name].read_text(encoding="utf-8")
+    at = place % len(text)
+    try:
+        root = source.parse(text[:at] + typed + text[at + deleted :], "b.yaml")
+    except InputError as error:
+        findings = error.findings
+        root = None
+    if root is None:
+        assert findings
+        return
+    bench, log = parse_bench(root)
+    assert log.errors or models(bench).site.gravity > 0
+
+
+def test_the_shipped_folders_are_found():
+    assert (shipped("plans") / "benches" / "virtual.yaml").is_file()
+    with pytest.raises(FileNotFoundError, match="install it again"):
+        shipped("no-such-folder")

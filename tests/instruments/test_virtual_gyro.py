@@ -107,7 +107,7 @@ def test_samples_are_whole_counts_and_clipped_at_full_scale():
 
 
 def test_white_noise_is_as_declared():
-    table, gyro, _ = bench(white_noise="0.9 pulse/sqrt(s)")
+    _, gyro, _ = bench(white_noise="0.9 pulse/sqrt(s)")
     data, _ = record(gyro, segment(3000.0))
     x, y = data["torquer_x"], data["torquer_y"]
     # One sample of 0.01 s scatters by 0.9/√0.01 = 9; the estimate from 300 000 samples by 0.13 %.

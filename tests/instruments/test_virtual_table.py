@@ -30,9 +30,9 @@ from planrunner.plan.schedule import Cycle, Move, Rock, Spin
 
 DEG = math.pi / 180
 LEVEL = np.eye(3)
-AXES = """[{name: outer, direction: up, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2},
- {name: middle, direction: east, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2, lowest: -100 deg, highest: 100 deg},
- {name: inner, direction: north, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2}]"""
+AXES = """[{name: outer, direction: up, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2}, {name: middle, direction:
+ east, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2, lowest: -LIMIT deg, highest: LIMIT deg}, {name: inner,
+ direction: north, max_rate: 10 deg/s, max_acceleration: 5 deg/s^2}]"""
 
 
 def read(record, text):
@@ -42,10 +42,10 @@ def read(record, text):
     return made
 
 
-def table(seed=1, more=""):
+def table(seed=1, more="", limit=100):
     surroundings = Surroundings(VirtualClock(), Site(0.7), seed=seed)
     return VirtualTable.connect(
-        read(VirtualTableParameters, f"{{axes: {AXES}{more}}}"), surroundings
+        read(VirtualTableParameters, f"{{axes: {AXES}{more}}}".replace("LIMIT", str(limit))), surroundings
     ), surroundings.clock
 
 
@@ -84,28 +84,40 @@ def test_the_trapezoid_is_the_integral_of_its_rate():
         assert np.abs(np.diff(rate)).max() <= 5 * DEG * 1e-3 + 1e-12
 
 
-def test_orientations_and_motions_beyond_it_are_refused():
-    moving, clock = table()
-    with pytest.raises(InstrumentError, match="cannot take this orientation.*'middle'"):
-        # Outer up, middle tilting past its limit either way round: y (the inner axis) would have to point … straight over.
-        limited, _ = table()
-        limited.axes = (
-            *limited.axes[:1],
-            limited.axes[1].__class__("middle", (1.0, 0.0, 0.0), 1, 1, -DEG, DEG),
-            limited.axes[2],
-        )
+def test_an_orientation_beyond_its_limits_is_refused():
+    # y up: the middle axis would have to stand at ±90 deg, whichever way the others turn.
+    limited, _ = table(limit=45)
+    with pytest.raises(
+        InstrumentError, match=r"cannot take this orientation: the axis 'middle' .* 90 deg; .* -45 to 45 deg"
+    ):
         limited.orient(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
-    with pytest.raises(InstrumentError, match="20 deg/s of the axis 'outer', which reaches 10 deg/s"):
-        moving.begin_motion(Spin(20 * DEG), 10.0)
+
+
+def test_a_spin_about_a_direction_without_an_axis_is_refused():
+    moving, clock = table()
+    clock.sleep(moving.orient(np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]])))
     with pytest.raises(InstrumentError, match="cannot spin about this direction"):
-        clock.sleep(moving.orient(np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]])))
         moving.begin_motion(Spin(1 * DEG, (0.0, 1.0, 0.0)), 10.0)
-    with pytest.raises(InstrumentError, match="rocking needs"):
-        moving.begin_motion(Rock(10 * DEG, 1.0, (0.0,), 10.0), 10.0)
-    with pytest.raises(InstrumentError, match="4 rings"):
-        moving.begin_motion(Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), 10.0)
-    with pytest.raises(InstrumentError, match="the cycle's turns needs? 30 deg/s"):
-        moving.begin_motion(Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 30 * DEG, 1.0), 10.0)
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        (Spin(20 * DEG), "20 deg/s of the axis 'outer', which reaches 10 deg/s"),
+        (Rock(10 * DEG, 1.0, (0.0,), 10.0), "rocking needs .* deg/s of the axis 'outer'"),
+        (
+            Rock(0.2 * DEG, 1.0, (0.0,), 10.0),
+            r"rocking needs .* deg/s\^2 of the axis 'outer', which reaches 5 deg/s\^2",
+        ),
+        (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are to rock, the table has 3"),
+        (Rock(101 * DEG, 0.001, (0.0, 0.0), 10.0), "would carry the axis 'middle' beyond its limits"),
+        (Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 30 * DEG, 1.0), "turns needs 30 deg/s"),
+    ],
+)
+def test_motions_beyond_it_are_refused(motion, words):
+    moving, _ = table()
+    with pytest.raises(InstrumentError, match=words):
+        moving.begin_motion(motion, 10.0)
 
 
 def test_it_does_not_take_an_orientation_while_it_spins():
@@ -156,7 +168,8 @@ def test_the_pointing_error_stays_with_the_orientation_and_has_the_declared_size
 
 def test_what_it_declares_is_kept_apart_from_what_is_simulated():
     parameters = read(
-        VirtualTableParameters, f"{{axes: {AXES}, position_uncertainty: 3 arcsec, rate_stability: 10 ppm}}"
+        VirtualTableParameters,
+        f"{{axes: {AXES}, position_uncertainty: 3 arcsec, rate_stability: 10 ppm}}".replace("LIMIT", "100"),
     )
     model = VirtualTable.model(parameters)
     assert model.position_uncertainty == pytest.approx(3 * DEG / 3600)

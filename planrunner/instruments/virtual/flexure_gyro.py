@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike
-from planrunner.instruments.virtual.noise import Flicker, finish, generator
+from planrunner.instruments.virtual.noise import Flicker, Readout, generator
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -29,6 +29,7 @@ from planrunner.plan.schedule import Segment
 Array = NDArray[np.float64]
 BLOCK = 100_000  # samples
 ZERO_CELSIUS = 273.15
+_SAMPLES = np.arange(BLOCK, dtype=float)
 OUTPUTS = ("torquer_x", "torquer_y")
 THERMOMETER = "sensor_temperature"
 
@@ -194,22 +195,23 @@ class VirtualFlexureGyro:
         self, start: float, first: int, length: int, rate: float, hold: int, still: bool, draw: np.random.Generator
     ) -> Block:
         """Samples first … first + length − 1 of a segment that began at `start`."""
-        p = self.parameters
-        time = np.arange(first, first + length, dtype=float)
-        time /= rate
-        time += start
+        time = _SAMPLES[:length] / rate
+        time += start + first / rate
         nodes = -(-length // hold)
         node_times = time[::hold]
-        readings = {name: draw.standard_normal(length) for name in (*OUTPUTS, THERMOMETER)}
         slow = [self.flicker[name].advance(nodes, hold / rate, draw) for name in OUTPUTS]
         levels = self.pulses(node_times if still else time)
-        sigma = p.white_noise.value * math.sqrt(rate)
+        readings = {}
         for name, level, wander in zip(OUTPUTS, levels, slow, strict=True):
             felt = wander + level if still else level + np.repeat(wander, hold)[:length]
-            finish(readings[name], felt, sigma, p.resolution.value, p.full_scale.value, hold)
+            readings[name] = self._readout(rate).samples(draw, felt, length, hold)
         celsius = self.world.sensor(node_times) - ZERO_CELSIUS
-        finish(readings[THERMOMETER], celsius, p.thermometer_noise.value, 0.0, math.inf, hold)
+        readings[THERMOMETER] = Readout(self.parameters.thermometer_noise.value).samples(draw, celsius, length, hold)
         return Block(time, readings)
+
+    def _readout(self, rate: float) -> Readout:
+        p = self.parameters
+        return Readout(p.white_noise.value * math.sqrt(rate), p.resolution.value, p.full_scale.value)
 
     def pulses(self, times: Array) -> tuple[Any, Any]:
         """Torquer currents i_x, i_y [pulse/s] without noise at `times`: floats at rest, else shape (n,).

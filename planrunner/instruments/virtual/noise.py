@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 OCTAVES = 15
+PIECE = 10_000  # samples, 80 kB
 SHORTEST = 2.0  # s; with fifteen octaves the longest correlation time is nine hours
 _EXPONENT = 500.0  # keeps e^(n·step/τ) far from overflow
 TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
@@ -85,27 +87,52 @@ class Flicker:
         self.state = None if state is None else np.array(state, dtype=float)
 
 
-def finish(block: Array, level: Array | float, sigma: float, resolution: float, full_scale: float, hold: int) -> None:
-    """Turn standard normal numbers into readings, in place: σ·n + level, rounded to counts, clipped at full scale.
-
-    level: (nodes,) values held for `hold` samples each, (n,) a value a sample, or one value. In counts throughout,
-    because each pass over the block costs as much as a tenth of drawing it.
+@dataclass(frozen=True, slots=True)
+class Readout:
+    """How one output is read: white noise `sigma` of one sample, counts of `resolution` (0: none), clipped at
+    ±`full_scale`.
     """
-    scale = 1.0 / resolution if resolution > 0 else 1.0
-    if sigma > 0:
-        block *= sigma * scale
-    else:
-        block.fill(0.0)
-    held = np.asarray(level, dtype=float) * scale
-    if held.ndim == 0 or held.size == block.size:
-        block += held
-    else:
-        whole = (block.size // hold) * hold
-        block[:whole].reshape(-1, hold)[...] += held[: whole // hold, None]
-        block[whole:] += held[-1]
-    if resolution > 0:
-        np.rint(block, out=block)
-        block *= resolution
-    # Beyond ten standard deviations no number is drawn (probability 1e-23).
-    if math.isfinite(full_scale) and float(np.max(np.abs(level))) + 10 * sigma + resolution > full_scale:
-        np.clip(block, -full_scale, full_scale, out=block)
+
+    sigma: float
+    resolution: float = 0.0
+    full_scale: float = math.inf
+
+    def samples(self, draw: np.random.Generator, level: Array, length: int, hold: int) -> Array:
+        """Readings (length,) around `level`: a value a sample, or (nodes,) values held for `hold` samples each.
+
+        Worked in pieces that stay in the processor's cache, because a pass through memory costs as much as drawing
+        the noise.
+        """
+        out = np.empty(length)
+        held = level.size != length
+        piece = max(hold, PIECE // hold * hold)
+        # Beyond ten standard deviations no number is drawn (probability 1e-23).
+        clips = math.isfinite(self.full_scale) and self._largest(level) > self.full_scale
+        for first in range(0, length, piece):
+            last = min(first + piece, length)
+            part = out[first:last]
+            felt = level[first // hold : -(-last // hold)] if held else level[first:last]
+            self._fill(draw, part, felt, hold if held else 1)
+            if clips:
+                np.clip(part, -self.full_scale, self.full_scale, out=part)
+        return out
+
+    def _fill(self, draw: np.random.Generator, part: Array, level: Array, hold: int) -> None:
+        """In counts until the end, so that scaling to counts costs no pass of its own."""
+        counts = 1.0 / self.resolution if self.resolution > 0 else 1.0
+        if self.sigma > 0:
+            draw.standard_normal(out=part)
+            part *= self.sigma * counts
+        else:
+            part.fill(0.0)
+        if self.resolution > 0:
+            level = level * counts
+        whole = part.size // hold
+        part[: whole * hold].reshape(whole, hold)[...] += level[:whole, None]
+        part[whole * hold :] += level[-1]
+        if self.resolution > 0:
+            np.rint(part, out=part)
+            part *= self.resolution
+
+    def _largest(self, level: Array) -> float:
+        return float(np.max(np.abs(level))) + 10 * self.sigma + self.resolution
