@@ -98,7 +98,8 @@ def _finish(axes: Any, plot: Plot, labels: list[str]) -> None:
         axes.grid(visible=False, axis="x")
         axes.set_xlim(-0.6, len(labels) - 0.4)
     if len(plot.series) > 1:
-        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=min(3, len(plot.series)), borderaxespad=0.2)
+        columns = 2 if max(map(len, plot.series)) > 12 else 3
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=min(columns, len(plot.series)), borderaxespad=0.2)
 
 
 def correlation(covariance: Array) -> Array:

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 __all__ = ["coefficient_row", "limit_row", "report_view", "segment_table", "table_view"]
 
 MAX_ROWS = 2000
+STRONG = 0.3  # correlations from here on are named in words
+FOR_THE_TERMINAL = "terminal_tables"  # a setting that only says which tables the terminal shows
 _NUMERIC = re.compile(r"[-+−–]?(?:[0-9][0-9., ]*|∞|inf|nan)?(?:[eE][-+]?[0-9]+)?(?:\s*[%×±].*)?")
 _UNCERTAIN = re.compile(r"(?:^|\s)[uU](?:\s|\(|$)|^±")
 _FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)
@@ -103,14 +105,14 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
     names = [every[place].name for place in first]
     correlated = len(first) > 1 and estimate.covariance.shape == (len(every), len(every))
     covariance = estimate.covariance[first][:, first] if correlated else estimate.covariance
-    pairs = strong(names, correlation(covariance)) if correlated else []
+    pairs = strong(names, correlation(covariance), at_least=0.005) if correlated else []
     return {
         "name": estimate.name,
         "anchor": key,
         "estimator": estimate.estimator,
         "coefficients": [rows[place] for place in first],
         "others": [rows[place] for place in rest],
-        "settings": named(estimate.settings),
+        "settings": named({name: value for name, value in estimate.settings.items() if name != FOR_THE_TERMINAL}),
         "tables": [table_view(table) for table in estimate.tables],
         "plots": [
             {"title": plot.title, "svg": _markup(plot_svg(plot, f"{key}-p{number + 1}"))}
@@ -118,9 +120,11 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
         ],
         "correlation": {
             "title": "Correlations, in hundredths",
-            "svg": _markup(correlation_svg(names, covariance, f"{key}-c")) if correlated else None,
+            "svg": _markup(correlation_svg(names, covariance, f"{key}-c")) if pairs else None,
         },
-        "strong_correlations": [f"{one} and {other}: {value:+.2f}" for one, other, value in pairs[:6]],
+        "strong_correlations": [
+            f"{one} and {other}: {value:+.2f}" for one, other, value in pairs[:6] if abs(value) >= STRONG
+        ],
         "notes": list(estimate.notes),
         "warnings": list(estimate.warnings),
         "segments": list(estimate.segments),
