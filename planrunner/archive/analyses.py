@@ -1,4 +1,5 @@
-"""Analyses of a run: numbered folders, each written whole, each with its own list of digests, none ever changed afterwards."""
+"""Analyses of a run: numbered folders, each written whole, each with its own list of digests, none ever changed
+afterwards."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ def analyses(run: Path) -> tuple[Path, ...]:
 def add_analysis(run: Path, files: Mapping[str, bytes], *, storage: Storage | None = None) -> Path:
     """Add an analysis: `files` are its contents by name. Returns its folder, `analyses/<n>`.
 
-    Written beside its name and renamed, so it is there whole or not at all; two at the same time get two numbers. Raises `InputError`
-    when it cannot be written.
+    Written beside its name and renamed, so it is there whole or not at all; two at the same time get two numbers.
+    Raises `InputError` when it cannot be written.
     """
     storage = storage or Storage()
     for name in files:

@@ -1,8 +1,8 @@
 """The journal of a run: one event a line, each line carrying the SHA-256 of the line before.
 
-A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process killed in the middle of a
-write leaves a torn last line, which was never acknowledged and is cut off when the run is resumed. A break anywhere else means that the
-file was changed, and is refused.
+A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process killed in the
+middle of a write leaves a torn last line, which was never acknowledged and is cut off when the run is resumed. A
+break anywhere else means that the file was changed, and is refused.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class Journal:
     def append(self, event: str, data: Mapping[str, Any], *, acknowledge: bool = True) -> str:
         """Add one event; returns the digest of its line.
 
-        acknowledge: wait for the disk (in durable mode); False for events that announce something, which the next acknowledged
-        event brings to the disk with it. Raises `OSError`, and ValueError for data that JSON cannot carry.
+        acknowledge: wait for the disk (in durable mode); False for events that announce something, which the next
+        acknowledged event brings to the disk with it. Raises `OSError`, and ValueError for data that JSON cannot carry.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")
@@ -101,7 +101,8 @@ class Journal:
 class JournalScan:
     """The reading end: iterate once over the events; afterwards `head`, `count`, `size` and `torn` are known.
 
-    size: bytes of whole lines. torn: bytes of an unfinished last line. Raises `IntegrityError` where the chain is broken.
+    size: bytes of whole lines. torn: bytes of an unfinished last line. Raises `IntegrityError` where the chain is
+    broken.
     """
 
     def __init__(self, path: Path):

@@ -1,4 +1,5 @@
-"""What a journal amounts to: its events folded into which segments are acknowledged, by which files, and where a run broke off."""
+"""What a journal amounts to: its events folded into which segments are acknowledged, by which files, and where a run
+broke off."""
 
 from __future__ import annotations
 

@@ -19,7 +19,8 @@ REASON = "the process ended in this segment"
 class ResumePoint:
     """states: what resumable instruments and the executor stored with the last acknowledged segment; clock: s, then.
 
-    instruments: what they said of themselves before. files: name → SHA-256 of everything recorded so far, for the seal; attempts: of each segment, how often it was begun.
+    instruments: what they said of themselves before. files: name → SHA-256 of everything recorded so far, for the
+    seal; attempts: of each segment, how often it was begun.
     """
 
     clock: float = 0.0
@@ -42,8 +43,8 @@ class ResumePoint:
 def settle_break(path: Path, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
     """Bring the journal and the files of a run that broke off together again; returns where to go on.
 
-    Files aside are removed. The segment in progress keeps its finished parts: they count, marked truncated, where the plan said
-    `on_break: keep`; otherwise they are rejected and the segment is taken again.
+    Files aside are removed. The segment in progress keeps its finished parts: they count, marked truncated, where the
+    plan said `on_break: keep`; otherwise they are rejected and the segment is taken again.
     """
     found = _unknown_files(path, storage, state)
     begun = state.open

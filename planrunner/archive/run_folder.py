@@ -3,8 +3,8 @@
     runs/<UTC time>-<plan name>-<short id>/
       run.json  plan.yaml  bench.yaml  journal.jsonl  segments/  seal.json  analyses/
 
-Nothing that was acknowledged is ever changed or removed. A segment cut short keeps its finished parts; they count when the plan says
-`on_break: keep`, and stand beside the retaken ones, with the reason, otherwise.
+Nothing that was acknowledged is ever changed or removed. A segment cut short keeps its finished parts; they count
+when the plan says `on_break: keep`, and stand beside the retaken ones, with the reason, otherwise.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class RunWriter:
     ) -> RunWriter:
         """A new run folder beneath `root`, which is made when absent.
 
-        info: JSON data given with the run (device serial, operator, ambient …). Raises `InputError` when it cannot be written.
+        info: JSON data given with the run (device serial, operator, ambient …). Raises `InputError` when it cannot be
+        written.
         """
         storage = storage or Storage(durability)
         now = datetime.now(UTC)
@@ -141,8 +142,8 @@ class RunWriter:
     ) -> RunWriter:
         """Go on with a run that was cut short: repairs a torn last line, and settles the segment that was in progress.
 
-        reason: why a finished, sealed run is opened again; without it, that is refused. Raises `InputError` (in use, finished,
-        unwritable) and `IntegrityError`.
+        reason: why a finished, sealed run is opened again; without it, that is refused. Raises `InputError` (in use,
+        finished, unwritable) and `IntegrityError`.
         """
         if not (path / journal_lines.NAME).is_file():
             raise InputError.at(

@@ -1,4 +1,5 @@
-"""Reading a run folder: what was run, which segments count, their statistics in one pass, and their samples in blocks."""
+"""Reading a run folder: what was run, which segments count, their statistics in one pass, and their samples in
+blocks."""
 
 from __future__ import annotations
 
@@ -35,10 +36,11 @@ class RunReader:
 
     @classmethod
     def open(cls, path: Path) -> RunReader:
-        """Checks run.json, the journal's chain, the seal and the digests of plan and bench; samples are checked as they are read.
+        """Checks run.json, the journal's chain, the seal and the digests of plan and bench; samples are checked as
+        they are read.
 
-        Raises `InputError` when `path` is not a run folder and `IntegrityError` when it is not as it was written. A torn last line of a
-        run that was killed is left out.
+        Raises `InputError` when `path` is not a run folder and `IntegrityError` when it is not as it was written. A
+        torn last line of a run that was killed is left out.
         """
         if not (path / journal_lines.NAME).is_file() and not (path / "run.json").is_file():
             hint = "give a folder beneath runs/"
@@ -90,7 +92,8 @@ class RunReader:
     def recording(self, schedule: Schedule) -> tuple[RecordedSegment, ...]:
         """The acknowledged segments with statistics, each file read once; in the schedule's order.
 
-        schedule: made from the run's own plan and bench. Raises `IntegrityError` where it does not fit what was recorded.
+        schedule: made from the run's own plan and bench. Raises `IntegrityError` where it does not fit what was
+        recorded.
         """
         segments = []
         for item in self.acknowledged():
@@ -114,7 +117,8 @@ class RunReader:
     # -- integrity -----------------------------------------------------------------------------------------------------
 
     def check_digests(self) -> int:
-        """Hold every recorded file and analysis against its digest; returns how many files were checked. Raises `IntegrityError`."""
+        """Hold every recorded file and analysis against its digest; returns how many files were checked. Raises
+        `IntegrityError`."""
         files: dict[str, str] = {part.file: part.sha256 for part in self.state.files()}
         files |= self.state.created["files"]
         if self.seal is not None:

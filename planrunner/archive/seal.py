@@ -1,4 +1,5 @@
-"""The seal: digests of everything that was recorded and the head of the journal's chain, written when a run is finished."""
+"""The seal: digests of everything that was recorded and the head of the journal's chain, written when a run is
+finished."""
 
 from __future__ import annotations
 
@@ -41,8 +42,8 @@ def read_seal(folder: Path) -> dict[str, Any] | None:
 def check_seal(folder: Path, seal: dict[str, Any], scan: JournalScan, state: JournalState) -> None:
     """Hold a seal against the journal as read. Raises `IntegrityError`.
 
-    A finished run that was opened again, to take a segment another time, has a journal that goes on after its seal; then the sealed
-    beginning is checked instead.
+    A finished run that was opened again, to take a segment another time, has a journal that goes on after its seal;
+    then the sealed beginning is checked instead.
     """
     sealed, path = seal["journal"], folder / NAME
     if sealed["events"] > scan.count:

@@ -1,8 +1,9 @@
 """The samples of one segment on disk: Parquet files of bounded length, each whole or absent.
 
-Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written beside its name
-(`….partial`), synced and renamed; its SHA-256 is computed from the bytes as they are written. Reading takes a part into memory as one
-piece, checks the digest over exactly those bytes and decodes them, so that data are read once and nothing unchecked is used.
+Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written beside
+its name (`….partial`), synced and renamed; its SHA-256 is computed from the bytes as they are written. Reading takes
+a part into memory as one piece, checks the digest over exactly those bytes and decodes them, so that data are read
+once and nothing unchecked is used.
 """
 
 from __future__ import annotations
@@ -94,7 +95,8 @@ class SegmentWriter:
         self._finished: list[Part] = []
 
     def append(self, block: Block) -> None:
-        """Add consecutive samples. Raises `InstrumentError` for samples that do not fit, `OSError` when they cannot be written."""
+        """Add consecutive samples. Raises `InstrumentError` for samples that do not fit, `OSError` when they cannot
+        be written."""
         self._check(block)
         start = 0
         while start < len(block.time):

@@ -17,8 +17,8 @@ RESERVE = 16 * 2**20  # analyses and reports
 def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> int:
     """Bytes that a run of `schedule` will write at most.
 
-    sample_rate: Hz, the sensor's own, for segments that do not give one; channels: columns beside time. Segments that last as long as
-    a recording being played back are counted as nothing.
+    sample_rate: Hz, the sensor's own, for segments that do not give one; channels: columns beside time. Segments that
+    last as long as a recording being played back are counted as nothing.
     """
     values = sum(
         (segment.dwell or 0.0) * (segment.sample_rate or sample_rate) * (channels + 1) for segment in schedule.segments
@@ -27,7 +27,8 @@ def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> in
 
 
 def require_space(folder: Path, needed: int) -> None:
-    """Raises `InputError` when the disk that holds `folder` (or its nearest existing parent) has less than `needed` bytes."""
+    """Raises `InputError` when the disk that holds `folder` (or its nearest existing parent) has less than `needed`
+    bytes."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
     if free < needed:

@@ -1,10 +1,10 @@
 """Statistics of a segment, made in one pass over its samples.
 
-Samples are taken in chunks of a fixed number of rows counted from the segment's beginning, so the result does not depend on how they
-were cut into blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque,
-"Updating formulae and a pairwise algorithm for computing sample variances" (1979). The standard error of the mean comes from the
-scatter of consecutive batch means (Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which accounts for noise that is
-correlated over less than a batch.
+Samples are taken in chunks of a fixed number of rows counted from the segment's beginning, so the result does not
+depend on how they were cut into blocks, row groups or files. Means and covariances of chunks are merged by the
+formula of Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances"
+(1979). The standard error of the mean comes from the scatter of consecutive batch means (Law, "Simulation Modeling
+and Analysis", 5th ed., section 9.5.3), which accounts for noise that is correlated over less than a batch.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int = CHUNK)
 def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Statistics:
     """Statistics of `blocks`, which together have `rows` rows (known from the files before the pass).
 
-    A row with a value that is not finite in any channel is left out of everything and counted in `rejected`. With one sample,
-    covariance and standard error are NaN; with none, the mean too.
+    A row with a value that is not finite in any channel is left out of everything and counted in `rejected`. With one
+    sample, covariance and standard error are NaN; with none, the mean too.
     """
     gathered = _Gathered(len(channels), rows)
     for time, values in rechunk(blocks, channels):

@@ -1,7 +1,8 @@
 """The few ways in which a run folder touches the disk, all in one place.
 
-Every write of the archive goes through a `Storage`, which knows whether a write must survive a power cut (`durable`: fsync of the
-file and of the folder that names it) or only the end of the process (`flushed`: handed to the operating system).
+Every write of the archive goes through a `Storage`, which knows whether a write must survive a power cut (`durable`:
+fsync of the file and of the folder that names it) or only the end of the process (`flushed`: handed to the operating
+system).
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class Storage:
             os.fsync(file.fileno())
 
     def sync_folder(self, path: Path) -> None:
-        """Wait until the names in a folder are on the disk, in durable mode. Windows keeps names by itself and cannot be asked."""
+        """Wait until the names in a folder are on the disk, in durable mode. Windows keeps names by itself and cannot
+        be asked."""
         if not self.durable or os.name == "nt":
             return
         descriptor = os.open(path, os.O_RDONLY)

@@ -31,8 +31,8 @@ class VirtualClock:
 class WallClock:
     """Real time, monotonic: it does not jump when the computer's clock is set.
 
-    A sleep is interruptible: about every `slice` seconds the attending callback is called, and the sleep ends early when it
-    returns True.
+    A sleep is interruptible: about every `slice` seconds the attending callback is called, and the sleep ends early
+    when it returns True.
     """
 
     def __init__(self, slice: float = 0.1):

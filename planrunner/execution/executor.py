@@ -1,8 +1,8 @@
 """The executor: carries a schedule out on a bench and leaves a recording.
 
-For each segment it brings the bench to the state (temperature, orientation, motion), settles, lets the sensor's samples through to the
-run folder, takes readings and comes to rest. It knows instruments only by what they can do, and time only by the bench's clock.
-Whatever happens, the bench is brought to its safe state before anything else.
+For each segment it brings the bench to the state (temperature, orientation, motion), settles, lets the sensor's
+samples through to the run folder, takes readings and comes to rest. It knows instruments only by what they can do,
+and time only by the bench's clock. Whatever happens, the bench is brought to its safe state before anything else.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from planrunner.archive.run_folder import RunWriter
 from planrunner.execution.outcome import Failure, Outcome
 from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind
-from planrunner.execution.reaching import Patience, Reaching, StoppedAtOnce
+from planrunner.execution.reaching import Patience, Reaching, StoppedAtOnceError
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import Clock, InstrumentError, Readable, Resumable, StreamsSamples
 from planrunner.plan.schedule import Schedule, Segment
@@ -24,7 +24,8 @@ SAFE_ATTEMPTS = 3
 
 
 class OpenBench(Protocol):
-    """A bench whose instruments are connected. `instruments` holds all of them by name, those named by role included."""
+    """A bench whose instruments are connected. `instruments` holds all of them by name, those named by role
+    included."""
 
     clock: Any
     table: Any
@@ -49,7 +50,8 @@ def execute(
 ) -> Outcome:
     """Carry out the segments of `schedule` from `start_at` that `writer` has not acknowledged.
 
-    Never raises for what instruments or the disk do: failures are in the outcome, and the bench is safe. A finished run is sealed.
+    Never raises for what instruments or the disk do: failures are in the outcome, and the bench is safe. A finished
+    run is sealed.
     """
     return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience()).carry_out()
 
@@ -91,7 +93,7 @@ class _Execution:
             self._attend(self._on_tick)
             self._prepare()
             self._segments()
-        except StoppedAtOnce:
+        except StoppedAtOnceError:
             pass
         except KeyboardInterrupt:
             self.stop.request(at_once=True, reason="interrupted")
@@ -200,7 +202,7 @@ class _Execution:
                 self._say("writing samples")
                 self.writer.append(block, self.clock.now())
                 if self.stop.at_once:
-                    raise StoppedAtOnce
+                    raise StoppedAtOnceError
                 self._say("recording")
         finally:
             close = getattr(stream, "close", None)

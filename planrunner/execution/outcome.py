@@ -33,7 +33,8 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """completed: segments acknowledged now; segments: of the schedule. stopped: on request, and how. unsafe: what could not be made
+    """completed: segments acknowledged now; segments: of the schedule. stopped: on request, and how. unsafe: what
+    could not be made
     safe. finished: every segment is acknowledged and the folder sealed."""
 
     completed: int

@@ -14,7 +14,8 @@ EVERY = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SegmentBegun:
-    """fraction: of the whole run's planned time that lies behind, 0 to 1. time_left: s of real time, None while unknown."""
+    """fraction: of the whole run's planned time that lies behind, 0 to 1. time_left: s of real time, None while
+    unknown."""
 
     index: int
     label: str
@@ -58,7 +59,8 @@ def planned_seconds(segment: Segment) -> float:
 class Meter:
     """Turns where the executor stands into events.
 
-    Time left is the planned time left at the pace so far, so it is real time on a simulated bench too. A callback that raises is not
+    Time left is the planned time left at the pace so far, so it is real time on a simulated bench too. A callback
+    that raises is not
     called again: what is only shown must not end a run.
     """
 

@@ -1,7 +1,8 @@
 """Getting the bench into a segment's state and out of it again: temperature, orientation, motion, settling.
 
-Commands return at once with the seconds they are expected to take; these are slept on the bench's clock, then the instrument is asked
-until it holds, up to a time-out. Temperature is set only when it changes, orientation only when it changes or after a motion.
+Commands return at once with the seconds they are expected to take; these are slept on the bench's clock, then the
+instrument is asked until it holds, up to a time-out. Temperature is set only when it changes, orientation only when
+it changes or after a motion.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from planrunner.instruments.interfaces import Array, HoldsOrientation, HoldsTemp
 from planrunner.plan.schedule import Rest, Segment, Spin
 
 
-class StoppedAtOnce(Exception):
+class StoppedAtOnceError(Exception):
     """The operator wants the run to end now."""
 
 
@@ -54,7 +55,7 @@ class Reaching:
         self.temperature, self.attitude, self.soak_again = None, None, True
 
     def reach(self, segment: Segment) -> None:
-        """Bring the bench to the segment's state, settled. Raises `InstrumentError` and `StoppedAtOnce`."""
+        """Bring the bench to the segment's state, settled. Raises `InstrumentError` and `StoppedAtOnceError`."""
         self._reach_temperature(segment)
         self._orient(segment)
         motion, dwell = segment.motion, segment.dwell or 0.0
@@ -80,11 +81,11 @@ class Reaching:
         )
 
     def pause(self, seconds: float) -> None:
-        """Sleep on the bench's clock; raises `StoppedAtOnce` when that was asked for."""
+        """Sleep on the bench's clock; raises `StoppedAtOnceError` when that was asked for."""
         if seconds > 0:
             self._clock.sleep(seconds)
         if self._stop.at_once:
-            raise StoppedAtOnce
+            raise StoppedAtOnceError
 
     def _settle(self, segment: Segment) -> None:
         if segment.settle > 0:

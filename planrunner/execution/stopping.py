@@ -17,7 +17,8 @@ AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class StopRequest:
-    """Whether and how the run is to stop. As a context manager it listens to signals and restores their handlers afterwards.
+    """Whether and how the run is to stop. As a context manager it listens to signals and restores their handlers
+    afterwards.
 
     notify: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
     """

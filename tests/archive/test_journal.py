@@ -59,7 +59,9 @@ def test_every_torn_end_is_left_out(tmp_path: Path) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(place=st.integers(0, 10_000), byte=st.integers(0, 255))
-def test_a_changed_byte_before_the_last_line_is_found(tmp_path_factory: pytest.TempPathFactory, place: int, byte: int) -> None:
+def test_a_changed_byte_before_the_last_line_is_found(
+    tmp_path_factory: pytest.TempPathFactory, place: int, byte: int
+) -> None:
     folder = tmp_path_factory.getbasetemp() / "changed"
     folder.mkdir(exist_ok=True)
     path = folder / "journal.jsonl"

@@ -43,7 +43,9 @@ def write_segment(writer: RunWriter, item: Segment, rows: int = 100) -> None:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """A finished, sealed run of two segments."""
-    with RunWriter.create(tmp_path / "runs", "a plan/with: signs", b"plan\r\n", b"bench", {"serial": "0042"}, seed=3) as writer:
+    with RunWriter.create(
+        tmp_path / "runs", "a plan/with: signs", b"plan\r\n", b"bench", {"serial": "0042"}, seed=3
+    ) as writer:
         for item in SCHEDULE.segments:
             write_segment(writer, item)
         writer.finish()
@@ -103,7 +105,9 @@ CHANGES: dict[str, Callable[[Path], None]] = {
     ),
     "journal gone": lambda run: (run / "journal.jsonl").unlink(),
     "journal empty": lambda run: (run / "journal.jsonl").write_bytes(b""),
-    "seal": lambda run: (run / "seal.json").write_text((run / "seal.json").read_text().replace('"events": 6', '"events": 5')),
+    "seal": lambda run: (run / "seal.json").write_text(
+        (run / "seal.json").read_text().replace('"events": 6', '"events": 5')
+    ),
     "seal is not JSON": lambda run: (run / "seal.json").write_text("[]"),
 }
 
@@ -152,7 +156,8 @@ def test_two_writers_are_refused(tmp_path: Path) -> None:
     with RunWriter.create(tmp_path, "p", b"", b"", {}) as writer:
         with pytest.raises(InputError, match="another planrunner writes this run"):
             RunWriter.reopen(writer.path)
-        script = f"from planrunner.archive.run_folder import RunWriter; from pathlib import Path; RunWriter.reopen(Path({str(writer.path)!r}))"
+        imports = "from planrunner.archive.run_folder import RunWriter; from pathlib import Path"
+        script = f"{imports}; RunWriter.reopen(Path({str(writer.path)!r}))"
         done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
         assert "another planrunner writes this run" in done.stderr
     RunWriter.reopen(writer.path).close()
@@ -175,7 +180,9 @@ def test_a_finished_run_is_opened_again_only_with_a_reason(run: Path) -> None:
     assert (rejected.reason, rejected.parts[0].file) == ("somebody leaned on the table", "segments/0002-P2.parquet")
     assert reader.acknowledged()[1].parts[0].file == "segments/0002-P2.try2.parquet"
     assert reader.seal is not None
-    assert sealed["files"].items() - {("journal.jsonl", sealed["files"]["journal.jsonl"])} <= reader.seal["files"].items()
+    assert (
+        sealed["files"].items() - {("journal.jsonl", sealed["files"]["journal.jsonl"])} <= reader.seal["files"].items()
+    )
     assert reader.check_digests() == 6
 
 
@@ -184,7 +191,7 @@ def test_a_finished_run_is_opened_again_only_with_a_reason(run: Path) -> None:
 
 def test_runs_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written: .*") as caught:
+    with pytest.raises(InputError, match=r"cannot be written: .*") as caught:
         RunWriter.create(tmp_path / "file", "p", b"", b"", {})
     assert caught.value.findings[0].code == "runs-unwritable"
     if hasattr(os, "geteuid") and os.geteuid() != 0:
@@ -200,7 +207,7 @@ def test_space_is_asked_before_the_first_move(tmp_path: Path, monkeypatch: pytes
     assert samples < needed < 1.2 * samples + 20e6
     with RunWriter.create(tmp_path, "p", b"", b"", {}) as writer:
         time = np.arange(200_000) / 1000
-        writer.begin(segment(0), 0.0, {name: "V" for name in "xyz"})
+        writer.begin(segment(0), 0.0, dict.fromkeys("xyz", "V"))
         noise = np.random.default_rng(0).standard_normal((3, len(time)))
         writer.append(Block(time, dict(zip("xyz", noise, strict=True))), 0.0)
         writer.acknowledge(0.0, {}, {})
@@ -209,7 +216,7 @@ def test_space_is_asked_before_the_first_move(tmp_path: Path, monkeypatch: pytes
     space.require_space(tmp_path / "not" / "yet", 1000)
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=50_000_000))
-    with pytest.raises(InputError, match="needs up to 1.0 GB, the disk has 50 MB free"):
+    with pytest.raises(InputError, match=r"needs up to 1\.0 GB, the disk has 50 MB free"):
         space.require_space(tmp_path, 1_000_000_000)
 
 

@@ -1,4 +1,5 @@
-"""Segment files: parts of bounded length, digests, columns with units, blocks that do not fit, files that were changed."""
+"""Segment files: parts of bounded length, digests, columns with units, blocks that do not fit, files that were
+changed."""
 
 from __future__ import annotations
 
@@ -36,7 +37,9 @@ def test_what_any_parquet_reader_sees(tmp_path: Path) -> None:
         writer.append(block(start, 10))
     (part,) = writer.close()
     path = tmp_path / "segments" / "0001-P1.parquet"
-    assert part == Part("segments/0001-P1.parquet", hashlib.sha256(path.read_bytes()).hexdigest(), 50, path.stat().st_size)
+    assert part == Part(
+        "segments/0001-P1.parquet", hashlib.sha256(path.read_bytes()).hexdigest(), 50, path.stat().st_size
+    )
     table = pq.read_table(path)
     assert table.schema.names == ["time", "x", "y"]
     assert {str(field.type) for field in table.schema} == {"double"}
@@ -52,13 +55,19 @@ def test_parts_end_by_size_and_by_time(tmp_path: Path) -> None:
     writer.append(block(10.0, 30, step=0.5))  # up to 13.0 s are 7 rows more; then 5 s are 11 rows
     parts = [*writer.take_finished(), *writer.close()]
     names = [part.file for part in parts]
-    assert names[:3] == ["segments/0001-P1.parquet", "segments/0001-P1.part002.parquet", "segments/0001-P1.part003.parquet"]
+    assert names[:3] == [
+        "segments/0001-P1.parquet",
+        "segments/0001-P1.part002.parquet",
+        "segments/0001-P1.part003.parquet",
+    ]
     assert [part.rows for part in parts] == [40, 40, 20 + 7, 11, 11, 1]
 
 
 @settings(max_examples=60, deadline=None)
 @given(sizes=st.lists(st.integers(0, 50), max_size=12), rows=st.integers(1, 60))
-def test_samples_come_back_however_they_are_cut(tmp_path_factory: pytest.TempPathFactory, sizes: list[int], rows: int) -> None:
+def test_samples_come_back_however_they_are_cut(
+    tmp_path_factory: pytest.TempPathFactory, sizes: list[int], rows: int
+) -> None:
     run = tmp_path_factory.mktemp("cut")
     writer, start, given_time = make_writer(run, part_bytes=24 * rows), 0.0, []
     for size in sizes:
@@ -142,7 +151,9 @@ def test_changed_missing_and_foreign_files_are_refused(tmp_path: Path) -> None:
         list(read_part(tmp_path, part))
 
 
-@pytest.mark.parametrize("name", ["../../etc/passwd.parquet", "/segments/x.parquet", "segments/../x.parquet", "segments/x"])
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd.parquet", "/segments/x.parquet", "segments/../x.parquet", "segments/x"]
+)
 def test_names_that_lead_elsewhere_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match="not a file of samples"):
         Part.from_json({"file": name, "sha256": "0" * 64, "rows": 1, "bytes": 1})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ def blocks_of(time: np.ndarray, values: np.ndarray, cuts: list[int]) -> list[Blo
     edges = [0, *sorted(cuts), len(time)]
     return [
         Block(time[low:high], {name: values[row, low:high] for row, name in enumerate(NAMES[: len(values)])})
-        for low, high in zip(edges, edges[1:], strict=False)
+        for low, high in pairwise(edges)
     ]
 
 
@@ -28,7 +29,7 @@ def by_numpy(values: np.ndarray, rows: int) -> np.ndarray:
     """The standard error from batch means, written plainly: one batch after the other."""
     edges = [round(rows * i / min(BATCHES, rows)) for i in range(min(BATCHES, rows) + 1)]
     means, counts = [], []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         batch = values[:, low:high]
         batch = batch[:, np.isfinite(batch).all(axis=0)]
         if batch.shape[1]:
@@ -84,7 +85,8 @@ def test_the_cuts_do_not_matter(data: st.DataObject) -> None:
 
 
 def test_correlated_noise_has_a_larger_standard_error() -> None:
-    """A first-order process with correlation 0.9: the mean's variance is (1 + 0.9)/(1 − 0.9) = 19 times that of white noise."""
+    """A first-order process with correlation 0.9: the mean's variance is (1 + 0.9)/(1 − 0.9) = 19 times that of white
+    noise."""
     ratios = []
     for seed in range(40):
         white = np.random.default_rng(seed).standard_normal(20_000)

@@ -188,7 +188,15 @@ def segment(index: int, label: str, **given: Any) -> Segment:
     return Segment(
         index,
         label,
-        **{"attitude": UP, "orientation": label, "motion": Rest(), "dwell": 10.0, "settle": 3.0, "transition": 5.0, **given},
+        **{
+            "attitude": UP,
+            "orientation": label,
+            "motion": Rest(),
+            "dwell": 10.0,
+            "settle": 3.0,
+            "transition": 5.0,
+            **given,
+        },
     )
 
 

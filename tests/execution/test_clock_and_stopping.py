@@ -76,7 +76,7 @@ def test_handlers_are_restored_after_an_error() -> None:
             assert signal.getsignal(signal.SIGTERM) != before[signal.SIGTERM]
             raise ValueError
 
-    with pytest.raises(ValueError, match="^$"):
+    with pytest.raises(ValueError, match=r"^$"):
         fails()
     assert {number: signal.getsignal(number) for number in before} == before
 

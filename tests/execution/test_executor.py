@@ -88,14 +88,17 @@ def test_recording_is_what_the_sensor_gave(tmp_path: Path) -> None:
     assert reader.check_events() == 4 + 2 * 8 + 1  # created, instruments, started, safe; two a segment; finished
 
 
-CALLS = sorted({call.split(" ")[0] for call in (
-    "table.identify chamber.identify sensor.identify sensor.channels chamber.set chamber.at table.orient table.holding "
-    "table.begin table.end sensor.stream sensor.block chamber.read table.checkpoint sensor.checkpoint"
-).split()})
+CALLS = (
+    *("table.identify", "chamber.identify", "sensor.identify", "sensor.channels", "chamber.set", "chamber.at"),
+    *("table.orient", "table.holding", "table.begin", "table.end", "sensor.stream", "sensor.block"),
+    *("chamber.read", "table.checkpoint", "sensor.checkpoint"),
+)
 
 
 @pytest.mark.parametrize("call", CALLS)
-@pytest.mark.parametrize("error", [InstrumentError("the cable is out"), ZeroDivisionError("x"), SystemExit(9), MemoryError()])
+@pytest.mark.parametrize(
+    "error", [InstrumentError("the cable is out"), ZeroDivisionError("x"), SystemExit(9), MemoryError()]
+)
 def test_a_failing_driver_leaves_the_bench_safe(tmp_path: Path, call: str, error: BaseException) -> None:
     bench = make_bench()
     bench.calls.fail_at, bench.calls.error = call, error
@@ -280,7 +283,9 @@ def samples(reader: RunReader, schedule: Schedule) -> list[tuple[Any, ...]]:
     return rows
 
 
-@pytest.mark.parametrize("call", ["sensor.stream P2", "table.begin Rock", "table.end", "chamber.set 330", "table.orient 11"])
+@pytest.mark.parametrize(
+    "call", ["sensor.stream P2", "table.begin Rock", "table.end", "chamber.set 330", "table.orient 11"]
+)
 def test_resumed_after_a_failure_equals_uninterrupted(tmp_path: Path, call: str) -> None:
     schedule = mixed_schedule()
     _, whole = carry_out(tmp_path, make_bench(), schedule)
@@ -374,9 +379,7 @@ def test_a_broken_progress_display_does_not_end_the_run(tmp_path: Path) -> None:
 
 
 def test_steps_without_planned_time_are_counted(tmp_path: Path) -> None:
-    steps = tuple(
-        replace(segment(i, f"s{i}"), dwell=0.0, settle=0.0, transition=0.0, motion=Rest()) for i in range(4)
-    )
+    steps = tuple(replace(segment(i, f"s{i}"), dwell=0.0, settle=0.0, transition=0.0, motion=Rest()) for i in range(4))
     events: list[Any] = []
     bench = make_bench()
     bench.sensor = None
