@@ -99,7 +99,8 @@ def _found(request: EstimateRequest) -> _Poses:
     channels = request.detection.channels
     if set(channels) != set(outputs):
         raise EstimationError(
-            f"stillness is looked for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: name the same `channels` under `segments`"
+            f"stillness is looked for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
+            "name the same `channels` under `segments`"
         )
     order = [channels.index(name) for name in outputs]
     labels, means, errors, batches, start, end = [], [], [], [], [], []

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Plot, Table
 from planrunner.estimators.observations import Observations, observe
-from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs, judge, require_basis
+from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError, segment_means
 from planrunner.physics.terms import ACCEL_X, ACCEL_Y, ACCEL_Z, BIAS, ErrorModel
@@ -53,7 +54,7 @@ def estimate(request: EstimateRequest) -> Estimate:
     units = _units(observations)
     model = model_of(parameters.terms)
     matrix = matrix_of(model, [recorded.segment for recorded in request.segments], request.site)
-    fit = fit_outputs(matrix, observations, model.magnitudes, model.names)
+    fit = fit_outputs(matrix, observations, model.magnitudes, model.names, basis)
     require_basis(fit, basis, request.name)
     rows: list[tuple[str, float, str, Array, str]] = []
     for axis in range(3):
@@ -100,7 +101,9 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
     values = fit.coefficients[axis] * own.factor  # SI: m/s² and ratios
     letter = _AXES[axis]
     seen = [(k, _AXES.index(name[-1])) for k, name in enumerate(model.names) if name != "bias"]
-    scale = float(np.sqrt(sum(values[k] ** 2 for k, _ in seen)))
+    own_seen = any(direction == axis for _, direction in seen)
+    # An axis that was never along gravity shows its response across, per unit of a nominal scale factor of one.
+    scale = float(np.sqrt(sum(values[k] ** 2 for k, _ in seen))) if own_seen else 1.0
     if scale == 0:
         raise EstimationError(
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
@@ -119,8 +122,8 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
         found.append(
             (f"bias_{letter}", float(values[k] / mg), "mg", gradient({k: 1 / mg}), f"Bias of the {letter} axis")
         )
-    along = {k: float(values[k]) / scale for k, _ in seen}
-    if any(direction == axis for _, direction in seen):
+    along = {k: float(values[k]) / scale if own_seen else 0.0 for k, _ in seen}
+    if own_seen:
         words = f"Scale factor of the {letter} axis, along its own input direction"
         found.append((f"scale_{letter}", scale, "1", gradient(along), words))
     mrad = unit("mrad").factor
@@ -130,9 +133,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
             changes = {j: ((j == k) - ratio * along[j]) / scale / mrad for j, _ in seen}
             name = f"misalignment_{letter}_{_AXES[direction]}"
             words = f"Component of the {letter} axis's input direction along {_AXES[direction]}"
-            if not any(other == axis for _, other in seen):
-                # The axis's own direction was never along gravity: what is seen is its response across, per unit of a nominal scale.
-                ratio, changes = float(values[k]), {k: 1 / mrad}
+            if not own_seen:
                 words += " times its scale factor"
             found.append((name, ratio / mrad, "mrad", gradient(changes), words))
     return found

@@ -1,8 +1,8 @@
 """What residuals to expect after compensation, from the positions alone.
 
 To first order the residual of a set on a verification position is M⁻¹·(e − x·δ), with e the noise of that position, x its row of the
-design and δ the error of the coefficients; M nearly a multiple of a rotation, it drops out of ratios when both outputs have the same noise. All sets
-share the verification noise, which is why single ratios scatter less than independent sums would.
+design and δ the error of the coefficients. M is nearly a multiple of a rotation and drops out of ratios when both outputs have the
+same noise. All sets share the verification noise, which is why single ratios scatter less than independent sums would.
 """
 
 from __future__ import annotations
@@ -37,6 +37,13 @@ class Prediction:
     relative_spread: dict[str, float]
 
 
+def expected_sum(verification: Array, design: SetDesign) -> float:
+    """Expected residual sum of squares over both outputs, in units of the verification positions' variance: their own noise and what
+    the calibration's noise makes of it, exactly."""
+    carried = [verification @ _weighted_inverse(matrix, sigma) for matrix, sigma in (design.first, design.second)]
+    return 2.0 * len(verification) + float(sum(np.sum(one**2) for one in carried))
+
+
 def predict_residuals(verification: Array, sets: Mapping[str, SetDesign], trials: int, seed: int) -> Prediction:
     """Expected residual sums of squares, exactly, and the scatter of their ratios from seeded simulated experiments.
 
@@ -47,15 +54,14 @@ def predict_residuals(verification: Array, sets: Mapping[str, SetDesign], trials
     expected: dict[str, float] = {}
     sums: dict[str, Array] = {}
     for name, design in sets.items():
-        total, mean = np.zeros(trials), 0.0
+        total = np.zeros(trials)
         for output, (matrix, sigma) in enumerate((design.first, design.second)):
             carried = verification @ _weighted_inverse(
                 matrix, sigma
             )  # verification residual per unit calibration noise
-            mean += len(verification) + float(np.sum(carried**2))
             residual = noise[output] - rng.standard_normal((trials, len(matrix))) @ carried.T
             total += np.einsum("tv,tv->t", residual, residual)
-        expected[name], sums[name] = mean, total
+        expected[name], sums[name] = expected_sum(verification, design), total
     first = next(iter(sums))
     ratios, spreads = {}, {}
     for name, total in sums.items():

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.compensation_prediction import SetDesign, predict_residuals
+from planrunner.estimators.compensation_prediction import SetDesign, expected_sum, predict_residuals
 from planrunner.estimators.flexure_gyro_static import static_matrix
 from planrunner.estimators.interface import (
     Coefficient,
@@ -33,6 +33,9 @@ from planrunner.plan.units import unit
 Array = NDArray[np.float64]
 
 _DEG_H = unit("deg/h").factor
+_NO_SET = (
+    "'{}' is no set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
+)
 _SUMS = "Residual sums of squares, measured and expected"
 _CLAIM = (
     "The method's source claims 4 to 8 for the traditional over the optimal positions. Equal noise in all positions predicts the "
@@ -65,33 +68,25 @@ class CompensationResidual:
         sets = {}
         for name, design in request.uses.items():
             if len(design.blocks) != 2 or design.blocks[0].terms != model.names:
-                raise EstimationError(
-                    f"'{name}' is no set of static flexure-gyro coefficients: `uses` names flexure_gyro_static estimates"
-                )
+                raise EstimationError(_NO_SET.format(name))
             if np.linalg.matrix_rank(design.blocks[0].matrix / design.blocks[0].magnitudes) < len(model.names):
                 return Design(())
             sets[name] = SetDesign(*(_relative(block) for block in design.blocks))
         _several(sets)
-        prediction = predict_residuals(matrix, sets, request.parameters.trials, request.parameters.seed)
-        names = tuple(sets)
+        expected = {name: expected_sum(matrix, design) for name, design in sets.items()}
+        first, *others = expected
+        ratios = {f"ratio_{name}_to_{first}": expected[name] / expected[first] for name in others}
         notes = [
-            f"Expected residual sum of squares of {name} over that of {names[0]}: {prediction.expected[name] / prediction.expected[names[0]]:.3g}; "
-            f"single experiments from {prediction.ratios[name][0]:.2g} to {prediction.ratios[name][2]:.2g} (5 to 95 %)."
-            for name in names[1:]
+            f"Expected residual sum of squares of {name} over that of {first}: {expected[name] / expected[first]:.3g}, with equal noise."
+            for name in others
         ]
-        extra = {
-            f"ratio_{name}_to_{names[0]}": prediction.expected[name] / prediction.expected[names[0]]
-            for name in names[1:]
-        }
-        return Design((), (), (*notes, _CLAIM), extra)
+        return Design((), (), (*notes, _CLAIM), ratios)
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Residuals of each set in `uses`. Raises `EstimationError`."""
         for name, used in request.uses.items():
             if used.extra.get("terms") != list(flexure_gyro.static_model().names):
-                raise EstimationError(
-                    f"'{name}' is no set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
-                )
+                raise EstimationError(_NO_SET.format(name))
         _several(request.uses)
         outputs = {tuple(used.extra["outputs"]) for used in request.uses.values()}
         if len(outputs) > 1:

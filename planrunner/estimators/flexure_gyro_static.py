@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import flexure_gyro_tables as tables
 from planrunner.estimators import rank
+from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -21,7 +22,7 @@ from planrunner.estimators.interface import (
     EstimationError,
 )
 from planrunner.estimators.observations import observe
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs, judge, require_basis
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError, segment_means
@@ -88,6 +89,7 @@ class FlexureGyroStatic:
         model = flexure_gyro.static_model(parameters.terms)
         matrix = static_matrix(model, request.segments, request.site)
         labels = tuple(segment.label for segment in request.segments)
+        magnitudes = local_magnitudes(model, request.site)
         blocks = []
         for name in _two(parameters.outputs):
             output = request.sensor.output(name)
@@ -100,8 +102,8 @@ class FlexureGyroStatic:
                 output.noise.standard_error(s.dwell or 1.0, rate)
                 for s, rate in zip(request.segments, rates, strict=True)
             ]
-            blocks.append(DesignBlock(name, model.names, matrix, model.magnitudes, np.array(sigma), labels))
-        scaled = matrix / model.magnitudes
+            blocks.append(DesignBlock(name, model.names, matrix, magnitudes, np.array(sigma), labels))
+        scaled = matrix / magnitudes
         sight = rank.look(scaled)
         if sight.rank < scaled.shape[1]:
             return Design(tuple(blocks))
@@ -121,7 +123,8 @@ class FlexureGyroStatic:
         observations = observe(request.segments, _two(parameters.outputs), request.sensor)
         model = flexure_gyro.static_model(parameters.terms)
         matrix = static_matrix(model, [recorded.segment for recorded in request.segments], request.site)
-        fit = fit_outputs(matrix, observations, model.magnitudes, model.names, parameters.pool_outputs)
+        magnitudes = local_magnitudes(model, request.site)
+        fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, parameters.pool_outputs)
         require_basis(fit, basis, request.name)
         try:
             found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
@@ -132,7 +135,7 @@ class FlexureGyroStatic:
         freedom = fit.degrees_of_freedom(found.gradients, basis)
         coefficients = _coefficients(found, spreads, freedom)
         notes, warnings = judge(fit, basis)
-        scaled = matrix / model.magnitudes
+        scaled = matrix / magnitudes
         condition = float(np.linalg.cond(scaled))
         notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(matrix)))
         return Estimate(
@@ -167,6 +170,12 @@ def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) ->
         return model.columns(segment_means(segments, site))
     except StimulusError as error:
         raise EstimationError(str(error)) from None
+
+
+def local_magnitudes(model: ErrorModel, site: Site) -> Array:
+    """The columns' sizes at the site, (p,): its Earth rate and its gravity, so that determinants compare between sites."""
+    sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
+    return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
 
 def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> PhysicalSet:

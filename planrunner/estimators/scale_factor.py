@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
+from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -24,7 +25,7 @@ from planrunner.estimators.interface import (
     Table,
 )
 from planrunner.estimators.observations import Observations, observe
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs, judge, require_basis
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
@@ -52,6 +53,12 @@ class ScaleFactorParameters(Record):
         "Relative standard uncertainty of the table's rate, common to all rates.",
         "50 ppm",
         None,
+    )
+    weights: str = key(
+        Choice(("noise", "equal")),
+        "Weight each rate by the noise within it, so that an unsteady one counts less; or all alike, as in ordinary least squares.",
+        "noise",
+        "noise",
     )
     uncertainty: str = key(
         Choice(BASES),
@@ -112,7 +119,14 @@ class ScaleFactor:
                 f"{request.name}: all segments have the same rate, so a line cannot be told from a constant"
             )
         matrix = np.column_stack([np.ones(len(rates)), rates])
-        fit = fit_outputs(matrix, observations, np.array([1.0, np.abs(rates).max()]), TERMS)
+        fit = fit_outputs(
+            matrix,
+            observations,
+            np.array([1.0, np.abs(rates).max()]),
+            TERMS,
+            parameters.uncertainty,
+            equal=parameters.weights == "equal",
+        )
         require_basis(fit, parameters.uncertainty, request.name)
         return _assemble(request, observations, rates, fit)
 
@@ -194,7 +208,7 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
         (*coefficients, *metrics),
         full,
         tuple(item.name for item in (*coefficients, *metrics)),
-        {"uncertainty": basis, "weights": [noise.weighting for noise in fit.noises], "rate_uncertainty": relative},
+        {"uncertainty": basis, "weights": parameters.weights, "rate_uncertainty": relative},
         (_table(observations, rates, fit, units[0][0]),),
         (_plot(observations, rates, fit, units[0][0]),),
         tuple(notes),
@@ -208,7 +222,7 @@ def _metrics(
 ) -> list[Coefficient]:
     """Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
     at zero rate; it needs both signs and three different rates."""
-    one, sigma = fit.fits[k], fit.noises[k].sigma
+    one, sigma = fit.fits[k], fit.sigma[k]
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
     full_scale = float(np.abs(observations.mean[:, k]).max())

@@ -1,0 +1,85 @@
+"""Recorded segments for tests: from chosen means, from arrays, and from the real recordings."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planrunner.archive.recording import RecordedSegment, Statistics
+from planrunner.archive.statistics import statistics_of
+from planrunner.instruments.interfaces import Block
+from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.plan.schedule import Motion, Rest, Segment
+
+DATA = Path(os.environ.get("PLANRUNNER_DATA", Path(__file__).resolve().parents[2].parent / "shared" / "data"))
+
+
+def real(*parts: str) -> Path:
+    """A file of the real recordings; the test is skipped where it is absent."""
+    path = DATA.joinpath(*parts)
+    if not path.is_file():
+        pytest.skip(f"the real recording {'/'.join(parts)} is not beneath {DATA} (set PLANRUNNER_DATA)")
+    return path
+
+
+def segment(
+    label: str, attitude: np.ndarray | None = None, motion: Motion | None = None, dwell: float = 120.0
+) -> Segment:
+    return Segment(0, label, attitude, "as tested", motion or Rest(), dwell)
+
+
+def sensor(*outputs: str, unit: str = "pulse/s") -> SensorModel:
+    return SensorModel("under-test", tuple(OutputModel(name, unit) for name in outputs), 10.0)
+
+
+def from_means(
+    planned: Segment,
+    means: Mapping[str, float],
+    unit: str,
+    standard_error: Sequence[float] | float = 0.0,
+    batches: int = 32,
+    count: int = 1200,
+) -> RecordedSegment:
+    """A segment whose statistics are given; its samples cannot be read."""
+    mean = np.array(list(means.values()))
+    error = np.broadcast_to(np.asarray(standard_error, dtype=float), mean.shape).copy()
+    covariance = np.diag(error**2 * count)
+    seconds = planned.dwell or 1.0
+    statistics = Statistics(tuple(means), count, 0, mean, mean, mean, covariance, error, batches, 0.0, seconds, 0.1)
+
+    def no_samples(channels: Sequence[str]) -> Iterator[Block]:
+        raise AssertionError("this estimator must do with statistics")
+
+    return RecordedSegment(planned, dict.fromkeys(means, unit), statistics, no_samples)
+
+
+def from_samples(
+    planned: Segment, time: np.ndarray, channels: Mapping[str, np.ndarray], units: Mapping[str, str], rows: int = 997
+) -> RecordedSegment:
+    """A segment from arrays, read back in blocks of `rows`."""
+
+    def blocks(names: Sequence[str]) -> Iterator[Block]:
+        for low in range(0, len(time), rows):
+            high = low + rows
+            yield Block(time[low:high], {name: channels[name][low:high] for name in names})
+
+    statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time))
+    return RecordedSegment(planned, dict(units), statistics, blocks)
+
+
+def table(path: Path) -> dict[str, np.ndarray]:
+    """A Parquet file as arrays."""
+    import pyarrow.parquet as parquet
+
+    read = parquet.read_table(path)
+    return {name: read[name].to_numpy().astype(float) for name in read.column_names}
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))

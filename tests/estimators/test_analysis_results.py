@@ -1,0 +1,164 @@
+"""From a recording to results: order, failures that stay single, limits, and JSON that comes back bit by bit."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from recorded import from_means, segment, sensor
+from test_compensation_residual import TRADITIONAL, VERIFY
+from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
+
+from planrunner.estimators.analysis import Results, analyse, predict
+from planrunner.estimators.compensation_residual import CompensationResidualParameters
+from planrunner.estimators.flexure_gyro_static import FlexureGyroStaticParameters
+from planrunner.estimators.interface import Coefficient, Estimate
+from planrunner.plan.findings import InputError
+from planrunner.plan.model import Limit
+from planrunner.plan.quantity import parse_quantity
+from planrunner.plan.schedule import Segment
+
+SCHEMA = json.loads((Path(__file__).parents[2] / "schemas" / "results.schema.json").read_text(encoding="utf-8"))
+
+
+def spec(estimator: str, segments: tuple[str, ...], parameters: object, uses: tuple[str, ...] = ()) -> SimpleNamespace:
+    return SimpleNamespace(estimator=estimator, segments=segments, uses=uses, parameters=parameters)
+
+
+ESTIMATES = {
+    # Written before what it uses: the order follows `uses`.
+    "residual": spec("compensation_residual", ("V*",), CompensationResidualParameters(trials=1000), ("drift", "old")),
+    "drift": spec("flexure_gyro_static", ("P*",), FlexureGyroStaticParameters()),
+    "old": spec("flexure_gyro_static", ("T*",), FlexureGyroStaticParameters()),
+}
+
+
+def recording() -> list:
+    rng = np.random.default_rng(0)
+    return [
+        from_means(
+            segment(label, attitude(words)),
+            dict(zip(CHANNELS, pulses(attitude(words)) + rng.normal(0, 0.03, 2), strict=True)),
+            "pulse/s",
+            0.03,
+        )
+        for label, words in (OPTIMAL | TRADITIONAL | VERIFY).items()
+    ]
+
+
+def limits() -> list[Limit]:
+    return [
+        Limit(quantity="drift.D_X_F", within="±5 deg/h", rule="guarded"),
+        Limit(quantity="drift.D_X_F", within="±0.001 deg/s", rule="simple"),
+        Limit(quantity="drift.D_X_F", at_most=parse_quantity("1.2012 deg/h"), rule="guarded"),
+        Limit(quantity="drift.D_Y_X", at_least=parse_quantity("3 deg/h/g"), rule="simple"),
+    ]
+
+
+def results() -> Results:
+    return analyse(ESTIMATES, limits(), recording(), SITE, sensor(*CHANNELS))
+
+
+def test_everything_is_made_in_the_order_of_its_use() -> None:
+    found = results()
+    assert list(found.estimates) == ["residual", "drift", "old"]
+    assert not found.failures
+    assert found.estimates["drift"].segments == tuple(OPTIMAL)
+    assert [limit.verdict for limit in found.limits] == ["pass", "pass", "fail", "fail"]
+    assert not found.passed
+    guarded = found.limits[2]
+    assert guarded.value < guarded.upper < guarded.value + guarded.expanded_uncertainty
+    assert "guard band" in guarded.reason
+    assert 0.5 < guarded.probability < 0.975
+    assert found.limits[1].upper == pytest.approx(3.6)  # deg/s written, deg/h judged
+    assert found.limits[0].upper == 5.0  # exactly as written
+    assert found.limits[0].coverage_factor == pytest.approx(2.776, abs=1e-3)
+
+
+def test_one_failure_leaves_the_others() -> None:
+    estimates = ESTIMATES | {
+        "old": spec("flexure_gyro_static", ("X*",), FlexureGyroStaticParameters()),
+        "typo": spec("flexure_gyro_statics", ("P*",), FlexureGyroStaticParameters()),
+        "broken": spec("scale_factor", ("P*",), SimpleNamespace()),
+        "self": spec("compensation_residual", ("V*",), CompensationResidualParameters(), ("self", "drift")),
+    }
+    missing = [Limit(quantity="old.D_X_F", within="±1 deg/h"), Limit(quantity="drift.D_X_G", within="±1 deg/h")]
+    wrong = [Limit(quantity="drift.SF_X", within="±1 deg/h")]
+    found = analyse(estimates, [*missing, *wrong], recording(), SITE, sensor(*CHANNELS))
+    assert list(found.estimates) == ["drift"]
+    assert "no recorded segment has a label like X*" in found.failures["old"]
+    assert "uses 'old', which could not be made" in found.failures["residual"]
+    assert "flexure_gyro_statics" in found.failures["typo"]
+    assert "failed unexpectedly (AttributeError" in found.failures["broken"]
+    assert "uses 'self', which could not be made" in found.failures["self"]
+    assert "no result 'old'" in found.failures["limit on old.D_X_F"]
+    assert "has no coefficient 'D_X_G'" in found.failures["limit on drift.D_X_G"]
+    assert "write it in (deg/h)/(pulse/s)" in found.failures["limit on drift.SF_X"]
+
+
+def test_json_comes_back_bit_by_bit_and_fits_its_schema() -> None:
+    import jsonschema
+
+    found = results()
+    data = found.to_json()
+    text = json.dumps(data, allow_nan=False)
+    jsonschema.Draft202012Validator(SCHEMA).validate(json.loads(text))
+    again = Results.from_json(json.loads(text))
+    assert json.dumps(again.to_json(), allow_nan=False) == text
+    for name, estimate in found.estimates.items():
+        assert np.array_equal(again.estimates[name].covariance, estimate.covariance)
+        assert again.estimates[name].coefficients == estimate.coefficients
+        assert again.estimates[name].tables == estimate.tables
+        assert again.estimates[name].plots == estimate.plots
+    assert again.limits == found.limits
+    assert again.segments[0]["channels"]["torquer_x"]["mean"] == found.segments[0]["channels"]["torquer_x"]["mean"]
+
+
+def test_numbers_that_json_lacks() -> None:
+    odd = Estimate("odd", "x", (Coefficient("a", math.nan, "1", math.inf, math.inf),), np.array([[math.inf]]))
+    data = json.loads(json.dumps(Results({"odd": odd}).to_json(), allow_nan=False))
+    again = Results.from_json(data).estimates["odd"]
+    assert math.isnan(again["a"].value)
+    assert math.isinf(again["a"].standard_uncertainty)
+    assert math.isinf(again.covariance[0, 0])
+
+
+def test_schema_notices_what_is_missing() -> None:
+    import jsonschema
+
+    validator = jsonschema.Draft202012Validator(SCHEMA)
+    validator.check_schema(SCHEMA)
+    for key in ("planrunner_results", "estimates", "limits", "failures", "segments"):
+        data = results().to_json()
+        del data[key]
+        assert not validator.is_valid(data)
+    data = results().to_json()
+    data["estimates"][0]["coefficients"][0]["extra_key"] = 1
+    assert not validator.is_valid(data)
+
+
+def test_other_formats_are_refused() -> None:
+    with pytest.raises(InputError, match="no results of a format"):
+        Results.from_json({"planrunner_results": 99})
+    with pytest.raises(InputError, match="incomplete or changed"):
+        Results.from_json({"planrunner_results": 1, "estimates": [{}]})
+
+
+def test_same_recording_gives_the_same_bytes() -> None:
+    first, second = (json.dumps(results().to_json()) for _ in range(2))
+    assert first == second
+
+
+def test_prediction_from_the_schedule() -> None:
+    segments: list[Segment] = [recorded.segment for recorded in recording()]
+    designs, failures = predict(ESTIMATES, segments, SITE, sensor(*CHANNELS))
+    assert set(designs) == {"drift", "old", "residual"}
+    assert not failures
+    _, failures = predict(
+        {"lost": spec("flexure_gyro_static", ("X*",), FlexureGyroStaticParameters())}, segments, SITE, sensor(*CHANNELS)
+    )
+    assert "no segment has a label like X*" in failures["lost"]

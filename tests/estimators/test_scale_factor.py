@@ -1,0 +1,135 @@
+"""A straight line through rates: certified data, hand-worked metrics, units and uncertainties."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from recorded import from_means, segment, sensor
+
+from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.quantity import parse_quantity
+from planrunner.plan.schedule import Rock, Spin
+
+SITE = Site(math.radians(40.0))
+DEG = math.pi / 180
+
+# NIST StRD "Norris": reference and instrument readings; certified line and standard deviations.
+NORRIS = """0.2 0.1 337.4 338.8 118.2 118.1 884.6 888.0 10.1 9.2 226.5 228.1 666.3 668.5 996.3 998.5 448.6 449.1 777.0 778.9
+558.2 559.2 0.4 0.3 0.6 0.1 775.5 778.1 666.9 668.8 338.0 339.3 447.5 448.9 11.6 10.8 556.0 557.7 228.1 228.3 995.8 998.0 887.6 888.8
+120.2 119.6 0.3 0.3 0.3 0.6 556.8 557.6 339.1 339.3 887.2 888.0 999.0 998.5 779.0 778.9 11.1 10.2 118.3 117.6 229.2 228.9 669.1 668.4
+448.9 449.2 0.5 0.2"""
+
+
+def line(rates: np.ndarray, outputs: np.ndarray, unit: str = "deg/s", error: object = 0.01, **keys: object) -> Estimate:
+    errors = np.broadcast_to(np.asarray(error, dtype=float), rates.shape)
+    recorded = tuple(
+        from_means(segment(f"R{n}", motion=Spin(rate * DEG)), {"gyro": value}, unit, [own])
+        for n, (rate, value, own) in enumerate(zip(rates, outputs, errors, strict=True))
+    )
+    parameters = ScaleFactorParameters(outputs=("gyro",), **keys)  # type: ignore[arg-type]
+    return ScaleFactor().estimate(EstimateRequest("scale", recorded, parameters, SITE, sensor("gyro", unit=unit)))
+
+
+def test_certified_line() -> None:
+    data = np.array([float(cell) for cell in NORRIS.split()]).reshape(-1, 2)
+    found = line(data[:, 1], data[:, 0], "pulse/s")
+    swapped = line(data[:, 0], data[:, 1], "pulse/s")
+    certified = (1.00211681802045, 0.429796848199937e-03, -0.262323073774029, 0.232818234301152)
+    best = next(one for one in (found, swapped) if one["K_gyro"].value == pytest.approx(certified[0], rel=1e-9))
+    assert best["K_gyro"].standard_uncertainty == pytest.approx(certified[1], rel=1e-8)
+    assert best["F0_gyro"].value == pytest.approx(certified[2], rel=1e-8)
+    assert best["F0_gyro"].standard_uncertainty == pytest.approx(certified[3], rel=1e-8)
+    assert best["K_gyro"].unit == "(pulse/s)/(deg/s)"
+    assert best["K_gyro"].degrees_of_freedom == 34
+
+
+def test_metrics_by_hand() -> None:
+    """F = 2 + ω·(3 + d) for ω > 0 and 2 + ω·(3 − d) for ω < 0, at ±1, ±2 and 0: asymmetry 2·2d/6."""
+    d = 0.003
+    rates = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+    found = line(rates, 2 + 3 * rates + d * np.abs(rates))
+    assert found["asymmetry_gyro"].value == pytest.approx(4e6 * d / 6, rel=1e-9)
+    assert found["K_gyro"].value == pytest.approx(3.0)
+    assert found["F0_gyro"].value == pytest.approx(2 + d * 6 / 5)
+    # Residuals d·(|ω| − 1.2): the largest is 1.2·d at rest; the largest output is 2 + 6 + 2·d.
+    assert found["nonlinearity_gyro"].value == pytest.approx(1e6 * 1.2 * d / (8 + 2 * d), rel=1e-9)
+
+
+def test_rates_of_one_sign_have_no_asymmetry() -> None:
+    found = line(np.array([1.0, 2.0, 3.0]), np.array([1.1, 2.0, 3.1]))
+    assert "asymmetry_gyro" not in [item.name for item in found.coefficients]
+    assert any("one sign" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("deg/s", 1.0), ("rad/s", 180 / math.pi), ("deg/h", 1 / 3600)])
+def test_an_output_that_is_a_rate_gives_a_plain_ratio(unit: str, factor: float) -> None:
+    rates = np.array([-10.0, 0.0, 10.0, 20.0])
+    found = line(rates, 1.003 * rates / factor + 0.5, unit)
+    assert found["K_gyro"].value == pytest.approx(1.003, rel=1e-12)
+    assert found["K_gyro"].unit == "1"
+    assert found["F0_gyro"].unit == unit
+
+
+def test_within_segment_uncertainty_by_hand() -> None:
+    """Equal noise s at ω = −1, 0, 1: u(K) = s/√2, u(F0) = s/√3."""
+    found = line(np.array([-1.0, 0, 1]), np.array([-1.0, 0, 1.0]), error=0.02, uncertainty="within_segment")
+    assert found["K_gyro"].standard_uncertainty == pytest.approx(0.02 / math.sqrt(2))
+    assert found["F0_gyro"].standard_uncertainty == pytest.approx(0.02 / math.sqrt(3))
+    assert found["K_gyro"].degrees_of_freedom == pytest.approx(3 * 31)
+
+
+def test_uncertainty_of_the_rate_is_common_to_all() -> None:
+    relative = parse_quantity("100 ppm")
+    rates = np.array([-1.0, 0, 1])
+    keys = {"error": 0.02, "uncertainty": "within_segment"}
+    plain, added = line(rates, 500 * rates, **keys), line(rates, 500 * rates, rate_uncertainty=relative, **keys)
+    expected = math.hypot(plain["K_gyro"].standard_uncertainty, 500 * 1e-4)
+    assert added["K_gyro"].standard_uncertainty == pytest.approx(expected, rel=1e-9)
+    assert added["K_gyro"].degrees_of_freedom > plain["K_gyro"].degrees_of_freedom
+
+
+def test_part_between_segments_makes_chi_square_one() -> None:
+    """Unequal noise that does not explain the scatter: the weights level out, and the quietest segment does not draw the line to itself."""
+    rng = np.random.default_rng(0)
+    rates = np.linspace(-100, 100, 21)
+    outputs = rates + rng.normal(0, 1.0, 21)
+    errors = np.full(21, 0.1)
+    errors[-1] = 0.0001
+    found, equal = line(rates, outputs, error=errors), line(rates, outputs, error=errors, weights="equal")
+    assert found["K_gyro"].value == pytest.approx(equal["K_gyro"].value, abs=0.1 * equal["K_gyro"].standard_uncertainty)
+    assert found["K_gyro"].standard_uncertainty == pytest.approx(equal["K_gyro"].standard_uncertainty, rel=0.05)
+    assert any("added between segments" in note for note in found.notes)
+
+
+def test_refusals() -> None:
+    with pytest.raises(EstimationError, match="same rate"):
+        line(np.array([5.0, 5.0, 5.0]), np.array([1.0, 2, 3]))
+    with pytest.raises(EstimationError, match="no unit of angular rate"):
+        line(np.array([1.0, 2, 3]), np.array([1.0, 2, 3]), rate_unit="m/s^2")
+    rocking = from_means(segment("K", motion=Rock(0.1, 1.0, (0.0,), 5.0)), {"gyro": 1.0}, "deg/s", [0.1])
+    request = EstimateRequest("s", (rocking,), ScaleFactorParameters(outputs=("gyro",)), SITE, sensor("gyro"))
+    with pytest.raises(EstimationError, match="'K' has no constant rate"):
+        ScaleFactor().estimate(request)
+
+
+def test_design_is_sound_only_with_two_rates() -> None:
+    from planrunner.design.identifiability import identify
+
+    outputs = (OutputModel("gyro", "deg/s", noise=NoiseModel(0.1)),)
+    model = SensorModel("gyro", outputs, 100.0, {"K_gyro": 1.0})
+
+    def designed(rates: list[float]) -> object:
+        planned = tuple(segment(f"R{n}", motion=Spin(rate * DEG)) for n, rate in enumerate(rates))
+        return ScaleFactor().design(DesignRequest("s", planned, ScaleFactorParameters(), SITE, model))
+
+    (sound,) = identify(designed([-100, 0, 100]))  # type: ignore[arg-type]
+    assert sound.sound
+    (poor,) = identify(designed([100, 100]))  # type: ignore[arg-type]
+    assert poor.unidentifiable == ("offset", "rate")
+    predicted = designed([-100, 0, 100]).predicted[0]  # type: ignore[attr-defined]
+    assert predicted.standard_uncertainty == pytest.approx(0.1 / math.sqrt(120) / (100 * math.sqrt(2)), rel=1e-9)
