@@ -229,6 +229,7 @@ class _Execution:
             "temperature": reaching.temperature,
             "attitude": None if attitude is None else attitude.tolist(),
             "soak_again": reaching.soak_again,
+            "moving_perhaps": reaching.moving_perhaps,
         }
         return {"executor": executor, "instruments": {name: item.checkpoint() for name, item in self.resumable.items()}}
 
@@ -246,17 +247,21 @@ class _Execution:
         self.doing = "going back to where the run broke off"
         self.clock.set(point.clock)  # type: ignore[attr-defined]
         self.reaching.forget()
+        # What is simulated is as it was, to the second: as new, when nothing was acknowledged.
+        simulated_table = isinstance(self.bench.table, Resumable)
         simulated_chamber = isinstance(self.bench.chamber, Resumable)
-        if simulated_chamber:  # as it was, to the second; as new, when nothing was acknowledged
-            self.reaching.soak_again = False
+        self.reaching.moving_perhaps = not simulated_table
+        self.reaching.soak_again = not simulated_chamber
         if not point.states:
             return
         executor, instruments = point.states["executor"], point.states["instruments"]
         for name, item in self.resumable.items():
             if name in instruments:
                 item.restore(instruments[name])
-        if isinstance(self.bench.table, Resumable) and executor["attitude"] is not None:
-            self.reaching.attitude = np.array(executor["attitude"], dtype=np.float64)
+        if simulated_table:
+            attitude = executor["attitude"]
+            self.reaching.attitude = None if attitude is None else np.array(attitude, dtype=np.float64)
+            self.reaching.moving_perhaps = executor["moving_perhaps"]
         if simulated_chamber:
             self.reaching.temperature, self.reaching.soak_again = executor["temperature"], executor["soak_again"]
 

@@ -49,10 +49,13 @@ class Reaching:
         self.attitude: Array | None = None
         self.soak_again = False
         """After a break nobody knows how long the sensor has been at its temperature."""
+        self.moving_perhaps = False
+        """After a break nobody knows whether the table stands still."""
 
     def forget(self) -> None:
         """What was commanded no longer holds: the bench was made safe."""
-        self.temperature, self.attitude, self.soak_again = None, None, True
+        self.temperature, self.attitude = None, None
+        self.soak_again = self.moving_perhaps = True
 
     def reach(self, segment: Segment) -> None:
         """Bring the bench to the segment's state, settled. Raises `InstrumentError` and `StoppedAtOnceError`."""
@@ -73,8 +76,10 @@ class Reaching:
 
     def come_to_rest(self, segment: Segment) -> None:
         """End the segment's motion."""
-        if isinstance(segment.motion, Rest) or self._table is None:
-            return
+        if not isinstance(segment.motion, Rest) and self._table is not None:
+            self._stop_table()
+
+    def _stop_table(self) -> None:
         self._say("coming to rest")
         self._wait(
             self._table.end_motion(), self._holds_orientation, "the table does not come to rest", self._patience.table
@@ -121,6 +126,7 @@ class Reaching:
             return
         if not self._can_orient:
             raise InstrumentError("the table's driver cannot take an orientation: use another driver")
+        self._stand_still()
         self._say("moving the table")
         self.attitude = None
         expected = self._table.orient(attitude)
@@ -134,11 +140,17 @@ class Reaching:
             raise InstrumentError(
                 f"the table's driver cannot carry out the motion of '{segment.label}': use another driver"
             )
+        self._stand_still()
         self._say("starting the motion")
         self.attitude = None
         expected = self._table.begin_motion(segment.motion, seconds)
         what = f"the motion of '{segment.label}' does not become steady"
         self._wait(expected, self._holds_orientation, what, self._patience.table)
+
+    def _stand_still(self) -> None:
+        if self.moving_perhaps and self._can_move:
+            self._stop_table()
+        self.moving_perhaps = False
 
     def _holds_orientation(self) -> bool:
         return bool(self._table.holding()) if self._can_orient else True
