@@ -67,11 +67,8 @@ def record(samples: int) -> None:
         read = time.perf_counter()
         stored = sum(path.stat().st_size for path in (writer.path / "segments").iterdir())
     assert long.statistics.count == samples
-    scale = 1e6 if sys.platform == "darwin" else 1e3
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale
-    print(
-        json.dumps({"peak": peak, "record": recorded - began, "statistics": read - recorded, "times": taken / stored})
-    )
+    seconds = {"record": recorded - began, "statistics": read - recorded}
+    print(json.dumps({"peak": peak_memory(), **seconds, "times": taken / stored}))
 
 
 def run() -> dict[str, object]:
