@@ -31,7 +31,9 @@ def names(group: str) -> tuple[str, ...]:
 def load(group: str, name: str) -> Any:
     """The plug-in itself. Raises `InputError` when it is unknown or cannot be imported."""
     if name not in _table(group):
-        raise InputError.at(Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group)))
+        raise InputError.at(
+            Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group))
+        )
     try:
         return _table(group)[name].load()
     except Exception as error:

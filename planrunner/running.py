@@ -70,8 +70,8 @@ def resume(
     progress: ProgressCallback | None = None,
 ) -> Outcome:
     """Go on with a run that was cut short, from its own plan and bench."""
-    sound = sound_run(run)
     seed = RunReader.open(run).run["seed"]
+    sound = sound_run(run)
     with open_bench(sound.bench, data_root=data_root, seed=seed) as bench, RunWriter.reopen(run) as writer:
         return execute(sound.schedule, bench, writer, stop=stop, progress=progress, start_at=writer.next_segment)
 

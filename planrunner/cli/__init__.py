@@ -76,7 +76,13 @@ def _run(arguments: list[str]) -> int:
 
 def _explain(error: Exception) -> int:
     """Known kinds of failure as a message; anything else as an internal error with a file for whoever mends it."""
-    known = {"IntegrityError": INTEGRITY, "InstrumentError": FAULT, "EstimationError": WRONG_INPUT}
+    known = {
+        "IntegrityError": INTEGRITY,
+        "InstrumentError": FAULT,
+        "EstimationError": WRONG_INPUT,
+        "ReportError": WRONG_INPUT,
+        "ExportError": WRONG_INPUT,
+    }
     for kind in type(error).__mro__:
         if kind.__name__ in known:
             print(f"error: {error}", file=sys.stderr)

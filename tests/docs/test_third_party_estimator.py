@@ -20,10 +20,21 @@ def test_the_docs_show_the_code_that_is_tested() -> None:
 
 def test_installed_from_its_folder_it_works_in_a_plan(tmp_path: Path) -> None:
     site = tmp_path / "site"
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--disable-pip-version-check",
+    ]
     subprocess.run([*pip, "--target", str(site), str(EXAMPLE)], check=True, capture_output=True)
     plan = (ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")
-    plan = plan.replace("estimates:\n", "estimates:\n  level: {estimator: median_output, segments: P1, output: torquer_x}\n")
+    plan = plan.replace(
+        "estimates:\n", "estimates:\n  level: {estimator: median_output, segments: P1, output: torquer_x}\n"
+    )
     own = tmp_path / "plan.yaml"
     own.write_text(plan, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(site)}

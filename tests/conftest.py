@@ -1,0 +1,37 @@
+"""What all tests share: where real recordings lie, and a small plan to run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
+
+
+@pytest.fixture(scope="session")
+def data_root() -> Path:
+    """The folder of real recordings; the test is skipped where there is none."""
+    folder = Path(os.environ.get("PLANRUNNER_DATA", ROOT.parent / "shared" / "data"))
+    if not (folder / "rimu_jig").is_dir():
+        pytest.skip(f"no recordings beneath {folder}; set PLANRUNNER_DATA")
+    return folder
+
+
+@pytest.fixture
+def plan_file(tmp_path: Path) -> Callable[..., Path]:
+    """The flagship plan with texts replaced, as a file of its own."""
+
+    def write(*replacements: tuple[str, str], name: str = "plan.yaml") -> Path:
+        text = FLAGSHIP.read_text(encoding="utf-8")
+        for old, new in replacements:
+            assert old in text, f"the flagship plan has no {old!r}"
+            text = text.replace(old, new)
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
