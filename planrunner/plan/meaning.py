@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from planrunner.plan.expand import StatedSegment
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import EstimateSpec, Limit, Plan
-from planrunner.plan.quantity import QuantityError, parse_symmetric
 from planrunner.plan.selection import Detection, Labels
 
 
@@ -120,20 +119,3 @@ def _check_limit(limit: Limit, names: list[str], log: Findings) -> None:
         elif limit.at_least.value >= limit.at_most.value:
             message = f"at_least ({limit.at_least}) is not below at_most ({limit.at_most}): nothing could pass"
             log.error("meaning-limit", limit.at("at_least"), message, "exchange them")
-
-
-def _check_within(limit: Limit, within: str, log: Findings) -> None:
-    at = limit.at("within")
-    if limit.at_least is not None or limit.at_most is not None:
-        log.error(
-            "meaning-limit", at, "within stands alone", "use at_least and at_most for a limit that is not symmetric"
-        )
-    try:
-        bound = parse_symmetric(within)
-    except QuantityError as error:
-        log.error(error.code, at, str(error), error.hint)
-    else:
-        if bound is not None and bound.value - bound.unit.offset <= 0:
-            log.error(
-                "meaning-range", at, f"'{within}' lets nothing pass: the bound must be positive", "change the number"
-            )

@@ -28,7 +28,7 @@ from planrunner.plan.kinds import (
     key,
 )
 from planrunner.plan.orientation import Orientation, OrientationKind
-from planrunner.plan.quantity import SYMMETRIC, Quantity
+from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, parse_symmetric
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.sweep import ForEachKind, Sweep
 
@@ -258,6 +258,32 @@ class EstimateSpec(Record):
     parameters: Any = field(default=None)
 
 
+class SymmetricKind:
+    """A bound on both sides of zero, `±0.5 deg/h`, kept as it is written."""
+
+    _form = Text(SYMMETRIC, "a limit such as ±0.5 deg/h", "write ± and one quantity, or use at_least and at_most")
+
+    def read(self, node: source.Node, log: Findings) -> str | None:
+        text = self._form.read(node, log)
+        try:
+            bound = parse_symmetric(text) if text is not None else None
+        except QuantityError as error:
+            log.error(error.code, node.mark, str(error), error.hint)
+            return None
+        if bound is not None and bound.value - bound.unit.offset <= 0:
+            log.error(
+                "meaning-range",
+                node.mark,
+                f"'{text}' lets nothing pass: the bound must be positive",
+                "change the number",
+            )
+            return None
+        return text
+
+    def schema(self) -> Schema:
+        return self._form.schema()
+
+
 class Limit(Record):
     """A requirement on one quantity; its verdict decides the exit code."""
 
@@ -270,12 +296,7 @@ class Limit(Record):
         "Which coefficient of which estimate.",
         "drift.D_X_F",
     )
-    within: str | None = key(
-        Text(SYMMETRIC, "a limit such as ±0.5 deg/h", "write ± and one quantity, or use at_least and at_most"),
-        "Symmetric about zero.",
-        "±0.5 deg/h",
-        None,
-    )
+    within: str | None = key(SymmetricKind(), "Symmetric about zero.", "±0.5 deg/h", None)
     at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, None)
     at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, None)
     rule: str = key(

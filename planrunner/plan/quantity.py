@@ -19,7 +19,8 @@ from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, 
 # One grammar for the reader and for the JSON Schema. No-break and thin spaces come with text copied from documents.
 _SPACE = "[ \\t\\r\\n\\u00a0\\u2009\\u202f]*"
 _NUMBER = r"[-+−]?(?:[0-9]{1,30}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][-+−]?[0-9]{1,9})?"
-_UNIT = r"(?:1(?![0-9.,])|[A-Za-zµμ°′″%√(])[A-Za-z0-9_µμ°′″%√²³^*/·⋅() \u00a0\u2009\u202f-]{0,80}"
+# A digit or an exponent at the end of a number is not the beginning of a unit.
+_UNIT = r"(?:(?<![0-9.])1(?![0-9.,])|(?![eE][-+−]?[0-9])[A-Za-zµμ°′″%√(])[A-Za-z0-9_µμ°′″%√²³^*/·⋅() \u00a0\u2009\u202f-]{0,80}"
 _SIGN = r"(?:±|\+/-|\+-)"
 _VALUE = rf"{_NUMBER}{_SPACE}(?:{_UNIT}{_SPACE})?"
 PLAIN = rf"{_SPACE}{_NUMBER}{_SPACE}{_UNIT}{_SPACE}"
@@ -130,10 +131,11 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
     signed = _SIGNED.fullmatch(pieces[-1])
     last = _PARTS.fullmatch(signed[2] if signed else pieces[-1])
     shared = (last[2] or last[4] or "") if last else ""
+    ending = parse_signed(pieces[-1], dimension)
     values: list[Quantity] = []
-    for piece in pieces:
+    for piece in pieces[:-1]:
         values.extend(parse_signed(f"{piece} {shared}" if _UNITLESS.fullmatch(piece) else piece, dimension))
-    return values
+    return values + ending
 
 
 def parse_signed(text: str, dimension: str | None) -> list[Quantity]:

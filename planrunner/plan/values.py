@@ -285,7 +285,10 @@ class MapOf:
 
 @dataclass(frozen=True, slots=True)
 class ByShape:
-    """One kind for a scalar, another for a mapping, another for a list; whichever is absent is refused."""
+    """One kind for a scalar, another for a mapping, another for a list; whichever is absent is refused.
+
+    A mapping with the key `value` is a quantity where a scalar would be one.
+    """
 
     scalar: Kind | None = None
     mapping: Kind | None = None
@@ -295,6 +298,8 @@ class ByShape:
     def read(self, node: source.Node, log: Findings) -> Any:
         by_type = {source.Scalar: self.scalar, source.Mapping: self.mapping, source.Sequence: self.sequence}
         kind = by_type[type(node)]
+        if isinstance(self.scalar, QuantityOf) and isinstance(node, source.Mapping) and node.get("value") is not None:
+            kind = self.scalar
         if kind is None:
             log.error("form-type", node.mark, f"{self.what} is expected here", "see the example in docs/plan-keys.md")
             return None

@@ -1,0 +1,66 @@
+"""No file, however mangled, may end in anything but findings, or take long, or much memory."""
+
+from __future__ import annotations
+
+import random
+import time
+from pathlib import Path
+
+import pytest
+
+from planrunner.checking import check_plan
+
+from .mutation import METHOD_PLANS, SHIPPED_PLANS, as_yaml, examples, mutate, mutate_bytes
+
+resource = pytest.importorskip("resource")  # POSIX only
+
+PLANS = (*SHIPPED_PLANS, *METHOD_PLANS)
+SECONDS = 1.0
+MEGABYTES = 200
+
+
+def check(path: Path) -> None:
+    """What is under test. Findings are its only way to say no."""
+    checked = check_plan(path)
+    for finding in checked.findings:
+        assert finding.message
+        assert finding.mark.line >= 1
+        assert finding.mark.column >= 1
+        assert "Traceback" not in finding.message
+
+
+def peak() -> float:
+    """Largest resident memory of this process so far, MB."""
+    usage: float = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return usage
+
+
+def run(path: Path, cases: range) -> None:
+    donors = examples()
+    sources = [plan.read_bytes() for plan in PLANS]
+    for plan in PLANS:
+        check(plan)  # what is imported on first use is no matter of the file
+    before = peak()
+    for seed in cases:
+        draw = random.Random(seed)
+        if seed % 2:
+            text = as_yaml(mutate(draw.choice(donors), draw, donors, draw.choice((1, 1, 2, 4)))).encode()
+        else:
+            text = mutate_bytes(draw.choice(sources), draw, draw.choice((1, 1, 2, 8)))
+        path.write_bytes(text)
+        start = time.process_time()
+        try:
+            check(path)
+        except Exception as error:
+            raise AssertionError(f"case {seed}: {type(error).__name__}: {error}") from error
+        assert time.process_time() - start < SECONDS, f"case {seed} takes too long"
+    assert peak() - before < MEGABYTES
+
+
+def test_mangled_plans_give_findings_and_nothing_else(tmp_path: Path) -> None:
+    run(tmp_path / "plan.yaml", range(400))
+
+
+@pytest.mark.slow
+def test_mangled_plans_at_length(tmp_path: Path) -> None:
+    run(tmp_path / "plan.yaml", range(1_000_000, 1_024_000))
