@@ -206,10 +206,12 @@ def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
 def _report(name: str, judged: Identifiability, mark: Mark, log: Findings) -> None:
     if not judged.sound:
         terms = ", ".join(judged.unidentifiable)
-        message = f"'{name}' cannot identify {terms} on the planned segments (rank {judged.rank} of {judged.columns}, output {judged.output}): {judged.explanation}"
+        where = f"rank {judged.rank} of {judged.columns}, output {judged.output}"
+        message = f"'{name}' cannot identify {terms} on the planned segments ({where}): {judged.explanation}"
         log.error("physics-rank", mark, message, "add segments that tell these terms apart, or leave the terms out")
     elif judged.condition > ILL_CONDITIONED:
-        message = f"'{name}' is ill-conditioned on the planned segments (condition {judged.condition:.3g}, output {judged.output}): {judged.explanation}"
+        where = f"condition {judged.condition:.3g}, output {judged.output}"
+        message = f"'{name}' is ill-conditioned on the planned segments ({where}): {judged.explanation}"
         add = log.error if judged.condition > HOPELESS else log.warning
         add("physics-condition", mark, message, "spread the segments' states further")
 

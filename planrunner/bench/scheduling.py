@@ -66,6 +66,7 @@ class _Planner:
         self.temperature: float | None = models.chamber.ambient if models.chamber else None
         axes = models.table.axes if models.table else ()
         self.joints: Array = np.zeros(len(axes))
+        self._soaked: float | None = None
         self._stopping = 0.0
         self._reached: dict[Any, Array] = {}
         self._complained: set[tuple[Any, ...]] = set()
@@ -81,7 +82,8 @@ class _Planner:
             return None
         mark_of = marks.get
         transition = self._change_temperature(kelvin, mark_of("temperature") or item.mark)
-        soak = _seconds(state, "soak") if transition > 0 else 0.0
+        soak = _seconds(state, "soak") if kelvin is not None and kelvin != self._soaked else 0.0
+        self._soaked = kelvin if kelvin is not None else self._soaked
         transition += self._move(orientation, mark_of("orientation") or item.mark)
         transition += self._start(motion, dwell, orientation, marks, item.mark)
         if ramp_to is not None:
@@ -91,7 +93,8 @@ class _Planner:
         settle = _seconds(state, "settle")
         start = self.time + transition + soak + settle
         self.time = start + (dwell or 0.0)
-        self.temperature = ramp_to if ramp_to is not None else self.temperature
+        if ramp_to is not None:
+            self.temperature, self._soaked = ramp_to, None
         rate = state.get("sample_rate")
         return Segment(
             index=index,
@@ -116,7 +119,7 @@ class _Planner:
         chamber = self.models.chamber
         if chamber is None or self.temperature is None:
             return 0.0
-        return abs(self.temperature - chamber.ambient) / chamber.ramp
+        return chamber.seconds_to_change(self.temperature - chamber.ambient)
 
     # -- what a segment states -----------------------------------------------------------------------------------
 
@@ -174,9 +177,9 @@ class _Planner:
             return 0.0
         chamber = self.models.chamber
         assert chamber is not None
-        change = abs(kelvin - (self.temperature if self.temperature is not None else chamber.ambient))
+        change = kelvin - (self.temperature if self.temperature is not None else chamber.ambient)
         self.temperature = kelvin
-        return change / chamber.ramp if change > 1e-9 else 0.0
+        return chamber.seconds_to_change(change)
 
     def _check_temperature(self, kelvin: float, mark: Mark) -> bool:
         chamber = self.models.chamber

@@ -25,12 +25,30 @@ class TableModel:
 
 @dataclass(frozen=True, slots=True)
 class ChamberModel:
-    """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, where it is left."""
+    """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, where it is left.
+
+    lag: time constant [s] with which the air follows the ramp; tolerance: K, within which a temperature counts as reached.
+    """
 
     lowest: float
     highest: float
     ramp: float
     ambient: float = 298.15
+    lag: float = 0.0
+    tolerance: float = 0.5
+
+    def seconds_to_change(self, kelvin: float) -> float:
+        """Time until the air is within tolerance of a setpoint `kelvin` away.
+
+        A first-order lag τ behind a ramp r that lasts t is r·τ·(1 − e^(−t/τ)) behind when the ramp ends, and decays with τ from there.
+        """
+        if abs(kelvin) <= self.tolerance:
+            return 0.0
+        ramping = abs(kelvin) / self.ramp
+        if self.lag == 0.0:
+            return ramping
+        behind = self.ramp * self.lag * -math.expm1(-ramping / self.lag)
+        return ramping + self.lag * max(0.0, math.log(behind / self.tolerance))
 
 
 @dataclass(frozen=True, slots=True)

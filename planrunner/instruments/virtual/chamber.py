@@ -60,7 +60,9 @@ class VirtualChamber:
     @classmethod
     def model(cls, parameters: VirtualChamberParameters) -> ChamberModel:
         p = parameters
-        return ChamberModel(p.lowest.value, p.highest.value, p.ramp.value, p.ambient.value)
+        return ChamberModel(
+            p.lowest.value, p.highest.value, p.ramp.value, p.ambient.value, p.lag.value, p.tolerance.value
+        )
 
     @classmethod
     def connect(cls, parameters: VirtualChamberParameters, surroundings: Surroundings) -> VirtualChamber:
