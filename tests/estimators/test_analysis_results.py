@@ -54,7 +54,7 @@ def limits() -> list[Limit]:
     return [
         Limit(quantity="drift.D_X_F", within="±5 deg/h", rule="guarded"),
         Limit(quantity="drift.D_X_F", within="±0.001 deg/s", rule="simple"),
-        Limit(quantity="drift.D_X_F", at_most=parse_quantity("1.2012 deg/h"), rule="guarded"),
+        Limit(quantity="drift.D_X_F", at_most=parse_quantity("1.2 deg/h"), rule="guarded"),
         Limit(quantity="drift.D_Y_X", at_least=parse_quantity("3 deg/h/g"), rule="simple"),
     ]
 
