@@ -100,9 +100,9 @@ def test_magnitude_covariance_against_simulated_experiments() -> None:
     directions = np.array([matrix[:, 2] for matrix in attitudes(22, 4)])
     clean = BIAS + directions * 9.80
     sigma = 0.002
-    draws = np.array([fit_magnitude(clean + rng.normal(0, sigma, clean.shape), 9.80).values for _ in range(3000)])
+    draws = np.array([fit_magnitude(clean + rng.normal(0, sigma, clean.shape), 9.80).values for _ in range(1200)])
     expected = np.sqrt(np.diag(fit_magnitude(clean, 9.80).cofactor)) * sigma
-    assert draws.std(axis=0) == pytest.approx(expected, rel=0.06)
+    assert draws.std(axis=0) == pytest.approx(expected, rel=0.09)
 
 
 def test_magnitude_refuses_what_it_cannot_tell() -> None:
