@@ -46,6 +46,11 @@ class Noise:
     weighting: str
     degrees_of_freedom: float
 
+    @property
+    def unequal(self) -> bool:
+        """Whether the weights differ by more than the jitter of recorded times."""
+        return bool(self.sigma.max() > 1.05 * self.sigma.min())
+
 
 def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor: SensorModel) -> Observations:
     """The observations of some channels. Raises `EstimationError` for a channel that is missing, changes its unit, or has no samples."""

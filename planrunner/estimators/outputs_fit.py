@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.estimators.observations import Noise, Observations, within_segment_noise
+from planrunner.estimators.observations import SIGNIFICANCE, Noise, Observations, within_segment_noise
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def fit_outputs(
             typical = float(np.sqrt(np.mean(noise.sigma**2)))
             sigma[k] = typical
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
-        elif basis == "residual" and noise.known and np.ptp(noise.sigma) > 0 and found.variance_factor > 1:
+        elif basis == "residual" and noise.unequal and exceeds_noise(found, noise):
             between[k] = between_segments(matrix, observed, noise.sigma, magnitudes, names)
             sigma[k] = np.hypot(noise.sigma, between[k])
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
@@ -135,6 +135,15 @@ def fit_outputs(
     return OutputsFit(
         observations.channels, tuple(fits), noises, sigma, between, ratios, cofactors, observations.correlation, pooled
     )
+
+
+def exceeds_noise(found: LinearFit, noise: Noise) -> bool:
+    """Whether the residuals are larger than the noise within the segments explains (F-test)."""
+    from scipy.special import fdtrc
+
+    if not (found.degrees_of_freedom and noise.known):
+        return False
+    return bool(fdtrc(found.degrees_of_freedom, noise.degrees_of_freedom, found.variance_factor) < SIGNIFICANCE)
 
 
 def between_segments(matrix: Array, observed: Array, sigma: Array, magnitudes: Array, names: Sequence[str]) -> float:
