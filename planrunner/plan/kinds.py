@@ -47,6 +47,7 @@ __all__ = [
     "Schema",
     "Text",
     "WordOr",
+    "inline",
     "is_required",
     "key",
     "keys_of",
@@ -139,17 +140,21 @@ def read_keys(
     present = {name.text for name, _ in node.entries}
     for name_, item_ in fields.items():
         if is_required(item_) and name_ not in present:
-            hint = f"add for example `{name_}: {_inline(item_.metadata['example'])}`"
+            hint = f"add for example `{name_}: {inline(item_.metadata['example'])}`"
             log.error("form-missing-key", node.mark, f"the key '{name_}' is missing", hint)
     return values
 
 
-def _inline(example: Any) -> str:
+def inline(example: Any) -> str:
+    """An example as one would write it in a plan, on one line."""
     if isinstance(example, Mapping):
-        return "{" + ", ".join(f"{name}: {_inline(value)}" for name, value in example.items()) + "}"
+        return "{" + ", ".join(f"{name}: {inline(value)}" for name, value in example.items()) + "}"
     if isinstance(example, list | tuple):
-        return "[" + ", ".join(map(_inline, example)) + "]"
-    return str(example)
+        return "[" + ", ".join(map(inline, example)) + "]"
+    if isinstance(example, bool):
+        return str(example).lower()
+    text = str(example)
+    return f'"{text}"' if isinstance(example, str) and (", " in text or text[:1] in "*&!%@`#") else text
 
 
 def origin_of(node: source.Mapping) -> Origin:

@@ -103,15 +103,17 @@ def _check_limit(limit: Limit, names: list[str], log: Findings) -> None:
     if estimate not in names:
         at = limit.at("quantity")
         log.error("meaning-unknown-estimate", at, f"'{estimate}' is no estimate of this plan", closest(estimate, names))
-    if limit.within is None and limit.at_least is None and limit.at_most is None:
+    given = [name for name in ("within", "at_least", "at_most") if name in limit.origin.keys]
+    if not given:
         log.error(
             "meaning-limit",
             limit.origin.mark,
             "a limit needs within, at_least or at_most",
             "add for example within: ±0.5 deg/h",
         )
-    if limit.within is not None:
-        _check_within(limit, limit.within, log)
+    if "within" in given and len(given) > 1:
+        hint = "use at_least and at_most for a limit that is not symmetric"
+        log.error("meaning-limit", limit.at("within"), f"'within' cannot stand beside '{given[1]}'", hint)
     if limit.at_least is not None and limit.at_most is not None:
         if limit.at_least.unit.dimension != limit.at_most.unit.dimension:
             message = f"at_least is in {limit.at_least.unit.text}, at_most in {limit.at_most.unit.text}: these are of different dimensions"

@@ -235,7 +235,7 @@ def _example(dimension: str | None) -> str:
     return f"write for example '{EXAMPLES.get(dimension or '', '300 deg/s')}'"
 
 
-_RICH_KEYS = {
+RICH_KEYS = {
     "value": ("The value with its unit.", "54.7356 deg"),
     "standard_uncertainty": ("Standard uncertainty of the value.", "20 arcsec"),
     "half_width": (
@@ -253,8 +253,8 @@ _RICH_KEYS = {
 def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity | None:
     before = len(log.errors)
     for key, _ in node.entries:
-        if key.text not in _RICH_KEYS:
-            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, _RICH_KEYS))
+        if key.text not in RICH_KEYS:
+            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, RICH_KEYS))
     value_node = node.get("value")
     value = read_scalar(value_node, dimension, log) if value_node is not None else None
     if value_node is None:
@@ -347,7 +347,7 @@ def schema(dimension: str | None) -> dict[str, object]:
             "examples": [_rich_example(name, example, dimension)],
             **kinds.get(name, text),
         }
-        for name, (description, example) in _RICH_KEYS.items()
+        for name, (description, example) in RICH_KEYS.items()
     }
     return {
         "anyOf": [

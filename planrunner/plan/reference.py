@@ -1,0 +1,179 @@
+"""The reference of all keys, `docs/plan-keys.md`, written from the same records that read plans.
+
+`python -m planrunner.plan.reference docs` writes it; a test holds the file equal to what the records say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from planrunner import plugins
+from planrunner.plan import model, selection
+from planrunner.plan.kinds import (
+    Boolean,
+    ByShape,
+    Choice,
+    ListOf,
+    MapOf,
+    Number,
+    Plugged,
+    QuantityOf,
+    RecordOf,
+    Text,
+    WordOr,
+    inline,
+    is_required,
+    keys_of,
+)
+from planrunner.plan.orientation import OrientationKind
+from planrunner.plan.quantity import RICH_KEYS
+from planrunner.plan.sweep import SWEPT, ForEachKind
+
+_HEAD = """\
+# Every key of a plan
+
+Written from the records that read plans (`python -m planrunner.plan.reference docs`); do not edit. What the keys are for, with whole
+examples, is told in [plan-language.md](plan-language.md). A key in **bold** must be given.
+"""
+
+_SECTIONS: tuple[tuple[str, str, Any], ...] = (
+    ("A plan", "The top of the file.", model.Plan),
+    ("`sensor`", "", model.Sensor),
+    ("`mounting`: each axis", "", model.MountedAxis),
+    ("A state", "What `defaults` and every segment may say.", model.State),
+    ("A segment", "Beside the keys of a state.", model.SegmentSpec),
+    ("`motion`", "", model.Motion),
+    ("`motion`: `rock`", "", model.RockSpec),
+    ("`temperature`: a ramp", "", model.Ramp),
+    ("`dwell`: whole turns", "", model.Turns),
+    ("An estimate", "", model.EstimateSpec),
+    ("`segments` found in the data", "", selection.Detection),
+    ("A limit", "", model.Limit),
+)
+
+
+def keys_reference() -> str:
+    """The whole page, with the keys of every installed estimator."""
+    state = set(keys_of(model.State))
+    parts = [_HEAD]
+    for title, about, record in _SECTIONS:
+        fields = keys_of(record)
+        if record is model.SegmentSpec:
+            fields = {name: item for name, item in fields.items() if name not in state}
+        parts.append(_section(title, about or _first_line(record), fields))
+    parts.append(_quantity_section())
+    for name in plugins.names(plugins.ESTIMATORS):
+        plugin = plugins.load(plugins.ESTIMATORS, name)
+        fields = keys_of(plugin.Parameters)
+        about = str(plugin.summary).rstrip(".") + "."
+        parts.append(
+            _section(f"Estimator `{name}`", about if fields else f"{about} It has no keys of its own.", fields)
+        )
+    return "\n".join(parts)
+
+
+def _section(title: str, about: str, fields: Mapping[str, dataclasses.Field[Any]]) -> str:
+    if not fields:
+        return f"## {title}\n\n{about}\n"
+    lines = [f"## {title}", "", about, "", "| key | value | meaning | example |", "|---|---|---|---|"]
+    for name, item in fields.items():
+        shown = f"**`{name}`**" if is_required(item) else f"`{name}`"
+        meta = item.metadata
+        lines.append(
+            f"| {shown} | {_cell(type_words(meta['kind']))} | {_cell(meta['description'])} | `{_cell(inline(meta['example']))}` |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _quantity_section() -> str:
+    lines = [
+        "## A quantity as a mapping",
+        "",
+        "In place of any quantity written as text.",
+        "",
+        "| key | meaning | example |",
+        "|---|---|---|",
+    ]
+    lines += [f"| `{name}` | {description} | `{example}` |" for name, (description, example) in RICH_KEYS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def type_words(kind: Any) -> str:
+    """What a kind takes, in words."""
+    match kind:
+        case Text():
+            return kind.what
+        case Choice():
+            return "one of " + ", ".join(f"`{name}`" for name in kind.names)
+        case Number():
+            what = "a whole number" if kind.integer else "a number"
+            return f"{kind.minimum:g}" if kind.minimum == kind.maximum else f"{what}{_bounds(kind)}"
+        case Boolean():
+            return "`true` or `false`"
+        case QuantityOf():
+            sign = {"positive": ", above zero", "not negative": ", zero or more"}.get(kind.sign, "")
+            return f"a quantity of {kind.dimension or 'any dimension'}{sign}"
+        case ListOf():
+            item = type_words(kind.item)
+            return f"{item}, or a list of such" if kind.single else f"a list: {item}"
+        case MapOf():
+            names = f" ({', '.join(kind.names)})" if kind.names else ""
+            return f"names{names}, each with {type_words(kind.item)}"
+        case WordOr():
+            return " or ".join([*(f"`{word}`" for word in kind.words), type_words(kind.other)])
+        case ByShape():
+            return ", or ".join(
+                type_words(part) for part in (kind.scalar, kind.mapping, kind.sequence) if part is not None
+            )
+        case RecordOf() | Plugged():
+            return _RECORDS.get(kind.record.__name__, "a mapping of keys")
+    for own, words in _OWN.items():
+        if isinstance(kind, own):
+            return words
+    return str(getattr(kind, "what", "see the description"))
+
+
+_OWN: dict[type, str] = {
+    OrientationKind: "an orientation",
+    ForEachKind: f"any of {', '.join(SWEPT)}, each with its values",
+    selection.SelectionKind: "a label or pattern, a list of such, or spans found in the data",
+    model.SegmentKind: "a segment",
+    model.RunItemKind: "`required` or `optional`",
+    model.SymmetricKind: "± and a quantity",
+}
+_RECORDS = {
+    "Sensor": "a sensor",
+    "MountedAxis": "a mounted axis",
+    "State": "a state",
+    "Motion": "a motion",
+    "RockSpec": "rocking",
+    "Ramp": "a ramp",
+    "Turns": "whole turns",
+    "EstimateSpec": "an estimate",
+    "Limit": "a limit",
+}
+
+
+def _bounds(kind: Number) -> str:
+    if math.isfinite(kind.minimum) and math.isfinite(kind.maximum):
+        return f" from {kind.minimum:.12g} to {kind.maximum:.12g}"
+    if math.isfinite(kind.minimum):
+        return f", {kind.minimum:.12g} or more"
+    return f", {kind.maximum:.12g} or less" if math.isfinite(kind.maximum) else ""
+
+
+def _first_line(record: type) -> str:
+    return (record.__doc__ or "").split("\n")[0]
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+if __name__ == "__main__":
+    (Path(sys.argv[1]) / "plan-keys.md").write_text(keys_reference(), encoding="utf-8")

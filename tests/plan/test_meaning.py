@@ -1,0 +1,215 @@
+"""What only the whole plan can tell: references, labels, limits, reports; and that one run finds all of it."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from planrunner.plan.expand import expand
+from planrunner.plan.findings import Findings
+from planrunner.plan.meaning import check_meaning
+from planrunner.plan.model import Plan
+from planrunner.plan.reader import load_plan, parse_plan
+from planrunner.plan.selection import Labels, matches, select
+
+from .mutation import METHOD_PLANS, SHIPPED_PLANS
+
+REPORTS = ["report.html", "summary.md"]
+PLAN = """\
+planrunner: 1
+title: t
+sensor: {kind: k, outputs: [o]}
+defaults: {orientation: unknown, dwell: 5 s}
+segments:
+  - {label: P1}
+  - {label: P2}
+  - {label: V1}
+estimates:
+  drift: {estimator: flexure_gyro_static, segments: P*}
+  rest:
+    estimator: compensation_residual
+    uses: [drift]
+    segments: [V1]
+limits:
+  - {quantity: drift.D_X_F, within: ±0.5 deg/h}
+  - {quantity: rest.rss, at_least: 0, at_most: 1}
+report: [report.html, summary.md]
+"""
+
+
+def check(text: str) -> tuple[Plan | None, Findings]:
+    plan, log = parse_plan(text, "f")
+    if plan is not None:
+        check_meaning(plan, expand(plan, log), REPORTS, log)
+    return plan, log
+
+
+def found(text: str) -> list[tuple[str, int, int]]:
+    return [(item.code, item.mark.line, item.mark.column) for item in check(text)[1]]
+
+
+def test_the_plan_itself_is_sound() -> None:
+    assert found(PLAN) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "at", "hint"),
+    [
+        ("segments: P*", "segments: Q*", "meaning-undefined-label", "Q*", ""),
+        ("segments: [V1]", "segments: [V1, V1, Vx]", "meaning-undefined-label", "Vx", "V1"),
+        ("uses: [drift]", "uses: [drift, drfit]", "meaning-unknown-estimate", "drfit", "'drift'"),
+        ("uses: [drift]", "uses: rest", "meaning-estimate-order", "rest", ""),
+        ("segments: P*}", "segments: P*, uses: rest}", "meaning-estimate-order", "rest}", "above"),
+        (
+            "flexure_gyro_static",
+            "flexure_gyro_statics",
+            "form-unknown-estimator",
+            "flexure_gyro_statics",
+            "'flexure_gyro_static'",
+        ),
+        ("drift.D_X_F", "drfit.D_X_F", "meaning-unknown-estimate", "drfit", "'drift'"),
+        ("within: ±0.5 deg/h", "within: 0.5 deg/h", "form-text", "0.5 deg/h", "±"),
+        ("within: ±0.5 deg/h", "within: ±0.5 dog/h", "meaning-unit", "±0.5", "'deg/h'"),
+        ("within: ±0.5 deg/h", "within: ±0 deg/h", "meaning-range", "±0", ""),
+        ("within: ±0.5 deg/h", "within: ±0.5 deg/h, at_most: 1 deg/h", "meaning-limit", "±0.5", "at_least"),
+        (", within: ±0.5 deg/h", "", "meaning-limit", "{quantity: drift", "within"),
+        ("at_least: 0,", "at_least: 2,", "meaning-limit", "2, at_most", ""),
+        ("at_least: 0,", "at_least: 0 deg/h,", "meaning-dimension", "1}\nreport", ""),
+        ("at_least: 0,", "at_leest: 0,", "form-unknown-key", "at_leest", "'at_least'"),
+        ("summary.md]", "sumary.md]", "meaning-unknown-report", "sumary", "'summary.md'"),
+        ("{label: P2}", "{lable: P2}", "form-unknown-key", "lable", "'label'"),
+        ("{label: P2}", "{label: P2, dwell: 0 s}", "meaning-range", "0 s", ""),
+        ("{label: P2}", "{label: P2, settle: -1 s}", "meaning-range", "-1 s", ""),
+        ("{label: P2}", "{label: P2, dwell: {turns: 0}}", "form-range", "0}}", "1"),
+        ("{label: P2}", "{label: P2, on_break: keeep}", "form-choice", "keeep", "'keep'"),
+        ("{label: P2}", "{label: true}", "form-type", "true", "quotes"),
+        ("title: t", "titel: t", "form-unknown-key", "titel", "'title'"),
+        ("kind: k,", "kind: 5,", "form-text", "5,", "letter"),
+        ("planrunner: 1", "planrunner: 2", "form-range", "2", "1"),
+        ("planrunner: 1", "planrunner: one", "form-type", "one", ""),
+    ],
+)
+def test_each_mistake_is_found_where_it_stands(old: str, new: str, code: str, at: str, hint: str) -> None:
+    assert old in PLAN
+    text = PLAN.replace(old, new, 1)
+    _, log = check(text)
+    finding = next(item for item in log if item.code == code)
+    begin = text.index(new) + new.index(at) if at in new else text.index(at)
+    line = text.count("\n", 0, begin) + 1
+    assert (finding.mark.line, finding.mark.column) == (line, begin - (text.rfind("\n", 0, begin) + 1) + 1)
+    assert hint in finding.hint
+    assert finding.hint
+    others = {item.code for item in log if item.severity == "error"} - {code}
+    assert others <= {"form-missing-key"}, "one mistake gives one finding"
+
+
+def test_an_unused_segment_is_a_warning() -> None:
+    text = PLAN.replace("  - {label: V1}\n", "  - {label: V1}\n  - for_each: {temperature: '1, 2, 3, 4, 5 K'}\n")
+    _, log = check(text)
+    (finding,) = log
+    assert (finding.code, finding.severity, finding.mark.line) == ("meaning-unused-label", "warning", 9)
+    assert "'1K', '2K', '3K' and 2 more" in finding.message
+
+
+def test_all_mistakes_are_found_in_one_run() -> None:
+    text = PLAN
+    for old, new in (
+        ("title: t", "title: t\ntitle: u"),
+        ("orientation: unknown", "orientation: {x: up, y: west, z: north}"),
+        ("{label: P2}", "{label: P2, dwell: 5 apples, settle: 5}"),
+        ("segments: [V1]", "segments: [V1]\n    colour: red"),
+        ("drift.D_X_F", "drfit.D_X_F"),
+        ("summary.md]", "sumary.md]"),
+    ):
+        text = text.replace(old, new, 1)
+    assert found(text) == [
+        ("syntax-duplicate-key", 3, 1),
+        ("meaning-left-handed", 5, 25),
+        ("meaning-unit", 8, 24),
+        ("form-unit-missing", 8, 42),
+        ("form-unknown-key", 16, 5),
+        ("meaning-unknown-estimate", 18, 16),
+        ("meaning-unknown-report", 20, 23),
+    ]
+
+
+def test_a_broken_estimate_is_not_called_unknown_elsewhere() -> None:
+    assert [code for code, *_ in found(PLAN.replace("flexure_gyro_static", "nothing_of_the_kind"))] == [
+        "form-unknown-estimator"
+    ]
+
+
+def test_a_bench_file_is_told_from_a_plan() -> None:
+    assert [code for code, *_ in found("planrunner_bench: 1\n")] == ["form-bench"]
+
+
+def test_missing_keys_come_with_an_example() -> None:
+    _, log = check("planrunner: 1\n")
+    assert {item.code for item in log} == {"form-missing-key"}
+    assert any("title: Eight-position calibration" in item.hint for item in log)
+
+
+@pytest.mark.parametrize("path", SHIPPED_PLANS, ids=lambda path: path.stem)
+def test_shipped_plans_are_sound(path: object) -> None:
+    plan, log = load_plan(path)  # type: ignore[arg-type]
+    assert plan is not None
+    check_meaning(plan, expand(plan, log), REPORTS, log)
+    assert [str(item) for item in log.errors] == []
+
+
+@pytest.mark.parametrize("path", METHOD_PLANS, ids=lambda path: path.stem)
+def test_the_language_says_the_other_methods(path: object) -> None:
+    """Their estimators may not be installed; nothing else may be amiss."""
+    plan, log = load_plan(path)  # type: ignore[arg-type]
+    assert plan is not None
+    segments = expand(plan, log)
+    check_meaning(plan, segments, REPORTS, log)
+    assert {item.code for item in log} <= {"form-unknown-estimator"}
+    assert segments
+    assert len(path.read_text().splitlines()) <= 60  # type: ignore[attr-defined]
+
+
+def test_the_tilted_axes_plan_expands_as_its_method_says() -> None:
+    """Six repeats of three temperatures, each with two zeros and both signs of six rates."""
+    plan, log = load_plan(next(path for path in METHOD_PLANS if path.stem == "scale_factor_tilted"))
+    assert plan is not None
+    labels = [segment.label for segment in expand(plan, log)]
+    assert len(labels) == 6 * 3 * (2 + 12)
+    assert labels[:4] == ["r1/-40degC/start-zero", "r1/-40degC/R+300", "r1/-40degC/R-300", "r1/-40degC/R+150"]
+    assert labels[-1] == "r6/+60degC/end-zero"
+    assert plan.mounting["x"].angle.standard_uncertainty == pytest.approx(20 / 3600 * 3.141592653589793 / 180)
+    assert plan.mounting["z"].angle.standard_uncertainty == pytest.approx(30 / 3600 * 3.141592653589793 / 180 / 3**0.5)
+
+
+@pytest.mark.parametrize(
+    ("label", "pattern", "meant"),
+    [
+        ("P1", "P*", True),
+        ("20degC/P1", "P*", True),
+        ("20degC/P1", "P1", True),
+        ("20degC/P1", "20degC/*", True),
+        ("20degC/P1", "*/P1", True),
+        ("20degC/P1", "P1/*", False),
+        ("20degC/P1", "20", False),
+        ("P1", "p1", False),
+        ("P12", "P?", False),
+        ("P2", "P[12]", True),
+        ("P2", "P[!12]", False),
+        ("a.b", "a?b", True),
+        ("a+b", "a+b", True),
+    ],
+)
+def test_patterns(label: str, pattern: str, meant: bool) -> None:
+    assert matches(label, pattern) is meant
+    assert select([label], [pattern]) == ([0] if meant else [])
+    assert Labels([label]).meant_by(pattern) == ({0} if meant else set())
+
+
+def test_many_patterns_over_many_labels_take_no_time() -> None:
+    labels = Labels([f"a{n}/b{n % 50}" for n in range(10_000)])
+    start = time.process_time()
+    for n in range(100):
+        labels.meant_by(f"*a*b*{n}*")
+    assert labels.meant_by("b7") == set(range(7, 10_000, 50))
+    assert time.process_time() - start < 1.0
