@@ -115,12 +115,12 @@ class JournalScan:
     def __iter__(self) -> Iterator[dict[str, Any]]:
         with self.path.open("rb") as file:
             for line in file:
-                event = self._event(line)
-                if event is None:
+                if not line.endswith(b"\n") or b"\0" in line:  # a power cut may leave zeros where a line was to be
                     self.torn = len(line)
                     if file.read(1):
-                        raise self._error("is not a JSON object")
+                        raise self._error("is damaged")
                     return
+                event = self._event(line)
                 if event.get("previous") != self.head:
                     raise self._error("does not carry the digest of the line before")
                 if event.get("seq") != self.count + 1:
@@ -130,15 +130,14 @@ class JournalScan:
                 self.size += len(line)
                 yield event
 
-    @staticmethod
-    def _event(line: bytes) -> dict[str, Any] | None:
-        if not line.endswith(b"\n"):
-            return None
+    def _event(self, line: bytes) -> dict[str, Any]:
         try:
             event = json.loads(line)
         except (ValueError, RecursionError):
-            return None
-        return event if isinstance(event, dict) else None
+            event = None
+        if not isinstance(event, dict):
+            raise self._error("is not a JSON object")
+        return event
 
     def _error(self, what: str) -> IntegrityError:
         return IntegrityError(

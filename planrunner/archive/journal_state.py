@@ -127,7 +127,7 @@ class JournalState:
         self.attempts[index] = max(self.attempts.get(index, 0), event["attempt"])
         self.rejected.append(Rejected(index, event["label"], event["attempt"], parts, event["reason"]))
         counted = self.acknowledged.get(index)
-        if counted is not None and counted.attempt == event["attempt"]:
+        if counted is not None and (counted.attempt, counted.parts) == (event["attempt"], parts):
             del self.acknowledged[index]
         if self.open is not None and self.open.index == index:
             self.open = None

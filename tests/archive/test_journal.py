@@ -57,6 +57,20 @@ def test_every_torn_end_is_left_out(tmp_path: Path) -> None:
         assert (scan.size, scan.torn) == (second, length - second)
 
 
+def test_zeros_at_the_end_are_torn(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    write(path, 3).close()
+    whole = path.read_bytes()
+    for hole in (bytes(100), bytes(100) + b'"tail"}\n'):
+        path.write_bytes(whole + hole)
+        scan = JournalScan(path)
+        assert len(list(scan)) == 3
+        assert (scan.size, scan.torn) == (len(whole), len(hole))
+    path.write_bytes(whole[:100] + bytes(10) + whole[110:])
+    with pytest.raises(IntegrityError):
+        list(JournalScan(path))
+
+
 @settings(max_examples=300, deadline=None)
 @given(place=st.integers(0, 10_000), byte=st.integers(0, 255))
 def test_a_changed_byte_before_the_last_line_is_found(
@@ -69,7 +83,7 @@ def test_a_changed_byte_before_the_last_line_is_found(
     data = bytearray(path.read_bytes())
     place %= data[:-1].rindex(b"\n") + 1
     if data[place] == byte:
-        return
+        byte ^= 1
     data[place] = byte
     path.write_bytes(data)
     with pytest.raises(IntegrityError, match="changed after it was written"):

@@ -186,6 +186,19 @@ def test_a_finished_run_is_opened_again_only_with_a_reason(run: Path) -> None:
     assert reader.check_digests() == 6
 
 
+def test_a_stray_part_does_not_undo_what_counts(tmp_path: Path) -> None:
+    """A kept segment lost its last part's event to a full disk: the part is set aside, the segment still counts."""
+    with RunWriter.create(tmp_path, "p", b"", b"", {}) as writer:
+        write_segment(writer, SCHEDULE.segments[0])
+    stray = writer.path / "segments" / "0001-P1.part002.parquet"
+    shutil.copy(writer.path / "segments" / "0001-P1.parquet", stray)
+    with RunWriter.reopen(writer.path) as again:
+        assert again.next_segment == 1
+    reader = RunReader.open(writer.path)
+    assert [item.parts[0].file for item in reader.rejected()] == ["segments/0001-P1.part002.parquet"]
+    assert [item.label for item in reader.acknowledged()] == ["P1"]
+
+
 # -- where it cannot be written --------------------------------------------------------------------------------------------
 
 

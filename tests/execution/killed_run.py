@@ -15,7 +15,7 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
 
-PART_BYTES = 24 * 30  # thirty rows: every segment has several parts
+PART_BYTES = 24 * 50  # fifty rows: every segment has several parts
 
 
 def main() -> int:

@@ -88,7 +88,7 @@ def process_that_dies(writers: list[RunWriter]) -> Iterator[None]:
         pass
     finally:
         for writer in writers:
-            with contextlib.suppress(PowerCutError, OSError):
+            with contextlib.suppress(PowerCutError, OSError, KeyboardInterrupt):
                 writer.close()
 
 
