@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-PLAN = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
+FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
 GIVEN = ["--set", "device_serial=1", "--set", "operator=test", "--quiet", "--json"]
 
 
-def start(folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "planrunner", "run", str(PLAN), *GIVEN, "--runs", str(folder)]
+def start(plan: Path, folder: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "planrunner", "run", str(plan), *GIVEN, "--runs", str(folder)]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
@@ -46,9 +46,9 @@ def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes]) 
     return time.monotonic()
 
 
-def kill_and_resume(folder: Path, delay: float, expected: bytes) -> str:
+def kill_and_resume(plan: Path, folder: Path, delay: float, expected: bytes) -> str:
     """One kill `delay` s after the run folder appears (before it, for a negative delay); says how far the run was."""
-    process = start(folder)
+    process = start(plan, folder)
     if delay < 0:
         time.sleep(-delay)
     else:
@@ -77,7 +77,9 @@ def kill_and_resume(folder: Path, delay: float, expected: bytes) -> str:
 
 def campaign(folder: Path, kills: int) -> None:
     """Kills spread over the whole life of a run; a tenth of them before its folder stands."""
-    process = start(folder / "whole")
+    plan = folder / "plan.yaml"
+    plan.write_text(FLAGSHIP.read_text(encoding="utf-8").replace("dwell: 2 min", "dwell: 15 min"), encoding="utf-8")
+    process = start(plan, folder / "whole")
     began = wait_for(lambda: run_in(folder / "whole"), process)
     run = run_in(folder / "whole")
     assert run is not None
@@ -89,7 +91,7 @@ def campaign(folder: Path, kills: int) -> None:
     for number in range(kills):
         early = number % 10 == 9
         delay = -draw.uniform(0.1, 0.6) if early else draw.uniform(0, 1.2 * (ended - began))
-        state = kill_and_resume(folder / str(number), delay, expected)
+        state = kill_and_resume(plan, folder / str(number), delay, expected)
         seen[state] = seen.get(state, 0) + 1
     print(f"{kills} kills: {dict(sorted(seen.items()))}")
     assert len(seen) >= kills / 10, seen

@@ -1,0 +1,50 @@
+"""Every `console` example of the docs: its commands run, and what it shows of their output appears.
+
+In a ```console block a line that begins with `$` is a command; the lines after it must appear in its output in that order, `…` standing for
+anything. The blocks of one page run one after the other in one folder.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"^```console\n(.*?)^```", re.DOTALL | re.MULTILINE)
+DATA = "../shared/data"
+
+
+def examples(page: Path) -> list[tuple[str, list[str]]]:
+    """Commands of a page with the output lines shown."""
+    found: list[tuple[str, list[str]]] = []
+    for block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                found.append((line[2:], []))
+            elif line.strip():
+                found[-1][1].append(line.strip())
+    return found
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if examples(page)], ids=lambda page: page.name)
+def test_examples_run_as_shown(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for command, shown in examples(page):
+        if DATA in command:
+            command = command.replace(DATA, str(request.getfixturevalue("data_root")))
+        environment = {**os.environ, "PATH": path, "COLUMNS": "160"}
+        done = subprocess.run(command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+        output = done.stdout + done.stderr
+        place = 0
+        for line in shown:
+            words = [r"\s+".join(map(re.escape, part.split())) for part in line.split("…")]
+            match = re.compile(r"[^\n]*".join(words)).search(output, place)
+            assert match, f"{command}\ndoes not print\n{line}\nbut\n{output}"
+            place = match.end()
