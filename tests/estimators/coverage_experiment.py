@@ -112,7 +112,7 @@ def coverage(
 
 def main() -> None:
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
-    print(f"{runs} runs each; lowest and highest coverage over the twelve coefficients, in %, and that of xi")
+    print(f"{runs} runs each; lowest and highest coverage over the twelve coefficients, in %")
     for name, keys in SCENARIOS.items():
         found = coverage(runs, 20, **keys)  # type: ignore[arg-type]
         parts = [
