@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -202,17 +203,26 @@ def _read_words(node: Mapping, log: Findings) -> Orientation | None:
 
 
 def _right_handed(given: dict[str, tuple[int, int, int]], node: Mapping, log: Findings) -> Orientation | None:
-    rows = [np.array(given[axis], dtype=float) if axis in given else None for axis in AXES]
+    matrix, text, handed = _completed(tuple(given.items()))
+    if not handed:
+        axes = np.array(matrix)
+        third = _WORD[tuple(int(v) for v in np.rint(np.cross(axes[0], axes[1])))]
+        message = f"left-handed axes ({text}): x × y points {third}, not {_WORD[tuple(int(v) for v in axes[2])]}"
+        log.error("meaning-left-handed", node.mark, message, "right-handed are " + " or ".join(_repairs(axes)))
+        return None
+    return Orientation(text, matrix)
+
+
+@lru_cache(maxsize=256)
+def _completed(given: tuple[tuple[str, tuple[int, int, int]], ...]) -> tuple[tuple[tuple[float, ...], ...], str, bool]:
+    """The three axes that two or three at right angles make, in words, and whether they are right-handed."""
+    known = dict(given)
+    rows = [np.array(known[axis], dtype=float) if axis in known else None for axis in AXES]
     for index in range(3):
         if rows[index] is None:
             rows[index] = np.cross(rows[(index + 1) % 3], rows[(index + 2) % 3])  # type: ignore[arg-type]
     matrix = np.array(rows) + 0.0  # no negative zeros
-    if np.linalg.det(matrix) < 0:
-        third = _WORD[tuple(int(v) for v in np.rint(np.cross(matrix[0], matrix[1])))]
-        message = f"left-handed axes ({in_words(matrix)}): x × y points {third}, not {_WORD[tuple(int(v) for v in matrix[2])]}"
-        log.error("meaning-left-handed", node.mark, message, "right-handed are " + " or ".join(_repairs(matrix)))
-        return None
-    return Orientation(in_words(matrix), tuple(map(tuple, matrix.tolist())))
+    return tuple(map(tuple, matrix.tolist())), in_words(matrix), bool(np.linalg.det(matrix) > 0)
 
 
 def _repairs(matrix: Matrix) -> list[str]:

@@ -95,12 +95,14 @@ def agree(data: Any) -> bool | None:
         return None
     _, log = read_plan(root)
     form = [str(finding) for finding in log if finding.code.startswith("form-")]
-    errors = [f"{list(error.absolute_path)}: {error.message[:200]}" for error in validator().iter_errors(source.plain(root))]
+    errors = [
+        f"{list(error.absolute_path)}: {error.message[:200]}" for error in validator().iter_errors(source.plain(root))
+    ]
     assert bool(form) == bool(errors), f"reader: {form}\nschema: {errors}\n{as_yaml(data)}"
     return not errors
 
 
-@pytest.mark.parametrize("path", (*SHIPPED_PLANS, *METHOD_PLANS), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*SHIPPED_PLANS, *METHOD_PLANS], ids=lambda path: path.stem)
 def test_schema_and_reader_agree_on_whole_plans(path: Any) -> None:
     accepted = agree(source.plain(source.load(path)))
     assert accepted or path in METHOD_PLANS
