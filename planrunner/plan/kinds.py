@@ -85,10 +85,12 @@ def key(
     *,
     default_factory: Any = _REQUIRED,
     name: str | None = None,
+    fallback: Any = None,
 ) -> Any:
     """A dataclass field that is also a key of the language. Every key has a description and an example; `name` is its
-    spelling in YAML where that is not a Python name."""
-    metadata = {"kind": kind, "description": description, "example": example, "name": name}
+    spelling in YAML where that is not a Python name; `fallback` stands in for a required value that is missing or wrong, so that the
+    rest of the record can still be checked."""
+    metadata = {"kind": kind, "description": description, "example": example, "name": name, "fallback": fallback}
     if default_factory is not _REQUIRED:
         return field(default_factory=default_factory, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -142,6 +144,8 @@ def read_keys(
         if is_required(item_) and name_ not in present:
             hint = f"add for example `{name_}: {inline(item_.metadata['example'])}`"
             log.error("form-missing-key", node.mark, f"the key '{name_}' is missing", hint)
+        if is_required(item_) and item_.name not in values and item_.metadata["fallback"] is not None:
+            values[item_.name] = item_.metadata["fallback"]
     return values
 
 

@@ -21,11 +21,14 @@ def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iter
     complete = bool(segments) and all(spec.sound for spec in plan.segments)
     labels = Labels([segment.label for segment in segments])
     used: set[int] = set()
+    resolved = len(plan.estimates) == len(names)
     for name, spec in plan.estimates.items():
         _check_uses(name, spec, names, log)
         if complete:
+            before = len(log.errors)
             used.update(_check_selection(spec, labels, log))
-    if plan.estimates and complete and len(plan.estimates) == len(names):
+            resolved = resolved and len(log.errors) == before
+    if plan.estimates and complete and resolved:
         _check_unused(segments, used, log)
     for limit in plan.limits:
         _check_limit(limit, names, log)

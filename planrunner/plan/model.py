@@ -27,10 +27,35 @@ from planrunner.plan.kinds import (
     WordOr,
     key,
 )
+from planrunner.plan.motion_spec import MOVE, POSITION, Motion, RockSpec, Turns
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, parse_symmetric
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.sweep import ForEachKind, Sweep
+
+__all__ = [
+    "ESTIMATE",
+    "FILE_NAME",
+    "MOVE",
+    "NAME",
+    "POSITION",
+    "STATE_KEYS",
+    "EstimateSpec",
+    "Limit",
+    "Motion",
+    "MountedAxis",
+    "Plan",
+    "Ramp",
+    "RockSpec",
+    "RunItem",
+    "RunItemKind",
+    "SegmentKind",
+    "SegmentSpec",
+    "Sensor",
+    "State",
+    "SymmetricKind",
+    "Turns",
+]
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 FILE_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}"
@@ -46,6 +71,7 @@ class Sensor(Record):
         ListOf(Text(NAME, "an output's name"), minimum=1),
         "Outputs that are recorded and used.",
         ["torquer_x", "torquer_y"],
+        fallback=(),
     )
 
 
@@ -60,84 +86,13 @@ class MountedAxis(Record):
     )
 
 
-# -- motion ----------------------------------------------------------------------------------------------------------
-
-
-class RockSpec(Record):
-    """Sinusoidal rocking of the table's rings."""
-
-    amplitude: Quantity = key(QuantityOf("angle", "positive"), "Amplitude of each ring.", "3 deg")
-    frequency: Quantity = key(QuantityOf("frequency", "positive"), "Frequency of all rings.", "0.2 Hz")
-    phases: tuple[Quantity, ...] = key(
-        ListOf(QuantityOf("angle"), single=True, minimum=1),
-        "Phase of each ring, outermost first.",
-        ["0 deg", "45 deg", "90 deg"],
-        default_factory=tuple,
-    )
-
-
-POSITION = r"[^ \x00-\x1f]{1,20}"
-_TURN = r"[-+−]?(?:[0-9]{1,6}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})"
-MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSITION}) *"
-
-
-class Motion(Record):
-    """What the table does while the segment records. One of rate, rock and cycle; at rest without any."""
-
-    rate: Quantity | None = key(QuantityOf("angular rate"), "Constant rate about the rotation axis.", "300 deg/s", None)
-    about: str = key(
-        Choice(("up", "down", "north", "south", "east", "west")), "Site direction the table spins about.", "up", "up"
-    )
-    rock: RockSpec | None = key(
-        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, None
-    )
-    for_: Quantity | None = key(
-        QuantityOf("time", "positive"),
-        "Rock for this part of the dwell only, then stand still.",
-        "8 min",
-        None,
-        name="for",
-    )
-    cycle: dict[str, Quantity] | None = key(
-        MapOf(QuantityOf("angle"), pattern=POSITION),
-        "Named positions of an indexing cycle.",
-        {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
-        None,
-    )
-    moves: tuple[str, ...] = key(
-        ListOf(Text(MOVE, "a move such as 'A +180 C'", "write from, turn in degrees, to"), minimum=1),
-        "Moves of one cycle in order: from, turn in degrees, to.",
-        ["A +180 C", "C -180 A"],
-        default_factory=tuple,
-    )
-    turn_rate: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", None
-    )
-    stop: Quantity | None = key(QuantityOf("time", "positive"), "Time at each stop.", "5 min", None)
-    sense: str = key(
-        Choice(("counterclockwise", "clockwise")),
-        "Which way positive angles turn, seen against the rotation axis.",
-        "clockwise",
-        "counterclockwise",
-    )
+# -- segments --------------------------------------------------------------------------------------------------------
 
 
 class Ramp(Record):
     """A temperature that moves while the segment records."""
 
     ramp_to: Quantity = key(QuantityOf("temperature"), "Set this temperature as recording begins.", "60 degC")
-
-
-class Turns(Record):
-    """A dwell counted in whole turns of the table."""
-
-    turns: int = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
-    at_least: Quantity | None = key(
-        QuantityOf("time", "positive"), "Add whole turns until the dwell lasts this long.", "30 s", None
-    )
-
-
-# -- segments --------------------------------------------------------------------------------------------------------
 
 
 class State(Record):
@@ -336,9 +291,12 @@ ESTIMATE: Kind = Plugged(
 class Plan(Record):
     """A test plan."""
 
-    planrunner: int = key(Number(1, 1, integer=True), "Version of the plan language.", 1)
+    planrunner: int = key(Number(1, 1, integer=True), "Version of the plan language.", 1, fallback=1)
     title: str = key(
-        Text(r"[^\x00-\x1f]{1,200}", "a title"), "One line that says what the test is.", "Eight-position calibration"
+        Text(r"[^\x00-\x1f]{1,200}", "a title"),
+        "One line that says what the test is.",
+        "Eight-position calibration",
+        fallback="",
     )
     description: str = key(
         Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", ""

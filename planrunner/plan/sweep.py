@@ -217,7 +217,7 @@ def _check_signs(
                 "meaning-range",
                 node.mark,
                 f"{name} of {quantity} is out of range: it must be {sign}",
-                "change the number",
+                "write zero or more" if sign == "not negative" else "write a value above zero",
             )
             return None
     return _labelled(name, [(quantity, node.mark) for quantity in quantities])

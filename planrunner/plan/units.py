@@ -192,8 +192,36 @@ def unit(text: str) -> Unit:
     return Unit(text, float(factor), tuple(sorted(dimension.items())), float(offset))
 
 
+# Spellings that are common elsewhere.
+_OTHERWISE = {
+    **{
+        "c": "degC",
+        "f": "degF",
+        "celsius": "degC",
+        "degrees": "deg",
+        "degree/s": "deg/s",
+        "degrees/s": "deg/s",
+        "deg/second": "deg/s",
+    },
+    **{
+        "sek": "s",
+        "secs": "s",
+        "seconds": "s",
+        "mins": "min",
+        "minutes": "min",
+        "hours": "h",
+        "hrs": "h",
+        "std": "h",
+        "days": "d",
+    },
+    **{"rpm": "rev/min", "rps": "rev/s", "u/min": "rev/min", "gn": "g", "gs": "g", "pulses": "pulse", "pps": "pulse/s"},
+}
+
+
 def suggestion(text: str) -> str:
     """What was probably meant by a text that is no unit: the same letters in another case, or the closest daily unit; or ''."""
+    if text.strip().lower() in _OTHERWISE:
+        return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"
     for known in (*_DAILY, "mm", "ms", "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
         if known.lower() == text.strip().lower():
             return f"units tell capitals from small letters: did you mean '{known}'?"

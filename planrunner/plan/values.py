@@ -201,7 +201,10 @@ class QuantityOf:
             return None
         if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):
             log.error(
-                "meaning-range", node.mark, f"{quantity} is out of range: it must be {self.sign}", "change the number"
+                "meaning-range",
+                node.mark,
+                f"{quantity} is out of range: it must be {self.sign}",
+                "write zero or more" if self.sign == "not negative" else "write a value above zero",
             )
             return None
         return quantity

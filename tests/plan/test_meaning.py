@@ -213,3 +213,8 @@ def test_many_patterns_over_many_labels_take_no_time() -> None:
         labels.meant_by(f"*a*b*{n}*")
     assert labels.meant_by("b7") == set(range(7, 10_000, 50))
     assert time.process_time() - start < 1.0
+
+
+def test_a_broken_title_does_not_hide_what_else_is_wrong() -> None:
+    text = PLAN.replace("title: t\n", "").replace("outputs: [o]", "outputs: o").replace("segments: P*", "segments: Q*")
+    assert [code for code, *_ in found(text)] == ["form-missing-key", "form-type", "meaning-undefined-label"]

@@ -244,7 +244,7 @@ def test_numbers_without_a_unit_are_ratios_where_ratios_may_stand() -> None:
 
 def test_the_unit_that_was_probably_meant() -> None:
     hints = {}
-    for text in ("5 Deg/s", "5 deg/S", "5 hz", "5 degc", "5 arcmn"):
+    for text in ("5 Deg/s", "5 deg/S", "5 hz", "5 degc", "5 arcmn", "5 C", "5 rpm"):
         with pytest.raises(QuantityError) as caught:
             parse_quantity(text)
         hints[text] = caught.value.hint
