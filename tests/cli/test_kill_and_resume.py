@@ -98,7 +98,7 @@ def campaign(folder: Path, kills: int) -> None:
 
 
 def test_a_few_kills(tmp_path: Path) -> None:
-    campaign(tmp_path, 4)
+    campaign(tmp_path, 3)
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Every `console` example of the docs: its commands run, and what it shows of their output appears.
 
 In a ```console block a line that begins with `$` is a command; the lines after it must appear in its output in that order, `…` standing for
-anything. The blocks of one page run one after the other in one folder.
+anything. The blocks of one page run one after the other in one folder, which holds copies of the shipped plans.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ def examples(page: Path) -> list[tuple[str, list[str]]]:
 @pytest.mark.parametrize("page", [page for page in PAGES if examples(page)], ids=lambda page: page.name)
 def test_examples_run_as_shown(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for plan in (ROOT / "plans").glob("*.yaml"):
+        (tmp_path / plan.name).write_bytes(plan.read_bytes())
     for command, shown in examples(page):
         if DATA in command:
             command = command.replace(DATA, str(request.getfixturevalue("data_root")))

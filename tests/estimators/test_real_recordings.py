@@ -2,7 +2,7 @@
 
 rate staircase: two gyros on an open-loop stepper jig, 60 to 720 °/s about sensor y; pitch tumble: 37 stops about sensor y;
 MPU-9150: tumbled by hand.
-The thresholds are stated here before the data are looked at: see `still_poses`.
+How much the threshold of stillness matters is tabled in docs/real-recordings.md.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def test_tumble_about_y_cannot_show_y_unless_it_is_left_out() -> None:
 
 
 def still_poses(threshold: str = "0.12 m/s^2") -> Detection:
-    """Preset: three times the 4 mg rms noise of an MPU-9150 (400 µg/√Hz over about 100 Hz), half-second windows, spans of a second."""
+    """Three times the 4 mg rms noise of an MPU-9150 (400 µg/√Hz over about 100 Hz), half-second windows, spans of a second."""
     quantities = {"window": "0.5 s", "threshold": threshold, "at_least": "1 s"}
     return Detection(detect="still", **{name: parse_quantity(text) for name, text in quantities.items()})
 
