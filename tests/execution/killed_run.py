@@ -27,7 +27,7 @@ def main() -> int:
     sleep = bench.clock.sleep
 
     def slowly(seconds: float) -> None:
-        time.sleep(0.0005)
+        time.sleep(0.003)
         sleep(seconds)
 
     bench.clock.sleep = slowly

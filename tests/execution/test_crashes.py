@@ -236,46 +236,61 @@ def test_disk_full_leaves_the_bench_safe(tmp_path: Path) -> None:
 # -- a process that is killed ----------------------------------------------------------------------------------------------
 
 
-def kill_and_resume(root: Path, moment: float, rng: random.Random) -> tuple[Path, dict[int, list[str]]]:
-    """Kill -9 the run `moment` seconds after its folder stands, up to twice more while resuming, then let it end."""
-    root.mkdir()
-    run = ""
-    before: dict[int, list[str]] = {}
-    for _ in range(3):
-        arguments = [sys.executable, str(HERE / "killed_run.py"), str(root), *([run] if run else [])]
-        with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-            assert process.stdout is not None
-            run = process.stdout.readline().strip() or run
-            time.sleep(moment)
+def run_in_process(root: Path, run: str, kill_after: float | None) -> tuple[str, float, bool]:
+    """The run's name, how long it went on after its folder stood, and whether it was killed (-9) before it ended."""
+    arguments = [sys.executable, str(HERE / "killed_run.py"), str(root), *([run] if run else [])]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout is not None
+        name = process.stdout.readline().strip()
+        began = time.perf_counter()
+        if kill_after is not None:
+            time.sleep(kill_after)
             process.kill()
+        process.wait()
+        assert kill_after is not None or process.returncode == 0
+        return name, time.perf_counter() - began, process.returncode != 0
+
+
+def kill_and_resume(root: Path, moment: float, rng: random.Random) -> tuple[Path, dict[int, list[str]], int]:
+    """Kill the run `moment` seconds after its folder stands, now and then again while it is resumed, then let it end."""
+    root.mkdir()
+    run, kills = "", 0
+    before: dict[int, list[str]] = {}
+    while True:
+        run, _, killed = run_in_process(root, run, moment)
+        kills += killed
         before = acknowledged(root / run)
-        if rng.random() < 0.6 or process.returncode == 0:
+        if not killed or RunReader.open(root / run).sealed or rng.random() < 0.7:
             break
         moment = rng.uniform(0.0, moment)
     if not RunReader.open(root / run).sealed:
-        subprocess.run(
-            [sys.executable, str(HERE / "killed_run.py"), str(root), run], check=True, stdout=subprocess.DEVNULL
-        )
-    return root / run, before
+        run_in_process(root, run, None)
+    return root / run, before, kills
 
 
 def test_kill_at_a_few_moments(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
     rng = random.Random(5)
-    for number, moment in enumerate((0.0, 0.06, 0.25)):
-        run, before = kill_and_resume(tmp_path / str(number), moment, rng)
+    for number, moment in enumerate((0.0, 0.03, 0.1)):
+        run, before, _ = kill_and_resume(tmp_path / str(number), moment, rng)
         check_resumed(run, before, uninterrupted[0])
 
 
 @pytest.mark.slow
 def test_kill_at_a_hundred_moments(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
     rng = random.Random(6)
-    interrupted = 0
-    for number in range(120):
-        run, before = kill_and_resume(tmp_path / str(number), rng.uniform(0.0, 1.2), rng)
+    (tmp_path / "whole").mkdir()
+    _, duration, _ = run_in_process(tmp_path / "whole", "", None)
+    kills, begun = 0, set()
+    for number in range(300):
+        run, before, killed = kill_and_resume(tmp_path / str(number), rng.uniform(0.0, 0.9 * duration), rng)
         check_resumed(run, before, uninterrupted[0])
-        interrupted += len(before) < len(uninterrupted[0])
         shutil.rmtree(run)
-    assert interrupted >= 100, "most kills came too late to interrupt anything"
+        kills += killed
+        begun.add(len(before))
+        if kills >= 100:
+            break
+    assert kills >= 100
+    assert len(begun) >= 6, "the kills came at too few places"
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a POSIX resource limit")
