@@ -1,0 +1,40 @@
+"""A wheel built from the tree, installed in a new environment in another folder, does the main job with what it ships."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.slow
+def test_wheel_in_a_new_environment(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--disable-pip-version-check"]
+    subprocess.run([*build, "--wheel-dir", str(tmp_path / "dist"), str(ROOT)], check=True, capture_output=True)
+    (wheel,) = (tmp_path / "dist").glob("planrunner-*.whl")
+    venv.create(tmp_path / "env", with_pip=True)
+    scripts = tmp_path / "env" / ("Scripts" if sys.platform == "win32" else "bin")
+    install = [str(scripts / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*install, "--constraint", str(ROOT / "constraints.txt"), str(wheel)], check=True, capture_output=True)
+    work = tmp_path / "elsewhere"
+    work.mkdir()
+
+    def planrunner(*arguments: str) -> str:
+        command = [str(scripts / "planrunner"), *arguments]
+        done = subprocess.run(command, cwd=work, capture_output=True, text=True, env={"PATH": "/usr/bin", "HOME": str(work)})
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    assert "flexure_gyro_eight_position" in planrunner("new")
+    planrunner("new", "flexure_gyro_eight_position")
+    planrunner("check", "flexure_gyro_eight_position.yaml")
+    out = planrunner("run", "flexure_gyro_eight_position.yaml", "--set", "device_serial=1", "--set", "operator=test")
+    report = work / out.strip().splitlines()[-1]
+    assert report.is_file()
+    assert "17 of 17 comparisons passed" in planrunner("self-test")
+    assert str(ROOT) not in report.read_text(encoding="utf-8")
