@@ -166,8 +166,8 @@ def _assemble(
         for a, axis in enumerate(("ω_Y", "ω_X"))
     }
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
-    warnings = [
-        f"The measured ratio of {pair} lies outside the 5 to 95 % that noise alone leads one to expect."
+    notes = [
+        f"The measured ratio of {pair} lies outside its expected 5 to 95 %, as noise alone makes one experiment in ten do."
         for pair in outside
     ]
     return Estimate(
@@ -190,7 +190,8 @@ def _assemble(
         (
             "Standard uncertainties are half of the central 68 % of simulated experiments with noise alone; they are not correlated here.",
             _CLAIM,
+            *notes,
         ),
-        tuple(warnings),
+        (),
         tuple(labels),
     )
