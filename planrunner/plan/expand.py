@@ -19,12 +19,16 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment with all that it inherited: key → value as read, and where each value stands."""
+    """One segment with all that it inherited: key → value as read, and where each value stands.
+
+    sound: False where it would inherit a value from `defaults` that could not be read, so that its state is not known.
+    """
 
     label: str
     state: Mapping[str, Any]
     marks: Mapping[str, Mark]
     mark: Mark
+    sound: bool = True
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
@@ -42,11 +46,26 @@ def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
         return []
     state: dict[str, Any] = {}
     marks: dict[str, Mark] = {}
-    if plan.defaults is not None and _one_motion(plan.defaults, log):
+    if plan.defaults is not None:
         _inherit(plan.defaults, state, marks)
+        for name in plan.defaults.origin.broken if _one_motion(plan.defaults, log) else ("rate", "motion"):
+            _set(name, UNREADABLE, plan.defaults.at(name), state, marks)
     segments = [segment for spec in plan.segments for segment in _expand(spec, (), state, marks, log)]
     _check_unique(segments, log)
     return segments
+
+
+UNREADABLE = object()
+
+
+def _stated(label: str, state: dict[str, Any], marks: dict[str, Mark], mark: Mark) -> StatedSegment:
+    readable = {name: value for name, value in state.items() if value is not UNREADABLE}
+    sound = len(readable) == len(state) or not any(state.get(name) is UNREADABLE for name in _DECISIVE)
+    return StatedSegment(label, readable, marks, mark, sound)
+
+
+# Without these, what else is said of a segment cannot be judged.
+_DECISIVE = ("orientation", "rate", "motion", "temperature", "dwell")
 
 
 def _count(spec: SegmentSpec) -> int:
@@ -124,7 +143,7 @@ def _expand(
                 for step in spec.steps:
                     yield from _expand(step, own, own_state, own_marks, log)
             elif own:
-                yield StatedSegment("/".join(own), own_state, own_marks, spec.origin.mark)
+                yield _stated("/".join(own), own_state, own_marks, spec.origin.mark)
             else:
                 log.error(
                     "meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`"

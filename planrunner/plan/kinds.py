@@ -61,11 +61,12 @@ class Origin:
     """Where a record stands in its file, key by key. Empty for records made in code.
 
     keys: `report` is where that key's value begins, `report[1]` where the second entry of its list does, `limits.x` where the value
-    of `x` in its mapping does.
+    of `x` in its mapping does. broken: the keys of whose values not all could be read.
     """
 
     mark: Mark = field(default_factory=lambda: Mark("<code>"))
     keys: Mapping[str, Mark] = field(default_factory=dict)
+    broken: frozenset[str] = frozenset()
 
     def at(self, key: str) -> Mark:
         """The mark of a key or of an entry of its list or mapping; that of the key, else of the record, where there is none."""
@@ -128,13 +129,18 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
-) -> dict[str, Any]:
-    """The given keys' values by Python name; unknown and missing keys are findings. `passed` keys are read elsewhere."""
+) -> tuple[dict[str, Any], Origin]:
+    """The given keys' values by Python name, and where they stand; unknown and missing keys are findings. `passed` keys are read
+    elsewhere."""
     values: dict[str, Any] = {}
+    broken: set[str] = set()
     known = [*fields, *passed]
     for name, item in node.entries:
         if name.text in fields:
+            before = len(log.errors)
             value = fields[name.text].metadata["kind"].read(item, log)
+            if len(log.errors) > before:
+                broken.add(name.text)
             if value is not None:
                 values[fields[name.text].name] = value
         elif name.text not in known:
@@ -146,7 +152,7 @@ def read_keys(
             log.error("form-missing-key", node.mark, f"the key '{name_}' is missing", hint)
         if is_required(item_) and item_.name not in values and item_.metadata["fallback"] is not None:
             values[item_.name] = item_.metadata["fallback"]
-    return values
+    return values, _origin(node, frozenset(broken))
 
 
 def inline(example: Any) -> str:
@@ -161,8 +167,7 @@ def inline(example: Any) -> str:
     return f'"{text}"' if isinstance(example, str) and (", " in text or text[:1] in "*&!%@`#") else text
 
 
-def origin_of(node: source.Mapping) -> Origin:
-    """Marks for messages: for each key where its value stands, and where the entries of its list or mapping do."""
+def _origin(node: source.Mapping, broken: frozenset[str]) -> Origin:
     marks: dict[str, Mark] = {}
     for name, item in node.entries:
         marks[name.text] = item.mark
@@ -170,7 +175,7 @@ def origin_of(node: source.Mapping) -> Origin:
             marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
         elif isinstance(item, source.Mapping):
             marks.update({f"{name.text}.{entry.text}": value.mark for entry, value in item.entries})
-    return Origin(node.mark, marks)
+    return Origin(node.mark, marks, broken)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,11 +192,11 @@ class RecordOf:
             return None
         before = len(log)
         fields = keys_of(self.record)
-        values = read_keys(node, fields, log)
+        values, origin = read_keys(node, fields, log)
         if any(is_required(item) and item.name not in values for item in fields.values()):
             return None
         make: Any = self.record
-        record = make(origin=origin_of(node), **values)
+        record = make(origin=origin, **values)
         if self.check and len(log) == before:
             self.check(record, log)
         return record
@@ -252,11 +257,12 @@ class Plugged:
             return None
         own = keys_of(plugin.Parameters)
         fields = {**common, **own}
-        values = read_keys(node, fields, log)
-        if any(is_required(item) and item.name not in values for item in fields.values()):
+        before = len(log.errors)
+        values, origin = read_keys(node, fields, log)
+        # A plug-in is not asked what it makes of parameters of which some are missing.
+        if len(log.errors) > before or any(is_required(item) and item.name not in values for item in fields.values()):
             return None
         own_names = {item.name for item in own.values()}
-        origin = origin_of(node)
         make_parameters: Any = plugin.Parameters
         make: Any = self.record
         parameters = make_parameters(origin=origin, **{k: v for k, v in values.items() if k in own_names})

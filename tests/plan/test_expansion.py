@@ -196,3 +196,13 @@ def test_expansion_is_bounded_in_time() -> None:
     _, log = stated("  - " + "{label: a, repeat: 10000, steps: [" * 12 + "{label: b}" + "]}" * 12 + "\n")
     assert [item.code for item in log] == ["limit-segments"]
     assert time.process_time() - start < 1.0
+
+
+def test_segments_that_inherit_something_unreadable_are_marked() -> None:
+    head = HEAD + "defaults: {orientation: {x: up, y: up}, settle: 5 apples, dwell: 5 s}\n"
+    found, log = stated("  - {label: a}\n  - {label: b, orientation: unknown}\n", head)
+    assert [item.code for item in log] == ["meaning-orientation", "meaning-unit"]
+    assert [(item.label, item.sound, "orientation" in item.state) for item in found] == [
+        ("a", False, False),
+        ("b", True, True),
+    ]
