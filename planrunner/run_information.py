@@ -18,11 +18,11 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
     log = Findings()
     given: dict[str, tuple[str, Mark]] = {}
     if file is not None:
-        for name, node in source.load(file).entries:
+        for key, node in source.load(file).entries:
             if isinstance(node, source.Scalar) and node.value is not None:
-                given[name.text] = (node.text, name.mark)
+                given[key.text] = (node.text, key.mark)
             else:
-                log.error("run-info-value", node.mark, f"'{name.text[:40]}' needs one value", "write name: value")
+                log.error("run-info-value", node.mark, f"'{key.text[:40]}' needs one value", "write name: value")
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals or not value.strip():

@@ -61,7 +61,9 @@ def test_all_errors_in_one_run(plan_file: Write) -> None:
 
 
 def test_a_rank_deficient_design_names_the_terms(plan_file: Write) -> None:
-    path = plan_file(("segments: P*, uncertainty", "segments: P*, terms: [accel_x_accel_z, accel_y_accel_z], uncertainty"))
+    path = plan_file(
+        ("segments: P*, uncertainty", "segments: P*, terms: [accel_x_accel_z, accel_y_accel_z], uncertainty")
+    )
     errors = [f for f in check_plan(path).findings.errors if f.code == "physics-rank"]
     assert errors
     assert "accel_x_accel_z" in errors[0].message
@@ -70,7 +72,12 @@ def test_a_rank_deficient_design_names_the_terms(plan_file: Write) -> None:
 
 
 def test_two_positions_cannot_give_six_coefficients(plan_file: Write) -> None:
-    path = plan_file(("drift: {estimator: flexure_gyro_static, segments: P*", "drift: {estimator: flexure_gyro_static, segments: [P1, P2]"))
+    path = plan_file(
+        (
+            "drift: {estimator: flexure_gyro_static, segments: P*",
+            "drift: {estimator: flexure_gyro_static, segments: [P1, P2]",
+        )
+    )
     assert "physics-rank" in codes(check_plan(path)) or "physics-estimate" in codes(check_plan(path))
 
 
@@ -78,10 +85,16 @@ def test_two_positions_cannot_give_six_coefficients(plan_file: Write) -> None:
     ("segment", "code"),
     [
         ("{label: a, orientation: {x: up, y: north}, rate: 500 deg/s}", "physics-rate"),
-        ("{label: a, orientation: {x: up, y: north}, motion: {rock: {amplitude: 30 deg, frequency: 5 Hz}}}", "physics-acceleration"),
+        (
+            "{label: a, orientation: {x: up, y: north}, motion: {rock: {amplitude: 30 deg, frequency: 5 Hz}}}",
+            "physics-acceleration",
+        ),
         ("{label: a, orientation: {x: up, y: north}, temperature: -80 degC}", "physics-temperature"),
         ("{label: a, orientation: {x: up, y: north}, temperature: {ramp_to: 120 degC}}", "physics-temperature"),
-        ("{label: a, orientation: {from: {x: east, y: north}, rotate: [z 30 deg]}, motion: {rate: 10 deg/s, about: south}}", "physics-rate-axis"),
+        (
+            "{label: a, orientation: {from: {x: east, y: north}, rotate: [z 30 deg]}, motion: {rate: 10 deg/s, about: south}}",
+            "physics-rate-axis",
+        ),
         ("{label: a, orientation: {x: up, y: north}, rate: 9**9**9 deg/s}", "form-quantity"),
         ("{label: a, orientation: {x: up, y: north}, rate: nan deg/s}", "form-quantity"),
         ("{label: a, orientation: {x: up, y: north}, rate: 30 Hz}", "meaning-dimension"),
@@ -110,7 +123,9 @@ def test_part_of_a_turn_at_a_low_rate_is_a_warning_with_its_figure(plan_file: Wr
     path = plan_file(("\nestimates:", f"\n  - {segment}\nestimates:"))
     warnings = [f for f in check_plan(path).findings if f.code == "physics-whole-turns"]
     assert len(warnings) == 1
-    whole = plan_file(("\nestimates:", f"\n  - {segment.replace('dwell: 30 s', 'dwell: {turns: 1}')}\nestimates:"), name="whole.yaml")
+    whole = plan_file(
+        ("\nestimates:", f"\n  - {segment.replace('dwell: 30 s', 'dwell: {turns: 1}')}\nestimates:"), name="whole.yaml"
+    )
     assert not [f for f in check_plan(whole).findings if f.code == "physics-whole-turns"]
 
 
@@ -123,13 +138,24 @@ def test_a_cable_that_winds_up(plan_file: Write, tmp_path: Path) -> None:
     assert "physics-cable-wrap" in codes(check_plan(path))
 
 
+def test_a_bench_without_a_table_neither_turns_nor_moves_the_sensor(plan_file: Write, tmp_path: Path) -> None:
+    bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    start, end = bench.index("  table:\n"), bench.index("  chamber:\n")
+    bench = (bench[:start] + bench[end:]).replace("safe_order: [table, chamber, gyro]", "safe_order: [chamber, gyro]")
+    (tmp_path / "bare.yaml").write_text(bench, encoding="utf-8")
+    assert "physics-no-table" in codes(check_plan(plan_file(("bench: virtual", "bench: bare.yaml"))))
+
+
 def test_a_limit_narrower_than_the_uncertainty_to_expect_is_foreseen(plan_file: Write) -> None:
     path = plan_file(("within: ±5 deg/h", "within: ±0.001 deg/h"))
     assert any(f.code == "physics-limit" and f.severity == "warning" for f in check_plan(path).findings)
 
 
 def test_limits_on_unknown_or_other_quantities(plan_file: Write) -> None:
-    path = plan_file(("drift.D_X_F, within: ±5 deg/h", "drift.D_X_Q, within: ±5 deg/h"), ("drift.D_Y_F, within: ±5 deg/h", "drift.D_Y_F, within: ±5 g"))
+    path = plan_file(
+        ("drift.D_X_F, within: ±5 deg/h", "drift.D_X_Q, within: ±5 deg/h"),
+        ("drift.D_Y_F, within: ±5 deg/h", "drift.D_Y_F, within: ±5 g"),
+    )
     assert {"meaning-unknown-quantity", "meaning-dimension"} <= set(codes(check_plan(path)))
 
 

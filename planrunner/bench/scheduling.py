@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
-from planrunner.physics.earth import Site
+from planrunner.bench.model import BenchModels
+from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import (
     Array,
     TableAxis,
@@ -35,20 +35,10 @@ from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Schedule, Segmen
 WHOLE_TURN_TOLERANCE = 100e-6
 
 
-class Models(Protocol):
-    """What is known of a bench without connecting to it."""
-
-    site: Site
-    table: TableModel | None
-    chamber: ChamberModel | None
-    sensor: SensorModel | None
-    replays: bool
-
-
-def build_schedule(stated: Sequence[StatedSegment], models: Models, log: Findings) -> Schedule:
+def build_schedule(stated: Sequence[StatedSegment], models: BenchModels, log: Findings) -> Schedule:
     """The schedule of the sound segments; each segment with an error is left out, the others are still checked."""
     planner = _Planner(models, log)
-    segments = []
+    segments: list[Segment] = []
     for item in stated:
         segment = planner.segment(len(segments), item)
         if segment is not None:
@@ -59,7 +49,7 @@ def build_schedule(stated: Sequence[StatedSegment], models: Models, log: Finding
 class _Planner:
     """Follows the bench from state to state."""
 
-    def __init__(self, models: Models, log: Findings):
+    def __init__(self, models: BenchModels, log: Findings):
         self.models = models
         self.log = log
         self.time = 0.0
@@ -67,6 +57,7 @@ class _Planner:
         axes = models.table.axes if models.table else ()
         self.joints: Array = np.zeros(len(axes))
         self._soaked: float | None = None
+        self._mounted: Orientation | None = None
         self._stopping = 0.0
         self._reached: dict[Any, Array] = {}
         self._complained: set[tuple[Any, ...]] = set()
@@ -198,6 +189,10 @@ class _Planner:
 
     def _move(self, orientation: Orientation, mark: Mark) -> float:
         table, attitude = self.models.table, orientation.attitude
+        if table is None and attitude is not None and not self.models.replays:
+            self._mounted = self._mounted or orientation
+            if orientation.matrix != self._mounted.matrix:
+                self._no_table(f"turn the sensor from '{self._mounted.text}' to '{orientation.text}'", mark)
         if table is None or attitude is None:
             return 0.0
         key = (orientation.matrix, tuple(self.joints))
@@ -222,14 +217,21 @@ class _Planner:
         self, motion: Motion, dwell: float | None, orientation: Orientation, marks: Mapping[str, Mark], mark: Mark
     ) -> float:
         table = self.models.table
-        if isinstance(motion, Rest) or table is None:
+        if isinstance(motion, Rest):
             return 0.0
         at = marks.get("motion") or marks.get("rate") or mark
+        if table is None:
+            if not self.models.replays:
+                self._no_table("move the sensor", at)
+            return 0.0
         if isinstance(motion, Spin):
             return self._spin(table, motion, dwell, orientation, at)
         if isinstance(motion, Rock):
             return self._rock(table, motion, at)
         return self._cycle(table.axes[0], motion, at)
+
+    def _no_table(self, what: str, mark: Mark) -> None:
+        self._once("physics-no-table", mark, f"this bench has no table to {what}", "use a bench with a table")
 
     def _spin(
         self, table: TableModel, motion: Spin, dwell: float | None, orientation: Orientation, mark: Mark

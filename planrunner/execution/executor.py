@@ -251,7 +251,6 @@ class _Execution:
         simulated_table = isinstance(self.bench.table, Resumable)
         simulated_chamber = isinstance(self.bench.chamber, Resumable)
         self.reaching.moving_perhaps = not simulated_table
-        self.reaching.soak_again = not simulated_chamber
         if not point.states:
             return
         executor, instruments = point.states["executor"], point.states["instruments"]

@@ -47,8 +47,8 @@ class Reaching:
         self._can_heat = isinstance(bench.chamber, HoldsTemperature)
         self.temperature: float | None = None
         self.attitude: Array | None = None
-        self.soak_again = False
-        """After a break nobody knows how long the sensor has been at its temperature."""
+        self.soak_again = True
+        """At first, and after a break, nobody knows how long the sensor has been at its temperature."""
         self.moving_perhaps = False
         """After a break nobody knows whether the table stands still."""
 
