@@ -25,7 +25,7 @@ from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.meaning import check_meaning
 from planrunner.plan.model import Limit, Plan
 from planrunner.plan.quantity import Quantity, parse_symmetric
-from planrunner.plan.reader import read_plan
+from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
 from planrunner.shipped import shipped
@@ -105,12 +105,12 @@ def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = N
     """
     checked = Checked(str(path), Findings())
     try:
-        text = source.read_text(path)
-        checked.plan_bytes = path.read_bytes()
-        plan, checked.findings = read_plan(source.parse(text, str(path)))
+        checked.plan_bytes = source.read_bytes(path)
+        text = source.decode(checked.plan_bytes, str(path))
     except InputError as error:
         checked.findings = Findings(list(error.findings))
         return checked
+    plan, checked.findings = parse_plan(text, str(path))
     if plan is None:
         return checked
     checked.plan = plan
@@ -156,7 +156,7 @@ def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) ->
     _check_sensor(plan, checked.models, log)
     if not stated:
         return
-    schedule = build_schedule(stated, checked.models, log)
+    schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log)
     if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
         checked.schedule = schedule
         if checked.models.sensor is not None:

@@ -65,7 +65,7 @@ INSTRUMENT: Kind = Plugged(
     "driver",
     lambda: plugins.names(plugins.INSTRUMENTS),
     lambda name: plugins.load(plugins.INSTRUMENTS, name),
-    "meaning-unknown-driver",
+    "form-unknown-driver",
 )
 
 
@@ -91,7 +91,7 @@ class Bench(Record):
     instruments: dict[str, InstrumentEntry] = key(
         MapOf(INSTRUMENT, pattern=NAME),
         "The instruments by name: at most one table, one chamber and one sensor, and any number of monitors.",
-        {"sensor": {"driver": "recording"}},
+        {"chamber": {"driver": "virtual_chamber", "lowest": "-55 degC", "highest": "85 degC", "ramp": "3 K/min"}},
     )
     safe_order: tuple[str, ...] = key(
         ListOf(Text(NAME, "an instrument's name"), minimum=1),
@@ -156,11 +156,12 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
     with every finding in the file.
     """
     path, shown = locate(name_or_path, beside)
-    text = source.read_text(path, shown)
+    data = source.read_bytes(path, shown)
+    text = source.decode(data, shown)
     bench, log = parse_bench(source.parse(text, shown))
     if bench is None or log.errors:
         raise InputError(log)
-    return bench, path.read_bytes(), shown
+    return bench, data, shown
 
 
 def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:

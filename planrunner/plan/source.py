@@ -71,8 +71,8 @@ class Mapping:
 Node = Scalar | Sequence | Mapping
 
 
-def read_text(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> str:
-    """The text of a UTF-8 file of at most `limit` bytes. Raises `InputError`, never `OSError`."""
+def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> bytes:
+    """What a file of at most `limit` bytes holds. Raises `InputError`, never `OSError`."""
     name = shown or str(path)
     try:
         if path.is_dir():
@@ -89,6 +89,11 @@ def read_text(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> s
     if len(data) > limit:
         message = f"the file is larger than {limit / 1e6:g} MB"
         raise InputError.at(Mark(name), "file-size", message, "keep data apart from the plan")
+    return data
+
+
+def decode(data: bytes, name: str) -> str:
+    """The text of a UTF-8 file, with or without a byte-order mark. Raises `InputError`; `name` is what findings show."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -97,6 +102,11 @@ def read_text(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> s
         raise InputError.at(
             _mark_at(before, len(before), name), "file-encoding", message, "save the file as UTF-8 text"
         ) from None
+
+
+def read_text(path: Path, shown: str | None = None) -> str:
+    """The text of a file (see `read_bytes` and `decode`)."""
+    return decode(read_bytes(path, shown), shown or str(path))
 
 
 def load(path: Path, shown: str | None = None, log: Findings | None = None) -> Mapping:

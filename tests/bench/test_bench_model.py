@@ -118,7 +118,7 @@ def test_every_finding_comes_in_one_run(tmp_path):
     with pytest.raises(InputError) as caught:
         read_bench("b.yaml", tmp_path)
     seen = {item.code: (item.mark.line, item.mark.column) for item in caught.value.findings}
-    assert seen == {"form-choice": (3, 8), "meaning-dimension": (4, 18), "meaning-unknown-driver": (6, 19)}
+    assert seen == {"form-choice": (3, 8), "meaning-dimension": (4, 18), "form-unknown-driver": (6, 19)}
 
 
 @pytest.mark.parametrize(

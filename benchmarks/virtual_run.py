@@ -1,0 +1,104 @@
+"""A whole virtual run of one long segment against numpy drawing the same noise and pyarrow writing the same bytes.
+
+The run is the real thing: simulated gyro, executor, run folder with digests and journal, in flushed mode. Beside it, in the same process and
+taking turns, numpy draws as many standard normal numbers with the same generator, and pyarrow writes the columns that the run recorded, with the same
+settings. The least of several turns counts.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.recording_memory import peak_memory
+
+SAMPLES, LONG = 10_000_000, 100_000_000
+CHANNELS, BLOCK, TURNS = 3, 100_000, 5
+SETTINGS = {
+    "compression": "snappy",
+    "use_dictionary": False,
+    "write_statistics": False,
+}  # as in archive/segment_file.py
+
+
+def record(samples: int, folder: Path) -> tuple[float, Path]:
+    """Seconds from the first move to the sealed run folder, and the folder."""
+    from planrunner.archive.run_folder import RunWriter
+    from planrunner.bench.model import read_bench
+    from planrunner.bench.opening import open_bench
+    from planrunner.execution.executor import execute
+    from planrunner.execution.stopping import StopRequest
+    from planrunner.plan.schedule import Rest, Schedule, Segment
+
+    segment = Segment(0, "long", np.eye(3), "x east, y north, z up", Rest(), samples / 100.0)
+    with open_bench(read_bench("virtual")[0], seed=1) as bench:
+        began = time.perf_counter()
+        with RunWriter.create(folder, "long", b"", b"", {}, "flushed") as writer:
+            outcome = execute(Schedule((segment,), segment.dwell or 0.0), bench, writer, stop=StopRequest())
+        taken = time.perf_counter() - began
+    assert outcome.ok, outcome
+    return taken, writer.path
+
+
+def draw(samples: int) -> float:
+    generator = np.random.Generator(np.random.SFC64(1))
+    began = time.perf_counter()
+    for _ in range(samples // BLOCK * CHANNELS):
+        generator.standard_normal(BLOCK)
+    return time.perf_counter() - began
+
+
+def write_again(run: Path, folder: Path) -> float:
+    """Seconds to write the run's own columns with pyarrow alone, a file a part, from memory."""
+    import pyarrow.parquet as pq
+
+    taken = 0.0
+    for part in sorted((run / "segments").iterdir()):
+        table = pq.read_table(part)
+        options = pq.ParquetFile(part).metadata
+        assert options.row_group(0).column(0).compression == "SNAPPY"
+        began = time.perf_counter()
+        rows = options.row_group(0).num_rows
+        pq.write_table(table, folder / part.name, row_group_size=rows, **SETTINGS)
+        taken += time.perf_counter() - began
+        (folder / part.name).unlink()
+    return taken
+
+
+def run() -> dict[str, object]:
+    runs, draws, writes = [], [], []
+    for turn in range(TURNS + 1):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            taken, path = record(SAMPLES if turn else SAMPLES // 100, folder / "runs")
+            if turn:  # the first is for imports
+                runs.append(taken)
+                draws.append(draw(SAMPLES))
+                writes.append(write_again(path, folder))
+    floor = min(draws) + min(writes)
+    memory = {}
+    for samples in (SAMPLES // 10, LONG):
+        command = [sys.executable, "-m", "benchmarks.virtual_run", str(samples)]
+        memory[samples] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    short, long = memory[SAMPLES // 10], memory[LONG]
+    return {
+        "virtual run of 10⁷ samples × 3 channels [s]": min(runs),
+        "numpy drawing the noise [s]": min(draws),
+        "pyarrow writing the bytes [s]": min(writes),
+        "ratio (target ≤ 2)": min(runs) / floor,
+        "peak memory at 10⁶ samples [MB]": short,
+        "peak memory at 10⁸ samples [MB]": long,
+        "difference [MB] (target ≤ 50)": long - short,
+    }
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as name:
+        record(int(sys.argv[1]), Path(name))
+    print(json.dumps(peak_memory()))
