@@ -56,7 +56,9 @@ def _carry_out(plan: Path, data: Path, folder: Path) -> tuple[Path, Results]:
     return run, analyse_run(run).results
 
 
-def _compare(case: str, quantity: str, known: dict[str, float], results: Results, allowed: float) -> Iterator[Comparison]:
+def _compare(
+    case: str, quantity: str, known: dict[str, float], results: Results, allowed: float
+) -> Iterator[Comparison]:
     estimate, _, name = quantity.partition(".")
     coefficient = results.estimates[estimate][name]
     for key, shown in (("value", quantity), ("standard_uncertainty", f"u({quantity})")):

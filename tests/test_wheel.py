@@ -20,13 +20,17 @@ def test_wheel_in_a_new_environment(tmp_path: Path) -> None:
     venv.create(tmp_path / "env", with_pip=True)
     scripts = tmp_path / "env" / ("Scripts" if sys.platform == "win32" else "bin")
     install = [str(scripts / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*install, "--constraint", str(ROOT / "constraints.txt"), str(wheel)], check=True, capture_output=True)
+    subprocess.run(
+        [*install, "--constraint", str(ROOT / "constraints.txt"), str(wheel)], check=True, capture_output=True
+    )
     work = tmp_path / "elsewhere"
     work.mkdir()
 
     def planrunner(*arguments: str) -> str:
         command = [str(scripts / "planrunner"), *arguments]
-        done = subprocess.run(command, cwd=work, capture_output=True, text=True, env={"PATH": "/usr/bin", "HOME": str(work)})
+        done = subprocess.run(
+            command, cwd=work, capture_output=True, text=True, env={"PATH": "/usr/bin", "HOME": str(work)}
+        )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 

@@ -281,7 +281,8 @@ class _Planner:
             default=0.0,
         )
         if worst > WHOLE_TURN_TOLERANCE:
-            message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave Earth rate in the mean: up to {worst * 1e6:.0f} ppm of the rate that a tilted axis sees"
+            share = f"up to {worst * 1e6:.0f} ppm of the rate that a tilted axis sees"
+            message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave Earth rate in the mean: {share}"
             self.log.warning("physics-whole-turns", mark, message, "write dwell: {turns: 1, at_least: …}")
 
     def _rock(self, table: TableModel, motion: Rock, mark: Mark) -> float:

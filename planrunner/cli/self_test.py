@@ -25,14 +25,28 @@ def run(args: argparse.Namespace) -> int:
 
         from planrunner.cli.printing import print_json
 
-        print_json({"passed": passed, "versions": versions(), "comparisons": [asdict(row) | {"passed": row.passed} for row in rows]})
+        print_json(
+            {
+                "passed": passed,
+                "versions": versions(),
+                "comparisons": [asdict(row) | {"passed": row.passed} for row in rows],
+            }
+        )
         return cli.DONE if passed else cli.LIMIT_FAILED
     from planrunner.estimators.interface import Table
     from planrunner.reporting import terminal
 
     columns = ("case", "quantity", "known answer", "found", "relative difference", "allowed", "verdict")
     cells = tuple(
-        (row.case, row.quantity, row.known, row.found, f"{row.difference:.1e}", f"{row.allowed:.0e}", "passed" if row.passed else "FAILED")
+        (
+            row.case,
+            row.quantity,
+            row.known,
+            row.found,
+            f"{row.difference:.1e}",
+            f"{row.allowed:.0e}",
+            "passed" if row.passed else "FAILED",
+        )
         for row in rows
     )
     console = terminal.console()

@@ -20,7 +20,9 @@ Run = subprocess.CompletedProcess[str]
 
 def planrunner(*arguments: object, cwd: Path, **environment: str) -> Run:
     command = [sys.executable, "-m", "planrunner", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}, timeout=120)
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}, timeout=120
+    )
     assert "Traceback" not in done.stderr + done.stdout
     return done
 
@@ -105,7 +107,9 @@ def test_check_prints_findings_and_json(tmp_path: Path) -> None:
     assert good.returncode == 0
     assert "condition 2.61" in good.stdout
     bad = tmp_path / "bad.yaml"
-    bad.write_text(FLAGSHIP.read_text(encoding="utf-8").replace("y: north, z: west}", "y: west, z: north}", 1), encoding="utf-8")
+    bad.write_text(
+        FLAGSHIP.read_text(encoding="utf-8").replace("y: north, z: west}", "y: west, z: north}", 1), encoding="utf-8"
+    )
     refused = planrunner("check", bad, "--json", cwd=tmp_path)
     assert refused.returncode == 2
     (finding,) = json.loads(refused.stdout)
@@ -118,7 +122,9 @@ def test_check_prints_findings_and_json(tmp_path: Path) -> None:
 
 def test_a_failed_limit_decides_the_exit_code(tmp_path: Path) -> None:
     plan = tmp_path / "strict.yaml"
-    plan.write_text(FLAGSHIP.read_text(encoding="utf-8").replace("within: ±5 deg/h", "within: ±0.5 deg/h", 1), encoding="utf-8")
+    plan.write_text(
+        FLAGSHIP.read_text(encoding="utf-8").replace("within: ±5 deg/h", "within: ±0.5 deg/h", 1), encoding="utf-8"
+    )
     done = planrunner("run", plan, *GIVEN, "--quiet", cwd=tmp_path)
     assert done.returncode == 1
     assert "report.html" in done.stdout.strip().splitlines()[-1]
@@ -188,7 +194,9 @@ def test_unwritable_runs(tmp_path: Path) -> None:
     assert "runs" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [[], ["frobnicate"], ["check"], ["run"], ["--help"], ["--version"], ["check", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["frobnicate"], ["check"], ["run"], ["--help"], ["--version"], ["check", "--help"]]
+)
 def test_usage_without_tracebacks(tmp_path: Path, arguments: list[str]) -> None:
     done = planrunner(*arguments, cwd=tmp_path)
     assert done.returncode == (0 if arguments and arguments[-1].startswith("--") else 2)

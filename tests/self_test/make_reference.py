@@ -38,7 +38,7 @@ def pulses(words: str) -> tuple[float, float]:
     eps, xi = math.radians(c["epsilon"] / 60), math.radians(c["xi"] / 60)
     earth = (0.0, EARTH_RATE * math.cos(LATITUDE), EARTH_RATE * math.sin(LATITUDE))
     axes = [DIRECTION[word] for word in words.split()]
-    w_x, w_y, _ = (sum(a * b for a, b in zip(axis, earth)) for axis in axes)
+    w_x, w_y, _ = (sum(a * b for a, b in zip(axis, earth, strict=True)) for axis in axes)
     a_x, a_y, a_z = (float(axis[2]) for axis in axes)
     d_x = c["D_X_F"] + c["D_X_X"] * a_x + c["D_X_Y"] * a_y + c["D_X_Z"] * a_z
     d_y = c["D_Y_F"] + c["D_Y_X"] * a_x + c["D_Y_Y"] * a_y + c["D_Y_Z"] * a_z
@@ -49,7 +49,10 @@ def pulses(words: str) -> tuple[float, float]:
 
 def write(name: str, header: list[str], rows: dict[str, tuple[float, ...]], swing: float) -> None:
     """One short stretch of samples a label, alternating by ± swing about the value, and the table of the stretches."""
-    with (FOLDER / f"{name}.csv").open("w", newline="\n") as data, (FOLDER / f"{name}.segments.csv").open("w", newline="\n") as table:
+    with (
+        (FOLDER / f"{name}.csv").open("w", newline="\n") as data,
+        (FOLDER / f"{name}.segments.csv").open("w", newline="\n") as table,
+    ):
         data.write(",".join(["time_s", *header]) + "\n")
         table.write("label,start_s,end_s\n")
         for number, (label, values) in enumerate(rows.items()):
@@ -63,9 +66,11 @@ def write(name: str, header: list[str], rows: dict[str, tuple[float, ...]], swin
 
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
-    write("eight_position", ["torquer_x", "torquer_y"], {label: pulses(words) for label, words in POSITIONS.items()}, 1.0)
+    write(
+        "eight_position", ["torquer_x", "torquer_y"], {label: pulses(words) for label, words in POSITIONS.items()}, 1.0
+    )
     numbers = [float(word) for word in NORRIS.split()]
-    pairs = list(zip(numbers[::2], numbers[1::2]))
+    pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
     write("norris", ["output"], {f"N{i:02d}": (y,) for i, (y, _) in enumerate(pairs, 1)}, 0.5)
     print("\n".join(f"        N{i:02d}: {x:g} deg/s" for i, (_, x) in enumerate(pairs, 1)))
 
