@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.basis_judgement import judge, require_basis
-from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Plot, Table
+from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Table
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
+from planrunner.estimators.planned import matrix_at_rest
+from planrunner.estimators.residual_plot import residual_plot
 from planrunner.physics.earth import Site
-from planrunner.physics.stimulus import StimulusError, segment_means
 from planrunner.physics.terms import ACCEL_X, ACCEL_Y, ACCEL_Z, BIAS, ErrorModel
-from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit
 
 Array = NDArray[np.float64]
@@ -35,15 +36,8 @@ def model_of(terms: Sequence[str]) -> ErrorModel:
 
 def matrix_of(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
     """The design matrix of positions at rest, SI. Raises `EstimationError`."""
-    moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
-    if moving:
-        raise EstimationError(
-            f"segment '{moving[0]}' moves: an accelerometer is held against gravity at rest; leave it out of `segments`"
-        )
-    try:
-        return model.columns(segment_means(segments, site))
-    except StimulusError as error:
-        raise EstimationError(f"{error} (for example `reference: gravity_magnitude`)") from None
+    needed = "an accelerometer is held against gravity at rest"
+    return matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
 
 
 def estimate(request: EstimateRequest) -> Estimate:
@@ -87,7 +81,7 @@ def estimate(request: EstimateRequest) -> Estimate:
             "weights": [n.weighting for n in fit.noises],
         },
         (_table(observations, fit),),
-        (_plot(observations, fit),),
+        (residual_plot(observations, fit),),
         tuple(notes),
         tuple(warnings),
         observations.labels,
@@ -156,20 +150,3 @@ def _table(observations: Observations, fit: OutputsFit) -> Table:
         values = [v for k in range(3) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))]
         rows.append((label, *values))
     return Table("Residuals per position", tuple(columns), tuple(rows))
-
-
-def _plot(observations: Observations, fit: OutputsFit) -> Plot:
-    series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
-    spreads = {
-        name: tuple(map(float, noise.sigma))
-        for name, noise in zip(observations.channels, fit.noises, strict=True)
-        if noise.known
-    }
-    return Plot(
-        "Residuals per position",
-        "position",
-        f"residual [{observations.units[0]}]",
-        observations.labels,
-        series,
-        spreads,
-    )

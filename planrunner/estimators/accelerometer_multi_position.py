@@ -15,13 +15,13 @@ from planrunner.estimators import accelerometer_by_magnitude as by_magnitude
 from planrunner.estimators import accelerometer_by_orientation as by_orientation
 from planrunner.estimators.interface import (
     Design,
-    DesignBlock,
     DesignRequest,
     Estimate,
     EstimateRequest,
     EstimationError,
 )
 from planrunner.estimators.outputs_fit import BASES
+from planrunner.estimators.planned import planned_blocks
 from planrunner.plan.kinds import Choice, ListOf, Record, Text, key
 
 Array = NDArray[np.float64]
@@ -72,20 +72,7 @@ class AccelerometerMultiPosition:
             return None
         model = by_orientation.model_of(parameters.terms)
         matrix = by_orientation.matrix_of(model, request.segments, request.site)
-        labels = tuple(segment.label for segment in request.segments)
-        blocks = []
-        for name in parameters.outputs:
-            output = request.sensor.output(name)
-            if output is None:
-                known = ", ".join(item.name for item in request.sensor.outputs)
-                raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
-            rates = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
-            sigma = [
-                output.noise.standard_error(s.dwell or 1.0, rate)
-                for s, rate in zip(request.segments, rates, strict=True)
-            ]
-            blocks.append(DesignBlock(name, model.names, matrix, model.magnitudes, np.array(sigma), labels))
-        return Design(tuple(blocks))
+        return Design(planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Coefficients from the recorded positions or still spans. Raises `EstimationError`."""

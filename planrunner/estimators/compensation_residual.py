@@ -32,6 +32,7 @@ from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
 
+AXES = ("ω_Y", "ω_X")
 _DEG_H = unit("deg/h").factor
 _NO_SET = (
     "'{}' is no set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
@@ -155,16 +156,6 @@ def _assemble(
         expected = prediction.expected[name] / prediction.expected[first]
         rows.append((f"{name} over {first}", measured, expected, middle, low, high))
     ratio_columns = ("sets", "measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
-    columns = ["position"] + [f"{name} {axis} [deg/h]" for name in names for axis in ("ω_Y", "ω_X")]
-    table = [(label, *(float(v) for name in names for v in residuals[name][k])) for k, label in enumerate(labels)]
-    table.append(
-        ("sum of squares [(deg/h)²]", *(float(np.sum(residuals[name][:, a] ** 2)) for name in names for a in (0, 1)))
-    )
-    series = {
-        f"{name} {axis}": tuple(map(float, residuals[name][:, a]))
-        for name in names
-        for a, axis in enumerate(("ω_Y", "ω_X"))
-    }
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
         f"The measured ratio of {pair} lies outside its expected 5 to 95 %, as noise alone makes one experiment in ten do."
@@ -184,9 +175,9 @@ def _assemble(
         },
         (
             Table(_SUMS, ratio_columns, tuple(rows)),
-            Table("Residuals after compensation", tuple(columns), tuple(table)),
+            _residual_table(labels, residuals),
         ),
-        (Plot("Residuals after compensation", "position", "residual [deg/h]", tuple(labels), series),),
+        (_residual_plot(labels, residuals),),
         (
             "Standard uncertainties are half of the central 68 % of simulated experiments with noise alone; they are not correlated here.",
             _CLAIM,
@@ -195,3 +186,19 @@ def _assemble(
         (),
         tuple(labels),
     )
+
+
+def _residual_table(labels: Sequence[str], residuals: Mapping[str, Array]) -> Table:
+    columns = ["position", *(f"{name} {axis} [deg/h]" for name in residuals for axis in AXES)]
+    rows = [(label, *(float(v) for values in residuals.values() for v in values[k])) for k, label in enumerate(labels)]
+    sums = (float(np.sum(values[:, a] ** 2)) for values in residuals.values() for a in range(len(AXES)))
+    return Table("Residuals after compensation", tuple(columns), (*rows, ("sum of squares [(deg/h)²]", *sums)))
+
+
+def _residual_plot(labels: Sequence[str], residuals: Mapping[str, Array]) -> Plot:
+    series = {
+        f"{name} {axis}": tuple(map(float, values[:, a]))
+        for name, values in residuals.items()
+        for a, axis in enumerate(AXES)
+    }
+    return Plot("Residuals after compensation", "position", "residual [deg/h]", tuple(labels), series)

@@ -23,12 +23,13 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.observations import observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.planned import matrix_at_rest, planned_blocks
+from planrunner.estimators.residual_plot import residual_plot
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
-from planrunner.physics.stimulus import StimulusError, segment_means
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.kinds import Boolean, Choice, ListOf, Record, Text, key
-from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
@@ -88,29 +89,16 @@ class FlexureGyroStatic:
         parameters: FlexureGyroStaticParameters = request.parameters
         model = flexure_gyro.static_model(parameters.terms)
         matrix = static_matrix(model, request.segments, request.site)
-        labels = tuple(segment.label for segment in request.segments)
         magnitudes = local_magnitudes(model, request.site)
-        blocks = []
-        for name in _two(parameters.outputs):
-            output = request.sensor.output(name)
-            if output is None:
-                raise EstimationError(
-                    f"the bench's sensor has no output '{name}'; it has {', '.join(o.name for o in request.sensor.outputs)}"
-                )
-            rates = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
-            sigma = [
-                output.noise.standard_error(s.dwell or 1.0, rate)
-                for s, rate in zip(request.segments, rates, strict=True)
-            ]
-            blocks.append(DesignBlock(name, model.names, matrix, magnitudes, np.array(sigma), labels))
+        blocks = planned_blocks(request, _two(parameters.outputs), model.names, matrix, magnitudes)
         scaled = matrix / magnitudes
         sight = rank.look(scaled)
         if sight.rank < scaled.shape[1]:
-            return Design(tuple(blocks))
+            return Design(blocks)
         determinant = float(np.linalg.det(scaled.T @ scaled))
         note = tables.determinant_note(determinant, sight.condition, len(matrix))
         return Design(
-            tuple(blocks),
+            blocks,
             _predicted(request, blocks, scaled),
             (note,),
             {"determinant": determinant, "condition": sight.condition},
@@ -151,7 +139,7 @@ class FlexureGyroStatic:
                 "weights": [noise.weighting for noise in fit.noises],
             },
             (tables.residual_table(observations, fit), *tables.both_bases(found, fit, basis)),
-            (tables.residual_plot(observations, fit),),
+            (residual_plot(observations, fit),),
             tuple(notes),
             tuple(warnings),
             observations.labels,
@@ -161,15 +149,7 @@ class FlexureGyroStatic:
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
     """The design matrix of positions at rest, SI. Raises `EstimationError` for a segment that moves or whose orientation is unknown."""
-    moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
-    if moving:
-        raise EstimationError(
-            f"segment '{moving[0]}' moves: the static coefficients need positions at rest; leave it out of `segments`"
-        )
-    try:
-        return model.columns(segment_means(segments, site))
-    except StimulusError as error:
-        raise EstimationError(str(error)) from None
+    return matrix_at_rest(model, segments, site, "the static coefficients need positions at rest")
 
 
 def local_magnitudes(model: ErrorModel, site: Site) -> Array:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planrunner.estimators.interface import Plot, Table
+from planrunner.estimators.interface import Table
 from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.uncertainty.decision import expanded_uncertainty
@@ -66,24 +66,6 @@ def residual_table(observations: Observations, fit: OutputsFit) -> Table:
             ]
         rows.append(tuple(row))
     return Table("Residuals per position", tuple(columns), tuple(rows))
-
-
-def residual_plot(observations: Observations, fit: OutputsFit) -> Plot:
-    """Residuals with their within-segment standard uncertainties."""
-    series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
-    spreads = {
-        name: tuple(map(float, noise.sigma))
-        for name, noise in zip(observations.channels, fit.noises, strict=True)
-        if noise.known
-    }
-    return Plot(
-        "Residuals per position",
-        "position",
-        f"residual [{observations.units[0]}]",
-        observations.labels,
-        series,
-        spreads,
-    )
 
 
 def both_bases(found: PhysicalSet, fit: OutputsFit, chosen: str) -> tuple[Table, ...]:

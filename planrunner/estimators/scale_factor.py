@@ -16,16 +16,16 @@ from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
-    DesignBlock,
     DesignRequest,
     Estimate,
     EstimateRequest,
     EstimationError,
-    Plot,
     Table,
 )
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.residual_plot import residual_plot
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
@@ -80,22 +80,13 @@ class ScaleFactor:
         matrix = np.column_stack([np.ones(len(rates)), rates])
         magnitudes = np.array([1.0, max(float(np.abs(rates).max(initial=0.0)), 1e-12)])
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
-        blocks, predicted = [], []
-        for name in names:
+        blocks = planned_blocks(request, names, TERMS, matrix, magnitudes)
+        predicted = []
+        for block in blocks:
+            name, sigma = block.output, block.sigma
             output = request.sensor.output(name)
-            if output is None:
-                known = ", ".join(item.name for item in request.sensor.outputs)
-                raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
+            assert output is not None  # each block is of an output that the sensor has
             rate_unit, output_unit = _units(request.parameters, output.unit)
-            hertz = [segment.sample_rate or request.sensor.sample_rate for segment in request.segments]
-            sigma = np.array(
-                [output.noise.standard_error(s.dwell or 1.0, f) for s, f in zip(request.segments, hertz, strict=True)]
-            )
-            blocks.append(
-                DesignBlock(
-                    name, TERMS, matrix, magnitudes, sigma, tuple(segment.label for segment in request.segments)
-                )
-            )
             if np.unique(rates).size > 1 and np.all(sigma > 0):
                 spread = np.sqrt(
                     np.diag(least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor)
@@ -104,7 +95,7 @@ class ScaleFactor:
                 nominal = request.sensor.nominal.get(f"K_{name}", math.nan)
                 if math.isfinite(nominal):
                     predicted.append(Coefficient(f"K_{name}", nominal, shown[0], float(spread[1] * shown[1])))
-        return Design(tuple(blocks), tuple(predicted))
+        return Design(blocks, tuple(predicted))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Lines through the recorded means. Raises `EstimationError`."""
@@ -195,6 +186,8 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
     full = np.zeros((2 * m + len(metrics), 2 * m + len(metrics)))
     full[: 2 * m, : 2 * m] = covariance
     full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item in metrics]
+    rate = units[0][0]
+    shown = tuple(float(value / rate.factor) for value in rates)
     notes, warnings = judge(fit, basis)
     if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
         notes.append(
@@ -209,8 +202,8 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
         full,
         tuple(item.name for item in (*coefficients, *metrics)),
         {"uncertainty": basis, "weights": parameters.weights, "rate_uncertainty": relative},
-        (_table(observations, rates, fit, units[0][0]),),
-        (_plot(observations, rates, fit, units[0][0]),),
+        (_table(observations, shown, fit, rate),),
+        (residual_plot(observations, fit, "Residuals from the straight line", f"rate [{rate.text}]", shown),),
         tuple(notes),
         tuple(warnings),
         observations.labels,
@@ -255,7 +248,7 @@ def _metrics(
     return found
 
 
-def _table(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit) -> Table:
+def _table(observations: Observations, rates: Sequence[float], fit: OutputsFit, rate: Unit) -> Table:
     columns = ["segment", f"rate [{rate.text}]"]
     for name, its_unit in zip(observations.channels, observations.units, strict=True):
         columns += [f"{name} mean [{its_unit}]", f"{name} residual [{its_unit}]"]
@@ -264,23 +257,5 @@ def _table(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit
         values = [
             v for k in range(len(fit.fits)) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))
         ]
-        rows.append((label, float(rates[n] / rate.factor), *values))
+        rows.append((label, rates[n], *values))
     return Table("Means and residuals per rate", tuple(columns), tuple(rows))
-
-
-def _plot(observations: Observations, rates: Array, fit: OutputsFit, rate: Unit) -> Plot:
-    series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
-    spreads = {
-        name: tuple(map(float, noise.sigma))
-        for name, noise in zip(observations.channels, fit.noises, strict=True)
-        if noise.known
-    }
-    x = tuple(float(value / rate.factor) for value in rates)
-    return Plot(
-        "Residuals from the straight line",
-        f"rate [{rate.text}]",
-        f"residual [{observations.units[0]}]",
-        x,
-        series,
-        spreads,
-    )

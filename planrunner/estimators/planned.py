@@ -1,0 +1,56 @@
+"""What planned segments give an estimator before anything is recorded: design matrices at rest, and the noise to expect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError
+from planrunner.physics.earth import Site
+from planrunner.physics.stimulus import StimulusError, segment_means
+from planrunner.physics.terms import ErrorModel
+from planrunner.plan.findings import closest
+from planrunner.plan.schedule import Rest, Segment
+
+Array = NDArray[np.float64]
+
+
+def matrix_at_rest(
+    model: ErrorModel, segments: Sequence[Segment], site: Site, needed: str, otherwise: str = ""
+) -> Array:
+    """The design matrix of positions at rest, shape (n, p), SI.
+
+    needed: what asks for rest, for the message about a segment that moves; otherwise: added to the message about an unknown
+    orientation. Raises `EstimationError` for both.
+    """
+    moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
+    if moving:
+        raise EstimationError(f"segment '{moving[0]}' moves: {needed}; leave it out of `segments`")
+    try:
+        return model.columns(segment_means(segments, site))
+    except StimulusError as error:
+        raise EstimationError(f"{error}{otherwise}") from None
+
+
+def planned_blocks(
+    request: DesignRequest, outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
+) -> tuple[DesignBlock, ...]:
+    """The same matrix (n, p), SI, for each output, with the noise that the sensor declares for the planned dwells.
+
+    A dwell of unknown length counts as one second. Raises `EstimationError` for an output that the sensor does not have.
+    """
+    labels = tuple(segment.label for segment in request.segments)
+    blocks = []
+    for name in outputs:
+        output = request.sensor.output(name)
+        if output is None:
+            hint = closest(name, [item.name for item in request.sensor.outputs])
+            raise EstimationError(f"the bench's sensor has no output '{name}': {hint}")
+        sigma = [
+            output.noise.standard_error(segment.dwell or 1.0, segment.sample_rate or request.sensor.sample_rate)
+            for segment in request.segments
+        ]
+        blocks.append(DesignBlock(name, terms, matrix, magnitudes, np.array(sigma), labels))
+    return tuple(blocks)

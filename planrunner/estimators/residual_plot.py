@@ -1,0 +1,26 @@
+"""The picture that every linear fit shows: residuals with the uncertainty that the noise within the segments gives them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from planrunner.estimators.interface import Plot
+from planrunner.estimators.observations import Observations
+from planrunner.estimators.outputs_fit import OutputsFit
+
+
+def residual_plot(
+    observations: Observations,
+    fit: OutputsFit,
+    title: str = "Residuals per position",
+    x_title: str = "position",
+    x: tuple[Any, ...] = (),
+) -> Plot:
+    """One series an output, in the first output's unit, over the segments' labels unless `x` is given."""
+    series = {name: tuple(map(float, one.residuals)) for name, one in zip(observations.channels, fit.fits, strict=True)}
+    spreads = {
+        name: tuple(map(float, noise.sigma))
+        for name, noise in zip(observations.channels, fit.noises, strict=True)
+        if noise.known
+    }
+    return Plot(title, x_title, f"residual [{observations.units[0]}]", x or observations.labels, series, spreads)
