@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.archive.run_folder import RunWriter
-from planrunner.execution.clock import VirtualClock
+from planrunner.bench.clock import VirtualClock
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import Block

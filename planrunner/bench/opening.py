@@ -12,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.model import SINGLE_ROLES, Bench, driver_of, safe_order, site_of
 from planrunner.instruments.interfaces import Clock, InstrumentError, Surroundings
 from planrunner.physics.earth import Site
@@ -96,7 +97,7 @@ def open_bench(
     without it. clock: instead of the one that the bench names. Raises `InstrumentError` naming the instrument that
     could not be connected; those before it are then safe and closed.
     """
-    clock = clock or _clock(bench.clock)
+    clock = clock or (VirtualClock() if bench.clock == "virtual" else WallClock())
     site = site_of(bench)
     chosen_seed = bench.seed if seed is None else seed
     surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=bench.clock == "wall")
@@ -115,9 +116,3 @@ def open_bench(
         opened.add(name, driver.role, instrument)
         surroundings.instruments[driver.role] = instrument
     return opened
-
-
-def _clock(kind: str) -> Clock:
-    from planrunner.execution.clock import VirtualClock, WallClock
-
-    return VirtualClock() if kind == "virtual" else WallClock()

@@ -1,1 +1,1 @@
-"""Carrying out a schedule on a bench: the executor, its clocks, stopping on request and progress."""
+"""Carrying out a schedule on a bench: the executor, stopping on request and progress."""

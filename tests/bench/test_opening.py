@@ -8,9 +8,9 @@ import pytest
 
 from planrunner import plugins
 from planrunner.bench import model
+from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.model import parse_bench, read_bench
 from planrunner.bench.opening import open_bench
-from planrunner.execution.clock import VirtualClock, WallClock
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan import source
 from planrunner.plan.kinds import Boolean, Record, key

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planrunner.execution.clock import VirtualClock
+from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Schedule, Segment, Spin
 
@@ -126,6 +126,10 @@ class Sensor:
     def identify(self) -> Mapping[str, str]:
         self.calls.note("sensor.identify")
         return {"model": "S", "serial": "9"}
+
+    def set_mode(self, mode: str) -> float:
+        self.calls.note(f"sensor.set_mode {mode}")
+        return 2.0
 
     def channels(self) -> Mapping[str, str]:
         self.calls.note("sensor.channels")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.execution.clock import VirtualClock, WallClock
+from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.execution.stopping import StopRequest
 
 
@@ -104,7 +104,7 @@ from dataclasses import replace
 from pathlib import Path
 from fake_bench import make_bench, segment
 from planrunner.archive.run_folder import RunWriter
-from planrunner.execution.clock import WallClock
+from planrunner.bench.clock import WallClock
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
 from planrunner.plan.schedule import Schedule

@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
-from planrunner.execution.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.recording import RecordingParameters, RecordingPlayer
 from planrunner.physics.earth import Site

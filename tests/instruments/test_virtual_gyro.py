@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from planrunner.execution.clock import VirtualClock
+from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.virtual.flexure_gyro import BLOCK, VirtualFlexureGyro, VirtualFlexureGyroParameters
 from planrunner.instruments.virtual.noise import Flicker, generator

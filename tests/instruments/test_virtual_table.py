@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from planrunner.execution.clock import VirtualClock
+from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import (
     HoldsOrientation,
     HoldsTemperature,
