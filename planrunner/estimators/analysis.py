@@ -19,7 +19,7 @@ from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
 
-__all__ = ["LimitVerdict", "Results", "analyse", "design_of", "predict"]
+__all__ = ["LimitVerdict", "Results", "analyse", "design_of"]
 
 
 def analyse(
@@ -80,23 +80,6 @@ def design_of(
     uses = {used: designs[used] for used in spec.uses}
     design: Design | None = estimator.design(DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses))
     return design
-
-
-def predict(
-    estimates: Mapping[str, Any], segments: Sequence[Segment], site: Site, sensor: SensorModel
-) -> tuple[dict[str, Design], dict[str, str]]:
-    """The designs of all estimates, and messages for those that have none because something is wrong."""
-    designs: dict[str, Design] = {}
-    failures: dict[str, str] = {}
-    for name in _in_order(estimates):
-        try:
-            design = design_of(name, estimates[name], segments, site, sensor, designs)
-        except EstimationError as error:
-            failures[name] = str(error)
-            continue
-        if design is not None:
-            designs[name] = design
-    return designs, failures
 
 
 def _in_order(estimates: Mapping[str, Any]) -> list[str]:

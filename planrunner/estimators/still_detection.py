@@ -32,11 +32,6 @@ class StillSpan:
     batches: int
 
 
-def find_still_spans(recorded: RecordedSegment, detection: Detection) -> list[tuple[float, float]]:
-    """Start and end [s] of every still span, in order; see `still_spans`."""
-    return [(span.start, span.end) for span in still_spans(recorded, detection)]
-
-
 def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSpan]:
     """The still spans of a recorded segment with their means, in one pass over its samples, block by block.
 

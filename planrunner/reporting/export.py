@@ -210,4 +210,3 @@ FORMS: dict[str, Callable[[Estimate, Mapping[str, str]], str]] = {
     "yaml": _yaml,
     "c": _c,
 }
-ENDINGS = {"csv": ".csv", "matlab": ".m", "yaml": ".yaml", "c": ".h"}

@@ -45,12 +45,6 @@ def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Round
     return Rounded(_fixed(number, exponent, last), _fixed(spread, exponent, last), exponent)
 
 
-def with_unit(value: float, standard_uncertainty: float, unit: str, digits: int = 2) -> str:
-    """`-1.2346 ± 0.0021 deg/h`; a number that needs a power of ten or a bracket gets one. The unit '1' is not written."""
-    text = str(rounded(value, standard_uncertainty, digits))
-    return text if unit in ("", "1") else f"{text} {unit}"
-
-
 def _decimal(number: float) -> Decimal:
     """As people read it: 0.1 is 0.1, not its nearest binary fraction."""
     return Decimal(repr(float(number)))

@@ -87,11 +87,6 @@ def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableTyp
     return Group(data_table(Table(title, table.columns, table.rows)), facts)
 
 
-def facts_table(facts: Sequence[tuple[str, str]]) -> RenderableType:
-    """Names and values in two columns, without rules."""
-    return _plain(facts)
-
-
 def _plain(facts: Iterable[tuple[str, str]]) -> RichTable:
     from rich.table import Table as RichTable
 

@@ -14,7 +14,7 @@ from planrunner.estimators.accelerometer_multi_position import (
 )
 from planrunner.estimators.gravity_magnitude import NAMES, fit_magnitude
 from planrunner.estimators.interface import DesignRequest, EstimateRequest, EstimationError
-from planrunner.estimators.still_detection import find_still_spans, still_spans
+from planrunner.estimators.still_detection import still_spans
 from planrunner.physics.earth import Site
 from planrunner.plan.orientation import rotation
 from planrunner.plan.quantity import parse_quantity
@@ -132,13 +132,17 @@ def made_by_hand(rows: int) -> tuple[object, list[tuple[float, float]]]:
     return recorded, [(0.25, 4.75), (9.25, 11.75), (12.25, 14.75)]
 
 
+def times(recorded: object) -> list[tuple[float, float]]:
+    return [(span.start, span.end) for span in still_spans(recorded, detection())]  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("rows", [1, 7, 100, 5000])
 def test_still_spans_do_not_depend_on_blocks(rows: int) -> None:
     recorded, expected = made_by_hand(rows)
-    spans = find_still_spans(recorded, detection())  # type: ignore[arg-type]
+    spans = times(recorded)
     assert len(spans) == len(expected)
     assert np.abs(np.array(spans) - np.array(expected)).max() <= 0.03
-    assert spans == find_still_spans(made_by_hand(997)[0], detection())  # type: ignore[arg-type]
+    assert spans == times(made_by_hand(997)[0])
 
 
 def test_span_statistics_equal_the_samples_own() -> None:
@@ -157,7 +161,7 @@ def test_a_gap_is_not_still() -> None:
     time = np.concatenate([np.arange(300), np.arange(1000, 1300)]) / 100
     channels = dict.fromkeys(CHANNELS, np.ones(600))
     recorded = from_samples(segment("t"), time, channels, dict.fromkeys(CHANNELS, "g"))
-    spans = find_still_spans(recorded, detection())
+    spans = times(recorded)
     assert len(spans) == 2
     assert spans[0][1] < 3.0
     assert spans[1][0] > 10.0
@@ -179,7 +183,7 @@ def test_still_detection_refusals() -> None:
         segment("t"), np.arange(300) / 100, dict.fromkeys(CHANNELS, np.ones(300)), dict.fromkeys(CHANNELS, "deg/s")
     )
     with pytest.raises(EstimationError, match="judged on accelerations"):
-        find_still_spans(turned, detection())
+        times(turned)
 
 
 def test_design_of_known_and_unknown_attitudes() -> None:

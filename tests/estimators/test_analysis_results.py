@@ -13,10 +13,10 @@ from recorded import from_means, segment, sensor
 from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
-from planrunner.estimators.analysis import Results, analyse, predict
+from planrunner.estimators.analysis import Results, analyse, design_of
 from planrunner.estimators.compensation_residual import CompensationResidualParameters
 from planrunner.estimators.flexure_gyro_static import FlexureGyroStaticParameters
-from planrunner.estimators.interface import Coefficient, Estimate
+from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
 from planrunner.plan.findings import InputError
 from planrunner.plan.model import Limit
 from planrunner.plan.quantity import parse_quantity
@@ -153,12 +153,16 @@ def test_same_recording_gives_the_same_bytes() -> None:
     assert first == second
 
 
-def test_prediction_from_the_schedule() -> None:
+def test_design_of_each_estimate_from_the_schedule() -> None:
     segments: list[Segment] = [recorded.segment for recorded in recording()]
-    designs, failures = predict(ESTIMATES, segments, SITE, sensor(*CHANNELS))
-    assert set(designs) == {"drift", "old", "residual"}
-    assert not failures
-    _, failures = predict(
-        {"lost": spec("flexure_gyro_static", ("X*",), FlexureGyroStaticParameters())}, segments, SITE, sensor(*CHANNELS)
-    )
-    assert "no segment has a label like X*" in failures["lost"]
+    designs: dict[str, Design] = {}
+    for name in ("drift", "old", "residual"):
+        design = design_of(name, ESTIMATES[name], segments, SITE, sensor(*CHANNELS), designs)
+        assert design is not None
+        designs[name] = design
+    assert [block.output for block in designs["drift"].blocks] == list(CHANNELS)
+    lost = spec("flexure_gyro_static", ("X*",), FlexureGyroStaticParameters())
+    with pytest.raises(EstimationError, match=r"no segment has a label like X\*"):
+        design_of("lost", lost, segments, SITE, sensor(*CHANNELS), {})
+    with pytest.raises(EstimationError, match="it uses 'drift', which has no design"):
+        design_of("residual", ESTIMATES["residual"], segments, SITE, sensor(*CHANNELS), {})
