@@ -105,6 +105,7 @@ def test_two_positions_cannot_give_six_coefficients(plan_file: Write) -> None:
         ("{label: a, orientation: {x: up, y: up}}", "meaning-orientation"),
         ("{label: P1, orientation: {x: up, y: north}}", "meaning-label-repeated"),
         ("{orientation: {x: up, y: north}}", "meaning-label"),
+        ("{label: a, orientation: {x: up, y: north}, mode: caged}", "physics-mode"),
         ("{label: a}", "meaning-no-orientation"),
         ("{label: a, orientaton: {x: up, y: north}}", "form-unknown-key"),
     ],

@@ -24,7 +24,7 @@ from planrunner.physics.kinematics import (
     transition_time,
 )
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.findings import Findings, Mark
+from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
@@ -79,6 +79,7 @@ class _Planner:
         transition += self._start(motion, dwell, orientation, marks, item.mark)
         if ramp_to is not None:
             self._check_temperature(ramp_to, marks["temperature"])
+        self._check_mode(item)
         if len(self.log.errors) > before:
             return None
         settle = _seconds(state, "settle")
@@ -99,6 +100,7 @@ class _Planner:
             temperature=kelvin,
             ramp_to=ramp_to,
             sample_rate=rate.value if rate else None,
+            mode=state.get("mode"),
             on_break=state.get("on_break", "retake"),
             transition=transition,
             start=start,
@@ -186,6 +188,12 @@ class _Planner:
             self.log.error("physics-temperature", mark, message, "stay within the chamber's range")
             return False
         return True
+
+    def _check_mode(self, item: StatedSegment) -> None:
+        mode, sensor = item.state.get("mode"), self.models.sensor
+        if mode is not None and sensor is not None and mode not in sensor.modes and not self.models.replays:
+            hint = closest(mode, sensor.modes) or "leave mode out: this sensor has only one"
+            self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
 
     def _move(self, orientation: Orientation, mark: Mark) -> float:
         table, attitude = self.models.table, orientation.attitude

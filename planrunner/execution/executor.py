@@ -229,6 +229,7 @@ class _Execution:
             "temperature": reaching.temperature,
             "attitude": None if attitude is None else attitude.tolist(),
             "soak_again": reaching.soak_again,
+            "mode": reaching.mode,
             "moving_perhaps": reaching.moving_perhaps,
         }
         return {"executor": executor, "instruments": {name: item.checkpoint() for name, item in self.resumable.items()}}
@@ -261,6 +262,8 @@ class _Execution:
             attitude = executor["attitude"]
             self.reaching.attitude = None if attitude is None else np.array(attitude, dtype=np.float64)
             self.reaching.moving_perhaps = executor["moving_perhaps"]
+        if isinstance(self.bench.sensor, Resumable):
+            self.reaching.mode = executor["mode"]
         if simulated_chamber:
             self.reaching.temperature, self.reaching.soak_again = executor["temperature"], executor["soak_again"]
 

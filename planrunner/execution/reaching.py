@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from planrunner.execution.stopping import StopRequest
-from planrunner.instruments.interfaces import Array, HoldsOrientation, HoldsTemperature, InstrumentError, Moves
+from planrunner.instruments.interfaces import (
+    Array,
+    HasModes,
+    HoldsOrientation,
+    HoldsTemperature,
+    InstrumentError,
+    Moves,
+)
 from planrunner.plan.schedule import Rest, Segment, Spin
 
 
@@ -43,10 +50,12 @@ class Reaching:
         self._chamber = bench.chamber
         self._table = bench.table
         self._can_orient = isinstance(bench.table, HoldsOrientation)
+        self._sensor = bench.sensor
         self._can_move = isinstance(bench.table, Moves)
         self._can_heat = isinstance(bench.chamber, HoldsTemperature)
         self.temperature: float | None = None
         self.attitude: Array | None = None
+        self.mode: str | None = None
         self.soak_again = True
         """At first, and after a break, nobody knows how long the sensor has been at its temperature."""
         self.moving_perhaps = False
@@ -54,13 +63,14 @@ class Reaching:
 
     def forget(self) -> None:
         """What was commanded no longer holds: the bench was made safe."""
-        self.temperature, self.attitude = None, None
+        self.temperature, self.attitude, self.mode = None, None, None
         self.soak_again = self.moving_perhaps = True
 
     def reach(self, segment: Segment) -> None:
         """Bring the bench to the segment's state, settled. Raises `InstrumentError` and `StoppedAtOnceError`."""
         self._reach_temperature(segment)
         self._orient(segment)
+        self._enter_mode(segment)
         motion, dwell = segment.motion, segment.dwell or 0.0
         if isinstance(motion, Rest) or self._table is None:
             self._settle(segment)
@@ -110,6 +120,14 @@ class Reaching:
             self._say("soaking")
             self.pause(segment.soak)
         self.temperature, self.soak_again = kelvin, False
+
+    def _enter_mode(self, segment: Segment) -> None:
+        if segment.mode is None or segment.mode == self.mode or not isinstance(self._sensor, HasModes):
+            return
+        self._say(f"entering the mode {segment.mode}")
+        self.mode = None
+        self.pause(self._sensor.set_mode(segment.mode))
+        self.mode = segment.mode
 
     def _set_temperature(self, kelvin: float) -> float:
         if not self._can_heat:

@@ -113,6 +113,12 @@ class HoldsTemperature(Protocol):
 
 
 @runtime_checkable
+class HasModes(Protocol):
+    def set_mode(self, mode: str) -> float:
+        """Start changing to an operating mode of `SensorModel.modes`; expected seconds until it is in it."""
+
+
+@runtime_checkable
 class Readable(Protocol):
     def read(self) -> Mapping[str, float]:
         """A few readings now (name_unit → value), kept in the journal."""

@@ -85,12 +85,16 @@ class OutputModel:
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The sensor under test. `nominal` holds declared coefficients (name → SI value) that predictions are linearised at."""
+    """The sensor under test. `nominal` holds declared coefficients (name → SI value) that predictions are linearised at.
+
+    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one.
+    """
 
     kind: str
     outputs: tuple[OutputModel, ...]
     sample_rate: float
     nominal: Mapping[str, float] = field(default_factory=dict)
+    modes: tuple[str, ...] = ()
 
     def output(self, name: str) -> OutputModel | None:
         return next((item for item in self.outputs if item.name == name), None)

@@ -134,6 +134,12 @@ class State(Record):
     sample_rate: Quantity | None = key(
         QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None
     )
+    mode: str | None = key(
+        Text(NAME, "a mode's name"),
+        "Operating mode that the sensor records in, where its driver offers modes (such as caged and navigation).",
+        "navigation",
+        None,
+    )
     on_break: str | None = key(
         Choice(("retake", "keep")),
         "What to do with a segment cut short by a crash when the run is resumed.",
@@ -350,4 +356,15 @@ class Plan(Record):
     )
 
 
-STATE_KEYS = ("orientation", "rate", "motion", "temperature", "soak", "settle", "dwell", "sample_rate", "on_break")
+STATE_KEYS = (
+    "orientation",
+    "rate",
+    "motion",
+    "temperature",
+    "soak",
+    "settle",
+    "dwell",
+    "sample_rate",
+    "mode",
+    "on_break",
+)

@@ -71,6 +71,7 @@ class Segment:
     temperature, ramp_to: K. soak, settle, dwell, transition, start: s; `dwell` is None for "as long as the recording lasts";
         `transition` is the planned time to get there (moves, spin-up, temperature), `start` the planned beginning of the dwell since
         the run began. sample_rate: Hz, None for the sensor's own.
+    mode: of the sensor; None where the plan does not say.
     on_break: what happens to a segment cut short by a crash: 'retake' it or 'keep' what there is.
     marks: where the plan says so, by key, for messages.
     """
@@ -86,6 +87,7 @@ class Segment:
     temperature: float | None = None
     ramp_to: float | None = None
     sample_rate: float | None = None
+    mode: str | None = None
     on_break: str = "retake"
     transition: float = 0.0
     start: float = 0.0

@@ -67,6 +67,17 @@ def test_a_profile_is_settled_before_it_begins(tmp_path: Path) -> None:
     assert "table.begin Cycle 20" in bench.calls
 
 
+def test_a_mode_is_entered_once_and_waited_for(tmp_path: Path) -> None:
+    """A sensor that is caged, then navigates twice: two changes, two seconds each as the sensor says."""
+    bench = make_bench(block=1000)
+    modes = ("caged", "navigation", "navigation")
+    schedule = Schedule(tuple(segment(k, f"s{k}", mode=mode) for k, mode in enumerate(modes)), 0.0)
+    outcome, _ = carry_out(tmp_path, bench, schedule)
+    assert outcome.ok
+    assert [call for call in bench.calls if "mode" in call] == ["sensor.set_mode caged", "sensor.set_mode navigation"]
+    assert bench.clock.now() == pytest.approx(5 + 3 * (3 + 10) + 2 * 2)  # move, settle and dwell, modes
+
+
 def test_recording_is_what_the_sensor_gave(tmp_path: Path) -> None:
     bench = make_bench()
     schedule = mixed_schedule()

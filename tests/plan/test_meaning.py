@@ -171,11 +171,11 @@ def test_the_language_says_the_other_methods(path: object) -> None:
 
 
 def test_the_tilted_axes_plan_expands_as_its_method_says() -> None:
-    """Six repeats of three temperatures, each with two zeros and both signs of six rates."""
+    """Six repeats of three temperatures, each with two zeros, both signs of six rates, and the power taken off."""
     plan, log = load_plan(next(path for path in METHOD_PLANS if path.stem == "scale_factor_tilted"))
     assert plan is not None
     labels = [segment.label for segment in expand(plan, log)]
-    assert len(labels) == 6 * 3 * (2 + 12)
+    assert len(labels) == 6 * 3 * (2 + 12 + 1)
     assert labels[:4] == ["r1/-40degC/start-zero", "r1/-40degC/R+300", "r1/-40degC/R-300", "r1/-40degC/R+150"]
     assert labels[-1] == "r6/+60degC/end-zero"
     assert plan.mounting["x"].angle.standard_uncertainty == pytest.approx(20 / 3600 * 3.141592653589793 / 180)
