@@ -177,7 +177,7 @@ def test_the_tilted_axes_plan_expands_as_its_method_says() -> None:
     labels = [segment.label for segment in expand(plan, log)]
     assert len(labels) == 6 * 3 * (2 + 12 + 1)
     assert labels[:4] == ["r1/-40degC/start-zero", "r1/-40degC/R+300", "r1/-40degC/R-300", "r1/-40degC/R+150"]
-    assert labels[-1] == "r6/+60degC/end-zero"
+    assert labels[-2:] == ["r6/+60degC/end-zero", "r6/+60degC/power-down"]
     assert plan.mounting["x"].angle.standard_uncertainty == pytest.approx(20 / 3600 * 3.141592653589793 / 180)
     assert plan.mounting["z"].angle.standard_uncertainty == pytest.approx(30 / 3600 * 3.141592653589793 / 180 / 3**0.5)
 
