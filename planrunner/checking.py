@@ -28,7 +28,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
-from planrunner.shipped import shipped
+from planrunner.reporting.templates import available
 
 # Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
 ILL_CONDITIONED = 30.0
@@ -123,12 +123,8 @@ def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = N
 
 
 def report_names() -> list[str]:
-    """The reports that can be written: the shipped templates, without partials."""
-    return [
-        file.name.removesuffix(".j2")
-        for file in sorted(shipped("templates").glob("[!_]*.j2"))
-        if not file.name.startswith("show.")
-    ]
+    """The reports that can be written of a run: the shipped templates but those of `show`."""
+    return [name for name in available() if not name.startswith("show.")]
 
 
 def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:

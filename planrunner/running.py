@@ -5,13 +5,12 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from planrunner.archive.analyses import add_analysis
+from planrunner.archive.formats import to_bytes
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
@@ -103,8 +102,3 @@ def _analyse(run: Path) -> tuple[ReportContext, Results, tuple[str, ...]]:
     recording = reader.recording(sound.schedule)
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor)
     return report_context(reader, sound, recording, results), results, sound.plan.report
-
-
-def to_bytes(value: Any) -> bytes:
-    """JSON text of results: full precision, no NaN, the same bytes for the same numbers."""
-    return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

@@ -4,7 +4,6 @@ afterwards."""
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -52,7 +51,7 @@ def add_analysis(run: Path, files: Mapping[str, bytes], *, storage: Storage | No
             "made": utc_now(),
             "files": {name: digest(data) for name, data in sorted(files.items())},
         }
-        storage.write_whole(aside / DIGESTS, (json.dumps(digests, indent=1) + "\n").encode())
+        storage.write_whole(aside / DIGESTS, formats.to_bytes(digests))
         return _take_number(run, aside, storage)
     except OSError as error:
         shutil.rmtree(aside, ignore_errors=True)

@@ -25,6 +25,11 @@ _TYPES: dict[str, tuple[type, ...]] = {
 }
 
 
+def to_bytes(value: Any) -> bytes:
+    """JSON text of a file: full precision, no NaN, the same bytes for the same data. A lone surrogate becomes its escape."""
+    return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
+
+
 @lru_cache(maxsize=8)
 def schema(name: str) -> dict[str, Any]:
     """A shipped JSON Schema: `run`, `journal-event`, `seal` or `digests`."""

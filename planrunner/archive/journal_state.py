@@ -66,14 +66,6 @@ class JournalState:
     finished: bool = False
     failures: list[str] = field(default_factory=list)
 
-    @property
-    def next_segment(self) -> int:
-        """Index of the first segment not acknowledged."""
-        index = 0
-        while index in self.acknowledged:
-            index += 1
-        return index
-
     def files(self) -> Iterator[Part]:
         """Every file of samples that the journal knows, whether it counts or not."""
         for item in self.acknowledged.values():

@@ -10,7 +10,6 @@ when the plan says `on_break: keep`, and stand beside the retaken ones, with the
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -92,7 +91,7 @@ class RunWriter:
             "info": dict(info),
         }
         given = {
-            "run.json": (json.dumps(run, indent=1, ensure_ascii=False) + "\n").encode("utf-8", "backslashreplace"),
+            "run.json": formats.to_bytes(run),
             "plan.yaml": plan_bytes,
             "bench.yaml": bench_bytes,
         }

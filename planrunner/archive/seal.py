@@ -3,7 +3,6 @@ finished."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ def write_seal(folder: Path, storage: Storage, files: Mapping[str, str], head: s
         "journal": {"events": events, "head": head},
         "files": dict(sorted({**files, JOURNAL: digest_file(folder / JOURNAL)}.items())),
     }
-    storage.write_whole(folder / NAME, (json.dumps(seal, indent=1) + "\n").encode())
+    storage.write_whole(folder / NAME, formats.to_bytes(seal))
 
 
 def read_seal(folder: Path) -> dict[str, Any] | None:

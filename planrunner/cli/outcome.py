@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner import cli
-from planrunner.cli.printing import print_json, printable
+from planrunner.cli.printing import print_json
+from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results

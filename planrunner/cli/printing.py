@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import Any, TextIO
 
 from planrunner.plan.findings import Finding
+from planrunner.reporting.printable import printable
 
 _COLOURS = {"error": "31;1", "warning": "33;1", "note": "36"}
 
@@ -25,11 +26,6 @@ def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> N
         print(text, file=out)
         if finding.hint:
             print(printable(f"    hint: {finding.hint}"), file=out)
-
-
-def printable(text: str) -> str:
-    """Text from files with control characters shown as codes, so that a file cannot drive the terminal."""
-    return "".join(char if char.isprintable() or char == "\n" else f"\\x{ord(char):02x}" for char in text)
 
 
 def print_json(value: Any) -> None:

@@ -13,6 +13,7 @@ from planrunner.estimators.interface import Coefficient, Design, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting import words
+from planrunner.reporting.printable import printable
 from planrunner.reporting.show_page import timeline_table, totals
 from planrunner.reporting.view import coefficient_row, limit_row, named, table_view
 
@@ -154,9 +155,4 @@ class _Columns:
 def _text(words_: str, style: str = "") -> Text:
     from rich.text import Text
 
-    return Text(printable(words_), style=style)
-
-
-def printable(text: str) -> str:
-    """Control characters as codes, so that text from a file cannot drive the terminal."""
-    return "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
+    return Text(printable(words_, keep=""), style=style)
