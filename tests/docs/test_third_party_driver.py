@@ -1,0 +1,59 @@
+"""The documented third-party driver: shown whole in the docs, installed like any package, used from a bench file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from third_party import ROOT, Planrunner, installed, shown_whole
+
+GIVEN = ("--set", "device_serial=1", "--set", "operator=test", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bench")
+    bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    bench = bench.replace("safe_order: [table, chamber, gyro]", "safe_order: [table, chamber, gyro, room]")
+    bench = bench.replace("instruments:\n", "instruments:\n  room: {driver: logged_thermometer, file: room.txt}\n")
+    (folder / "mine.yaml").write_text(bench, encoding="utf-8")
+    plan = (ROOT / "plans" / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8")
+    (folder / "plan.yaml").write_text(plan, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def planrunner(folder: Path) -> Planrunner:
+    return installed("logged_thermometer", folder)
+
+
+def test_the_docs_show_the_code_that_is_tested() -> None:
+    assert shown_whole("writing-a-driver.md", "logged_thermometer")
+
+
+def test_its_readings_stand_in_every_segment(folder: Path, planrunner: Planrunner) -> None:
+    (folder / "room.txt").write_text("21.5\n22.25\n", encoding="utf-8")
+    run = planrunner("run", "plan.yaml", "--bench", "mine.yaml", *GIVEN, "--json")
+    assert run.returncode == 0, run.stderr
+    segments = json.loads(run.stdout)["segments"]
+    assert len(segments) == 19
+    assert {segment["readings"]["room.air_degC"] for segment in segments} == {22.25}
+
+
+def test_what_it_cannot_do_is_said_before_anything_moves(folder: Path, planrunner: Planrunner) -> None:
+    (folder / "room.txt").write_text("", encoding="utf-8")
+    before = set((folder / "runs").glob("*"))
+    run = planrunner("run", "plan.yaml", "--bench", "mine.yaml", *GIVEN)
+    assert run.returncode == 3
+    assert "room (logged_thermometer) cannot be connected: no temperature in room.txt" in run.stderr
+    assert set((folder / "runs").glob("*")) == before
+
+
+def test_its_keys_and_name_are_checked(folder: Path, planrunner: Planrunner) -> None:
+    bench = (folder / "mine.yaml").read_text(encoding="utf-8")
+    (folder / "key.yaml").write_text(bench.replace("file: room.txt", "fle: room.txt"), encoding="utf-8")
+    (folder / "name.yaml").write_text(bench.replace("logged_thermometer", "logged_termometer"), encoding="utf-8")
+    assert "did you mean 'file'?" in planrunner("check", "plan.yaml", "--bench", "key.yaml").stderr
+    assert "did you mean 'logged_thermometer'?" in planrunner("check", "plan.yaml", "--bench", "name.yaml").stderr
+    assert "monitor: A thermometer that another program reads and logs." in planrunner("bench", "list").stdout
