@@ -16,9 +16,10 @@ def run(args: argparse.Namespace) -> int:
     print("Shipped benches (use with --bench NAME, or `bench: NAME` in a plan):")
     for name in shipped_benches():
         bench, _, _ = read_bench(name)
-        print(f"  {name:<24} {bench.description or bench.name}")
+        print(f"  {name:<24} {' '.join((bench.description or bench.name).split())}")
     print("Instrument drivers (`driver: NAME` in a bench file):")
     for name in plugins.names(plugins.INSTRUMENTS):
         driver = plugins.load(plugins.INSTRUMENTS, name)
-        print(f"  {name:<24} {driver.role}: {(driver.__doc__ or '').strip().splitlines()[0]}")
+        about = (driver.__doc__ or driver.__name__).strip().partition("\n")[0]
+        print(f"  {name:<24} {driver.role}: {about}")
     return cli.DONE

@@ -34,6 +34,7 @@ SCENARIOS: dict[str, dict[str, object]] = {
     "position error 30 arcsec": {"tilt": 30.0},
     "position error 30 arcsec, noise ten times less": {"tilt": 30.0, "white": 0.09},
     "white noise, outputs not pooled": {"pool": False},
+    "flicker floor 0.1 pulse/s, outputs not pooled": {"flicker": 0.1, "pool": False},
 }
 
 
