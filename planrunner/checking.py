@@ -8,7 +8,6 @@ checked.designs        what each estimate could learn, with predicted uncertaint
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,13 +17,14 @@ from planrunner.bench.scheduling import build_schedule
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Coefficient, Design, EstimationError
+from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.meaning import check_meaning
 from planrunner.plan.model import Limit, Plan
-from planrunner.plan.quantity import Quantity, parse_symmetric
+from planrunner.plan.quantity import parse_symmetric
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
@@ -240,25 +240,16 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
     """Warns of a guarded limit that is narrower than the uncertainty to expect: nothing could pass it."""
-    low, high = _bounds(limit)
-    if limit.rule != "guarded" or math.isinf(high - low):
-        return
-    factor = unit(coefficient.unit).factor
-    least = LEAST_COVERAGE_FACTOR * coefficient.standard_uncertainty * factor
-    if 2 * least >= high - low:
-        shown = f"±{least / factor:.2g} {coefficient.unit}"
+    try:
+        low, high = bounds(limit, coefficient)
+    except EstimationError:
+        return  # the plan's own checks say what is wrong with it
+    least = LEAST_COVERAGE_FACTOR * coefficient.standard_uncertainty
+    if limit.rule == "guarded" and 2 * least >= high - low:
+        shown = f"±{least:.2g} {coefficient.unit}"
         message = (
             f"{limit.quantity} is to be expected with at least {shown} (95 %), so nothing can pass this guarded limit"
         )
         log.warning(
             "physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit"
         )
-
-
-def _bounds(limit: Limit) -> tuple[float, float]:
-    bound = parse_symmetric(limit.within) if limit.within else None
-    if bound is not None:
-        return -bound.value, bound.value
-    low: Quantity | None = limit.at_least
-    high: Quantity | None = limit.at_most
-    return (low.value if low else -math.inf), (high.value if high else math.inf)

@@ -39,7 +39,7 @@ class LimitVerdict:
 def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
     """The verdict on one limit (`plan.model.Limit`). Raises `EstimationError` when its quantity is missing or of another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
-    lower, upper = _bounds(limit, coefficient)
+    lower, upper = bounds(limit, coefficient)
     decision = decide(
         coefficient.value, coefficient.standard_uncertainty, coefficient.degrees_of_freedom, lower, upper, limit.rule
     )
@@ -71,7 +71,11 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
         raise EstimationError(f"'{name}' has no coefficient '{wanted}': {closest(wanted, known)}") from None
 
 
-def _bounds(limit: Any, coefficient: Coefficient) -> tuple[float, float]:
+def bounds(limit: Any, coefficient: Coefficient) -> tuple[float, float]:
+    """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit, infinite where there is none.
+
+    Raises `EstimationError` for a limit of another dimension, without a bound, or that nothing can pass.
+    """
     if limit.within is not None:
         bound = parse_symmetric(limit.within)
         if bound is None:

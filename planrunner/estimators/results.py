@@ -34,11 +34,6 @@ class Results:
     failures: Mapping[str, str] = field(default_factory=dict)
     segments: tuple[Mapping[str, Any], ...] = ()
 
-    @property
-    def passed(self) -> bool:
-        """Whether everything was estimated and every limit kept."""
-        return not self.failures and all(limit.verdict == "pass" for limit in self.limits)
-
     def to_json(self) -> dict[str, Any]:
         """Plain JSON data without NaN or infinities."""
         found: dict[str, Any] = _plain(

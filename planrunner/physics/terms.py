@@ -1,7 +1,8 @@
 """Terms of an inertial sensor's error model: named functions of the stimulus, and models made of them.
 
-A linear term gives one column of a design matrix. The virtual bench predicts with it, an estimator solves for its coefficient, the
-checker asks on the planned stimulus whether it can be seen, and a diagnosis tries one more. Found through `planrunner.terms`.
+A linear term gives one column of a design matrix. An estimator solves for its coefficient at the recorded stimulus, and the checker asks
+at the planned one whether it can be seen and how well. (The virtual gyro shares none of this: it balances its rotor by formulas of its
+own, so that simulator and estimators cannot be wrong together.) Every term stands in the entry-point group `planrunner.terms`.
 """
 
 from __future__ import annotations

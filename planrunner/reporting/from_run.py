@@ -39,8 +39,8 @@ def report_context(
             "run": reader.run["run"],
             **{name: _text(value) for name, value in reader.run["info"].items()},
         },
-        bench={"name": sound.bench.name, "description": " ".join(sound.bench.description.split())},
-        instruments=reader.instruments,
+        bench=_bench(sound),
+        instruments={name: _identity(sound, name, said) for name, said in reader.instruments.items()},
         site=sound.models.site,
         segments=segments,
         estimates=tuple(results.estimates.values()),
@@ -49,6 +49,20 @@ def report_context(
         warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
         provenance=provenance(reader, analysis, moment),
     )
+
+
+def _bench(sound: Sound) -> dict[str, str]:
+    """The bench as its file describes it, with the room where it says something of it."""
+    bench, room = sound.bench, sound.bench.ambient
+    stated = {} if room is None else {name: getattr(room, name) for name in ("temperature", "pressure", "humidity")}
+    facts = {"name": bench.name, "description": " ".join(bench.description.split())}
+    return facts | {f"ambient {name}": str(value) for name, value in stated.items() if value is not None}
+
+
+def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str]:
+    """What an instrument says of itself, with the number that the bench file gives it."""
+    entry = sound.bench.instruments.get(name)
+    return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str) -> dict[str, str]:

@@ -69,7 +69,6 @@ def test_everything_is_made_in_the_order_of_its_use() -> None:
     assert not found.failures
     assert found.estimates["drift"].segments == tuple(OPTIMAL)
     assert [limit.verdict for limit in found.limits] == ["pass", "pass", "fail", "fail"]
-    assert not found.passed
     guarded = found.limits[2]
     assert guarded.value < guarded.upper < guarded.value + guarded.expanded_uncertainty
     assert "guard band" in guarded.reason

@@ -15,13 +15,14 @@ from planrunner.execution.stopping import StopRequest
 from planrunner.reporting.from_run import report_context
 from planrunner.reporting.report import render_report
 from planrunner.running import sound_run, start
+from planrunner.shipped import shipped
 
 PLAN = """
 planrunner: 1
 title: Two rates <about> up
 description: >
   A short run.
-bench: virtual
+bench: mine.yaml
 sensor: {kind: flexure-gyro, outputs: [torquer_x, torquer_y]}
 record: {device_serial: required}
 defaults: {settle: 1 s, dwell: 5 s}
@@ -37,6 +38,10 @@ segments:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     (folder / "short.yaml").write_text(PLAN, encoding="utf-8")
+    bench = (shipped("plans") / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    bench = bench.replace("driver: virtual_table", "driver: virtual_table\n    asset: RT-0042")
+    bench += "ambient: {temperature: 23 degC, humidity: 45 %}\n"
+    (folder / "mine.yaml").write_text(bench, encoding="utf-8")
     sound = check_plan(folder / "short.yaml").sound()
     info = {"device_serial": "FG-<7>"}
     path, _ = start(sound, info=info, runs=folder / "runs", stop=StopRequest(), durability="flushed")
@@ -51,13 +56,23 @@ def test_the_report_says_what_was_run_and_what_it_rests_on(run: Path) -> None:
     assert context.title == "Two rates <about> up"
     assert context.description == "A short run."
     assert context.run_information["device_serial"] == "FG-<7>"
+    assert context.instruments["table"] == {**reader.instruments["table"], "asset": "RT-0042"}
+    assert context.instruments["gyro"] == reader.instruments["gyro"]
+    assert context.bench["ambient temperature"] == "23 degC"
+    assert context.bench["ambient humidity"] == "45 %"
     assert context.warnings == ()
     seal = json.loads((run / "seal.json").read_text(encoding="utf-8"))
     assert context.provenance["journal head (SHA-256)"] == seal["journal"]["head"]
     assert context.provenance["plan.yaml (SHA-256)"] == seal["files"]["plan.yaml"]
     assert context.provenance["analysis"] == "3"
     page = render_report(context, "report.html")
-    for expected in ("FG-&lt;7&gt;", "Two rates &lt;about&gt; up", seal["journal"]["head"], "x up, y north, z west"):
+    for expected in (
+        "FG-&lt;7&gt;",
+        "Two rates &lt;about&gt; up",
+        seal["journal"]["head"],
+        "x up, y north, z west",
+        "RT-0042",
+    ):
         assert expected in page
     assert render_report(context, "report.html") == page
 
