@@ -19,14 +19,12 @@ from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, QuantityOf, Record, RecordOf, Text, key
-from planrunner.plan.quantity import Quantity
-from planrunner.plan.units import DIMENSIONS, Unit
+from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.shipped import shipped
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 LINE = r"[^\x00-\x1f]{1,200}"
 SINGLE_ROLES = ("table", "chamber", "sensor")
-_NORTH = Quantity(0.0, Unit("deg", math.pi / 180, DIMENSIONS["angle"]))
 
 
 class SiteSpec(Record):
@@ -38,7 +36,7 @@ class SiteSpec(Record):
         QuantityOf("angle"),
         "Azimuth of the table's reference direction from true north, positive towards east.",
         "0 deg",
-        _NORTH,
+        parse_quantity("0 deg"),
     )
 
 

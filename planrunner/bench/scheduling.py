@@ -30,6 +30,7 @@ from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Schedule, Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
 
 # A part of a turn left over biases the mean rate by the horizontal Earth rate; below this share of the rate nobody notices.
 WHOLE_TURN_TOLERANCE = 100e-6
@@ -183,8 +184,10 @@ class _Planner:
             self.log.error("physics-no-chamber", mark, "this bench has no chamber to hold a temperature", hint)
             return False
         if not chamber.lowest - 1e-9 <= kelvin <= chamber.highest + 1e-9:
-            lowest, highest = chamber.lowest - 273.15, chamber.highest - 273.15
-            message = f"{kelvin - 273.15:g} degC is beyond the chamber, which reaches {lowest:g} to {highest:g} degC"
+            lowest, highest = chamber.lowest - ZERO_CELSIUS, chamber.highest - ZERO_CELSIUS
+            message = (
+                f"{kelvin - ZERO_CELSIUS:g} degC is beyond the chamber, which reaches {lowest:g} to {highest:g} degC"
+            )
             self.log.error("physics-temperature", mark, message, "stay within the chamber's range")
             return False
         return True

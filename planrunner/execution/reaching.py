@@ -24,6 +24,7 @@ from planrunner.instruments.interfaces import (
     Moves,
 )
 from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
 
 
 class StoppedAtOnceError(Exception):
@@ -114,7 +115,7 @@ class Reaching:
         self._say("reaching the temperature")
         self.temperature = None
         expected = self._set_temperature(kelvin)
-        what = f"the chamber does not reach {kelvin - 273.15:.1f} degC"
+        what = f"the chamber does not reach {kelvin - ZERO_CELSIUS:.1f} degC"
         self._wait(expected, self._chamber.at_temperature, what, self._patience.chamber)
         if segment.soak > 0 and (expected > 0 or self.soak_again):
             self._say("soaking")

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from planrunner.physics.earth import EARTH_RATE
 from planrunner.physics.stimulus import Stimulus, StimulusError
+from planrunner.plan.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
-
-STANDARD_GRAVITY = 9.80665  # m/s^2
 
 
 @dataclass(frozen=True, slots=True)

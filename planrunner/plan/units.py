@@ -16,6 +16,7 @@ from typing import Any
 from planrunner.plan.findings import closest
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
+ZERO_CELSIUS = 273.15  # K
 
 # Base units are SI-coherent: m, kg, s, K, A, rad, pulse, count. An angle is a dimension here.
 DEFINITIONS = f"""
@@ -129,7 +130,7 @@ _DAILY = {
         Unit("min", 60.0, _TIME),
         Unit("h", 3600.0, _TIME),
         Unit("Hz", 1.0, DIMENSIONS["frequency"]),
-        Unit("degC", 1.0, DIMENSIONS["temperature"], 273.15),
+        Unit("degC", 1.0, DIMENSIONS["temperature"], ZERO_CELSIUS),
         Unit("K", 1.0, DIMENSIONS["temperature"]),
         Unit("K/min", 1 / 60, DIMENSIONS["temperature rate"]),
         Unit("m", 1.0, DIMENSIONS["length"]),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from planrunner.plan.schedule import Cycle, Rock, Schedule, Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
 
 Panel = Literal["segments", "temperature", "rate"]
 PHASES = (("reaching", "#c9d1d9"), ("soaking, settling", "#f0c48a"), ("recording", "#0b5394"))
@@ -86,8 +87,8 @@ def _temperature(axes: Any, times: list[Span], divisor: float, longest: float) -
     ys: list[float] = []
     last = math.nan
     for span in times:
-        held = last if span.segment.temperature is None else span.segment.temperature - 273.15
-        after = held if span.segment.ramp_to is None else span.segment.ramp_to - 273.15
+        held = last if span.segment.temperature is None else span.segment.temperature - ZERO_CELSIUS
+        after = held if span.segment.ramp_to is None else span.segment.ramp_to - ZERO_CELSIUS
         first = last if math.isfinite(last) else held
         xs += [span.leave / divisor, span.arrive / divisor, span.start / divisor, span.end / divisor]
         ys += [first, held, held, after]

@@ -7,8 +7,8 @@ import re
 
 from planrunner.plan.orientation import in_words
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
 
-_CELSIUS = 273.15
 _WORD_OF = {
     (0.0, 0.0, 1.0): "up",
     (0.0, 0.0, -1.0): "down",
@@ -51,7 +51,7 @@ def clock(seconds: float) -> str:
 
 
 def celsius(kelvin: float) -> str:
-    return number(round(kelvin - _CELSIUS, 6))
+    return number(round(kelvin - ZERO_CELSIUS, 6))
 
 
 def temperature(segment: Segment) -> str:

@@ -11,15 +11,10 @@ import numpy as np
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import ChamberModel
 from planrunner.instruments.virtual import thermal
-from planrunner.instruments.virtual.world import ROOM, World
+from planrunner.instruments.virtual.world import World
 from planrunner.plan.kinds import QuantityOf, Record, key
-from planrunner.plan.quantity import Quantity
-from planrunner.plan.units import DIMENSIONS, Unit
-
-ZERO_CELSIUS = 273.15
-_MINUTES = Unit("min", 60.0, DIMENSIONS["time"])
-_KELVIN = Unit("K", 1.0, DIMENSIONS["temperature"])
-_CELSIUS = Unit("degC", 1.0, DIMENSIONS["temperature"], ZERO_CELSIUS)
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.units import ZERO_CELSIUS
 
 
 class VirtualChamberParameters(Record):
@@ -29,19 +24,19 @@ class VirtualChamberParameters(Record):
     highest: Quantity = key(QuantityOf("temperature"), "Highest temperature it reaches.", "85 degC")
     ramp: Quantity = key(QuantityOf("temperature rate", "positive"), "Rate of its setpoint.", "3 K/min")
     ambient: Quantity = key(
-        QuantityOf("temperature"), "Temperature it starts from and is left at.", "25 degC", Quantity(ROOM, _CELSIUS)
+        QuantityOf("temperature"), "Temperature it starts from and is left at.", "25 degC", parse_quantity("25 degC")
     )
     lag: Quantity = key(
         QuantityOf("time", "positive"),
         "Time constant of the air behind the setpoint.",
         "2 min",
-        Quantity(120.0, _MINUTES),
+        parse_quantity("2 min"),
     )
     tolerance: Quantity = key(
         QuantityOf("temperature", "positive"),
         "How near the air must be to count as there.",
         "0.5 K",
-        Quantity(0.5, _KELVIN),
+        parse_quantity("0.5 K"),
     )
 
 

@@ -28,13 +28,10 @@ from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.orientation import DIRECTIONS
-from planrunner.plan.quantity import Quantity
+from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
-from planrunner.plan.units import DIMENSIONS, Unit
 
 Array = NDArray[np.float64]
-_NO_ANGLE = Quantity(0.0, Unit("arcsec", math.pi / 648000, DIMENSIONS["angle"]))
-_NO_RATIO = Quantity(0.0, Unit("1", 1.0, DIMENSIONS["ratio"]))
 
 
 class AxisSpec(Record):
@@ -101,22 +98,28 @@ class VirtualTableParameters(Record):
         [{"name": "outer", "direction": "up", "max_rate": "400 deg/s", "max_acceleration": "200 deg/s^2"}],
     )
     position_uncertainty: Quantity = key(
-        QuantityOf("angle", "not negative"), "Declared standard uncertainty of an orientation.", "3 arcsec", _NO_ANGLE
+        QuantityOf("angle", "not negative"),
+        "Declared standard uncertainty of an orientation.",
+        "3 arcsec",
+        parse_quantity("0 arcsec"),
     )
     position_error: Quantity = key(
         QuantityOf("angle", "not negative"),
         "Standard deviation, about each sensor axis, of the pointing error that is simulated; the same at the same orientation.",
         "2 arcsec",
-        _NO_ANGLE,
+        parse_quantity("0 arcsec"),
     )
     rate_stability: Quantity = key(
-        QuantityOf("ratio", "not negative"), "Declared relative standard uncertainty of a rate.", "10 ppm", _NO_RATIO
+        QuantityOf("ratio", "not negative"),
+        "Declared relative standard uncertainty of a rate.",
+        "10 ppm",
+        parse_quantity("0 ppm"),
     )
     rate_error: Quantity = key(
         QuantityOf("ratio", "not negative"),
         "Relative standard deviation of the rate error that is simulated; the same at the same rate.",
         "5 ppm",
-        _NO_RATIO,
+        parse_quantity("0 ppm"),
     )
 
 
