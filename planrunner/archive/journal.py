@@ -117,7 +117,7 @@ class JournalScan:
             for line in file:
                 if not line.endswith(b"\n") or b"\0" in line:  # a power cut may leave zeros where a line was to be
                     self.torn = len(line)
-                    if file.read(1):
+                    if file.read(1) or _two_lines(line):
                         raise self._error("is damaged")
                     return
                 event = self._event(line)
@@ -144,3 +144,15 @@ class JournalScan:
             f"{self.path}:{self.count + 1}: this line {what}: the journal was changed after it was written; "
             "take the run folder from a backup"
         )
+
+
+def _two_lines(line: bytes) -> bool:
+    """Whether zeros stand between two lines: the first was whole and counted, so that this is no torn write."""
+    first, zeros, _ = line.partition(b"\0")
+    if not zeros or not line.endswith(b"\n"):
+        return False
+    try:
+        json.loads(first)
+    except (ValueError, RecursionError):
+        return False
+    return True

@@ -90,6 +90,16 @@ def test_a_changed_byte_before_the_last_line_is_found(
         list(JournalScan(path))
 
 
+def test_a_zero_for_a_line_feed_does_not_swallow_a_line_that_counts(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    write(path, 4).close()
+    data = bytearray(path.read_bytes())
+    data[data[:-1].rindex(b"\n")] = 0
+    path.write_bytes(data)
+    with pytest.raises(IntegrityError, match="changed after it was written"):
+        list(JournalScan(path))
+
+
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_a_missing_line_is_found(tmp_path: Path, lost: int) -> None:
     path = tmp_path / "journal.jsonl"
