@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import Journal
 from planrunner.archive.journal_state import Acknowledged, JournalState, name_parts
 from planrunner.archive.segment_file import FOLDER, Part
@@ -104,6 +105,10 @@ def _unknown_files(path: Path, storage: Storage, state: JournalState) -> dict[tu
 
 
 def _rows(file: Path) -> int:
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    return int(pq.read_metadata(file).num_rows)
+    try:
+        return int(pq.read_metadata(file).num_rows)
+    except (pa.ArrowException, OSError):
+        raise IntegrityError(f"{file}: not samples of this run: move it elsewhere, then resume again") from None

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 BATCHES = 32
 CHUNK = 65_536
+LARGEST = 1e100
+"""A larger sample is no measurement: its square could not be told from infinity."""
 
 
 def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int = CHUNK) -> Iterator[tuple[Array, Array]]:
@@ -75,20 +77,19 @@ class _Gathered:
         rows = np.arange(self.row, self.row + len(time))
         first = self.row
         self.row += len(time)
-        with np.errstate(invalid="ignore"):  # infinities of both signs
-            mean = values.mean(axis=1)
-        whole = bool(np.isfinite(mean).all())
+        low, high = values.min(axis=1), values.max(axis=1)
+        whole = bool(np.all(low > -LARGEST) and np.all(high < LARGEST))  # neither holds where there is a NaN
         if not whole:
-            good = np.isfinite(values).all(axis=0)
+            good = (np.abs(values) < LARGEST).all(axis=0)
             if not good.any():
                 return
             time, values, rows = time[good], values[:, good], rows[good]
-            mean = values.mean(axis=1)
+            low, high = values.min(axis=1), values.max(axis=1)
         self._times(time)
         self._batches(values, rows, first, whole)
-        np.minimum(self.minimum, values.min(axis=1), out=self.minimum)
-        np.maximum(self.maximum, values.max(axis=1), out=self.maximum)
-        self._merge(values, mean)
+        np.minimum(self.minimum, low, out=self.minimum)
+        np.maximum(self.maximum, high, out=self.maximum)
+        self._merge(values, values.mean(axis=1))
 
     def _times(self, time: Array) -> None:
         if self.count:

@@ -7,6 +7,7 @@ an exit code: 0 done, 1 a limit failed, 2 the input is wrong, 3 a fault during e
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -34,6 +35,7 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """The `planrunner` command. Returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _print_anything()
     try:
         return _run(arguments)
     except InputError as error:
@@ -51,6 +53,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else WRONG_INPUT
     except Exception as error:
         return _explain(error)
+
+
+def _print_anything() -> None:
+    """A character that the terminal's encoding lacks, such as °, is shown as its code instead of ending the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _run(arguments: list[str]) -> int:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 from planrunner import cli
+from planrunner.cli.printing import write_file
 from planrunner.plan.findings import InputError, Mark, closest
 
 FORMS = {"csv": "csv", "matlab": "m", "yaml": "yaml", "c": "h"}
@@ -32,9 +32,9 @@ def run(args: argparse.Namespace) -> int:
     number = args.analysis if args.analysis is not None else max(folders, default=0)
     if number not in folders:
         message = "this run has no such analysis" if folders else "this run has no analysis yet"
-        raise InputError.at(
-            Mark(str(args.run_folder)), "analysis-missing", message, "make one with `planrunner estimate`"
-        )
+        known = ", ".join(map(str, folders))
+        hint = f"known here: {known}" if folders else "make one with `planrunner estimate`"
+        raise InputError.at(Mark(str(args.run_folder)), "analysis-missing", message, hint)
     check_analysis(folders[number])
     results = Results.from_json(json.loads((folders[number] / "results.json").read_text(encoding="utf-8")))
     name = args.estimate or next(iter(results.estimates), "")
@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
     provenance = {"run": reader.run["run"], "analysis": str(number), "plan": reader.run["plan"]}
     text = export(results.estimates[name], args.format, provenance)
     if args.output is None:
-        sys.stdout.write(text)
+        print(text, end="")
     else:
-        args.output.write_text(text, encoding="utf-8")
+        write_file(args.output, text)
         print(args.output)
     return cli.DONE

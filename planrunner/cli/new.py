@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import shutil
 from pathlib import Path
 
@@ -33,7 +34,13 @@ def run(args: argparse.Namespace) -> int:
     try:
         with plans[args.plan].open("rb") as original, target.open("xb") as copy:
             shutil.copyfileobj(original, copy)
-    except FileExistsError:
+    except OSError as error:
+        if not isinstance(error, FileExistsError):
+            if error.errno == errno.ENOSPC:
+                target.unlink(missing_ok=True)
+            message = f"the file cannot be written: {error.strerror or error}"
+            hint = "make room, or name a file in another folder"
+            raise InputError.at(Mark(str(target)), "file-unwritable", message, hint) from None
         raise InputError.at(Mark(str(target)), "new-exists", "this file exists already", "name another one") from None
     print(f"{target}: check it with `planrunner check {target}`")
     return cli.DONE

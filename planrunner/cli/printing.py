@@ -6,9 +6,10 @@ import json
 import os
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, TextIO
 
-from planrunner.plan.findings import Finding
+from planrunner.plan.findings import Finding, InputError, Mark
 from planrunner.reporting.printable import printable
 
 _COLOURS = {"error": "31;1", "warning": "33;1", "note": "36"}
@@ -28,6 +29,27 @@ def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> N
             print(printable(f"    hint: {finding.hint}"), file=out)
 
 
+def write_file(path: Path, text: str) -> None:
+    """Write a file that the user named, whole or, when the disk is full, not at all. Raises `InputError`."""
+    if path.exists() and not path.is_file():  # such as /dev/stdout
+        path.write_text(text, encoding="utf-8")
+        return
+    aside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            aside.write_text(text, encoding="utf-8")
+            aside.replace(path)
+        finally:
+            aside.unlink(missing_ok=True)
+    except OSError as error:
+        message = f"the file cannot be written: {error.strerror or error}"
+        raise InputError.at(
+            Mark(str(path)), "file-unwritable", message, "make room, or name a file in another folder"
+        ) from None
+
+
 def print_json(value: Any) -> None:
-    json.dump(value, sys.stdout, indent=1, ensure_ascii=False, allow_nan=False)
+    """To standard output, as escapes where its encoding is not UTF-8, so that it stays JSON."""
+    plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"
+    json.dump(value, sys.stdout, indent=1, ensure_ascii=plain, allow_nan=False)
     print()

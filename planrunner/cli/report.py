@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner import cli
+from planrunner.cli.printing import write_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +26,6 @@ def run(args: argparse.Namespace) -> int:
         return cli.DONE
     text = running.report_through(args.run_folder, args.template)
     target = args.output or Path(args.template.name.removesuffix(".j2"))
-    target.write_text(text, encoding="utf-8")
+    write_file(target, text)
     print(target)
     return cli.DONE

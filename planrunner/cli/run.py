@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of name: value")
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that recordings to play back lie beneath")
-    parser.add_argument("--seed", type=int, help="seed of a simulated bench (default: the bench's own)")
+    parser.add_argument("--seed", type=_seed, help="seed of a simulated bench (default: the bench's own)")
     parser.add_argument(
         "--flushed", action="store_true", help="do not wait for the disk after every event: faster, less durable"
     )
@@ -33,6 +33,13 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """What every command that produces results takes."""
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"a seed is not negative: {value}")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:

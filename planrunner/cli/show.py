@@ -7,6 +7,7 @@ from pathlib import Path
 
 from planrunner import cli
 from planrunner.cli.check import sound_plan
+from planrunner.cli.printing import write_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
             facts={"Plan": sound.file, "Bench": sound.bench.name, **site_facts(sound.models.site)},
             warnings=tuple(finding.message for finding in sound.findings if finding.severity == "warning"),
         )
-        args.html.write_text(render_show(context), encoding="utf-8")
+        write_file(args.html, render_show(context))
         print(args.html)
         return cli.DONE
     from planrunner.reporting import terminal

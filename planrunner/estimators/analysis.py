@@ -6,12 +6,14 @@ What goes wrong with one estimate is kept as a message; the others are made all 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from planrunner import plugins
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.limits import LimitVerdict, hold
+from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
@@ -123,4 +125,4 @@ def _estimate(
     uses = {used: made[used] for used in spec.uses}
     request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection)
     estimate: Estimate = estimator.estimate(request)
-    return estimate
+    return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))

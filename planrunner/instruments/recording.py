@@ -30,6 +30,7 @@ NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 COLUMN = r"[^\x00-\x1f]{1,200}"
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0), strict=True))
+RATE_TOLERANCE = math.log(1.25)
 _NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
 
@@ -169,6 +170,7 @@ class RecordingPlayer:
         path = beneath(surroundings.data_root, parameters.file)
         scale = SECONDS[parameters.time.unit]
         file = open_recording(path, parameters.file, parameters.time.column, scale, columns)
+        _check_rate(file, parameters)
         spans = None
         stated = parameters.segments
         if stated is not None:
@@ -256,6 +258,17 @@ class RecordingPlayer:
             f"the recording is shorter than the plan: '{segment.label}' dwells {segment.dwell:g} s, and "
             f"{self.parameters.file} holds {available:.6g} s of it; shorten the dwell or write `dwell: recorded`"
         )
+
+
+def _check_rate(file: RecordingFile, parameters: RecordingParameters) -> None:
+    """A declared rate that the time column contradicts: most often a wrong unit of time."""
+    declared = parameters.sample_rate.value
+    if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
+        message = (
+            f"{parameters.file} is declared at {declared:g} Hz, but its rows are {file.interval:.4g} s apart "
+            f"({1 / file.interval:.4g} Hz): correct `sample_rate`, or the unit of the column '{parameters.time.column}'"
+        )
+        raise InstrumentError(message)
 
 
 def _width(quantity: Quantity) -> float:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -15,6 +18,7 @@ from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
 BATCH = 65_536  # rows
+_MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
 Rows = Iterator[tuple[Array, dict[str, Array]]]
 
 
@@ -42,9 +46,11 @@ def beneath(root: Path | None, name: str) -> Path:
 
 
 class RecordingFile(Protocol):
-    """A recording that can be read again and again. origin: time of its first row, s."""
+    """A recording that can be read again and again. origin: time of its first row, s; interval: median time between its
+    first rows, s, NaN for a single row."""
 
     origin: float
+    interval: float
 
     def rows(self, start: float, end: float) -> Rows:
         """Times [s], shape (n,), and channels, each (n,), with start ≤ time ≤ end, in batches of at most `BATCH`
@@ -65,11 +71,22 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
     known = file.columns()
     for column in (time, *channels.values()):
         if column not in known:
-            raise InstrumentError(f"{name} has no column '{column}'; {closest(column, known)}")
+            raise InstrumentError(f"{name} has no column '{column}'; {_column_hint(column, known)}")
+        if known.count(column) > 1:
+            raise InstrumentError(f"{name} has {known.count(column)} columns called '{column}'; rename all but one")
     for first, _ in file.rows(-np.inf, np.inf):
         file.origin = float(first[0])
+        file.interval = float(np.median(np.diff(first))) if first.size > 1 else math.nan
         return file
     raise InstrumentError(f"{name} holds no samples")
+
+
+def _column_hint(column: str, known: list[str]) -> str:
+    separators = {";": "semicolons", "\t": "tabs", "|": "bars"}
+    for separator, word in separators.items():
+        if len(known) == 1 and separator in known[0]:
+            return f"its header is separated by {word}: save it with commas, and with decimal points"
+    return closest(column, known)
 
 
 @dataclass(slots=True)
@@ -80,6 +97,7 @@ class _File:
     scale: float
     channels: dict[str, str]
     origin: float = 0.0
+    interval: float = math.nan
 
     def columns(self) -> list[str]:
         raise NotImplementedError
@@ -110,7 +128,7 @@ class _File:
                     yield time[low:high], columns
                 if high < time.size:
                     return
-        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError, UnicodeDecodeError) as error:
             raise self._unreadable(error) from None
 
     def _numbers(self, batch: Any, column: str, first: int) -> Array:
@@ -138,6 +156,8 @@ class _File:
 
     def _unreadable(self, error: Exception) -> InstrumentError:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0][:200]
+        if isinstance(error, UnicodeDecodeError):
+            reason = "its header is not UTF-8 text; save it as UTF-8"
         return InstrumentError(f"{self.name} cannot be read: {reason}")
 
 
@@ -192,12 +212,14 @@ class _Csv(_File):
 
     def _read(self, wanted: list[str] | None) -> Iterator[tuple[int, Any]]:
         import pyarrow as pa
-        from pyarrow import csv
+        from pyarrow import csv as arrow_csv
 
         types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
-        convert = csv.ConvertOptions(column_types=types, include_columns=wanted, strings_can_be_null=True)
+        convert = arrow_csv.ConvertOptions(column_types=types, include_columns=wanted, strings_can_be_null=True)
         try:
-            with csv.open_csv(self.path, csv.ReadOptions(block_size=1 << 22), convert_options=convert) as reader:
+            with arrow_csv.open_csv(
+                self.path, arrow_csv.ReadOptions(block_size=1 << 22), convert_options=convert
+            ) as reader:
                 first = 1
                 if wanted is None:
                     yield first, pa.RecordBatch.from_pylist([], schema=reader.schema)
@@ -207,5 +229,25 @@ class _Csv(_File):
                         part = batch.slice(offset, BATCH)
                         yield first, part
                         first += part.num_rows
-        except (pa.ArrowInvalid, pa.ArrowKeyError, OSError) as error:
-            raise self._unreadable(error) from None
+        except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
+            raise self._not_numbers(wanted or []) or self._unreadable(error) from None
+
+    def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
+        """The first cell that is no number, by its line; None where the fault is another one."""
+        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), self.path.open(encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            for row in reader:
+                for column in wanted:
+                    cell = row.get(column) or ""
+                    if not _is_number(cell):
+                        place = f"{self.name}, line {reader.line_num}: '{cell[:40]}' in column '{column}'"
+                        return InstrumentError(f"{place} is not a number; correct it, or leave it empty")
+        return None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return cell.upper() in _MISSING
+    return True

@@ -31,7 +31,13 @@ def console(width: int | None = None, file: Any = None) -> Console:
     """A console for these tables. Away from a terminal it is wide enough not to break rows, and has no colour."""
     from rich.console import Console
 
-    made = Console(file=file, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
+    class Piped(Console):
+        """A reader that went away, such as `head`, is the caller's affair, not the end of the process."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    made = Piped(file=file, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
     if width is None and not made.is_terminal:
         made.width = 160
     return made

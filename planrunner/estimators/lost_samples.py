@@ -1,0 +1,36 @@
+"""Warnings for samples that an estimate had to do without: rows that are no measurement, and gaps in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from planrunner.archive.recording import RecordedSegment
+
+GAP_INTERVALS = 5.5
+"""A gap is told from this many sample intervals on: shorter ones are jitter, or a sample or two."""
+NAMED = 3
+
+
+def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tuple[str, ...]:
+    """A sentence for the samples left out of the segments, one for the gaps in them. sample_rate: Hz, where a segment
+    gives none."""
+    left_out, gaps = [], []
+    for recorded in segments:
+        statistics = recorded.statistics
+        rate = recorded.segment.sample_rate or sample_rate
+        if statistics.rejected:
+            rows = statistics.count + statistics.rejected
+            left_out.append(f"{statistics.rejected} of {rows} in '{recorded.label}'")
+        if statistics.largest_gap * rate > GAP_INTERVALS:
+            gaps.append(f"{statistics.largest_gap:.3g} s in '{recorded.label}'")
+    found = []
+    if left_out:
+        found.append(f"Samples that are missing or no number were left out: {_named(left_out)}. Look at the recording.")
+    if gaps:
+        found.append(f"Samples are missing for up to {_named(gaps)}. Look at the recording.")
+    return tuple(found)
+
+
+def _named(texts: Sequence[str]) -> str:
+    more = f" and in {len(texts) - NAMED} more" if len(texts) > NAMED else ""
+    return ", ".join(texts[:NAMED]) + more

@@ -1,0 +1,80 @@
+"""Terminals, pipes, folders and arguments that are not as usual."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
+GIVEN = ["--set", "device_serial=1", "--set", "operator=test", "--quiet"]
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii", "PYTHONCOERCECLOCALE": "0"}
+
+
+def planrunner(
+    *arguments: object, cwd: Path, env: dict[str, str] | None = None, shell: str = ""
+) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "planrunner", *map(str, arguments)]
+    if shell:
+        command = ["bash", "-o", "pipefail", "-c", f'"$@" {shell}', "bash", *command]
+    surroundings = {**os.environ, **(env or {})}
+    done = subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=120)
+    assert "internal error" not in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("odd")
+    assert planrunner("run", FLAGSHIP, *GIVEN, "--runs", "runs", cwd=folder, env=ASCII).returncode == 0
+    (path,) = (folder / "runs").glob("2*")
+    return path
+
+
+def test_a_terminal_that_knows_only_ascii(run: Path, tmp_path: Path) -> None:
+    for arguments in (["show", FLAGSHIP], ["estimate", run], ["export", run]):
+        done = planrunner(*arguments, cwd=tmp_path, env=ASCII)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.isascii()
+
+
+def test_json_stays_json_without_utf8(run: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "\u00e9.yaml"
+    plan.write_text("planrunner: 1\ntitle: \u00b5\n", encoding="utf-8")
+    for arguments, code in ((["check", plan], 2), (["estimate", run], 0), (["self-test"], 0)):
+        done = planrunner(*arguments, "--json", cwd=tmp_path, env=ASCII)
+        assert done.returncode == code
+        assert json.loads(done.stdout)
+
+
+def test_a_reader_that_goes_away(run: Path, tmp_path: Path) -> None:
+    for arguments in (["show", FLAGSHIP], ["export", run]):
+        assert planrunner(*arguments, cwd=tmp_path, shell="| true").returncode == 0
+        assert planrunner(*arguments, cwd=tmp_path, shell=">&-").returncode == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_output_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    done = planrunner("show", FLAGSHIP, cwd=tmp_path, shell=">/dev/full")
+    assert done.returncode == 2
+    assert "No space left on device" in done.stderr
+
+
+def test_narrow_terminals_and_no_home(tmp_path: Path) -> None:
+    for width in ("1", "30"):
+        done = planrunner("show", FLAGSHIP, cwd=tmp_path, env={"COLUMNS": width, "HOME": "", "NO_COLOR": "1"})
+        assert done.returncode == 0
+        assert "\033" not in done.stdout
+
+
+def test_a_seed_is_not_negative(tmp_path: Path) -> None:
+    done = planrunner("run", FLAGSHIP, *GIVEN, "--seed", "-5", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "a seed is not negative: -5" in done.stderr
+    assert not (tmp_path / "runs").exists()
