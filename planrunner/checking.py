@@ -127,7 +127,7 @@ def report_names() -> list[str]:
     return [
         file.name.removesuffix(".j2")
         for file in sorted(shipped("templates").glob("[!_]*.j2"))
-        if not file.name.startswith("show.")
+        if not file.name.startswith(("show.", "design."))
     ]
 
 
