@@ -1,8 +1,8 @@
 """Designing the positions of a plan on its bench: what the planned ones tell, the best that can be found, and what nothing can pass.
 
-    study = design_plan(Path("plans/x.yaml"))
-    study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
-    study.text                                        the plan with the chosen set in it
+study = design_plan(Path("plans/x.yaml"))
+study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
+study.text                                        the plan with the chosen set in it
 """
 
 from __future__ import annotations
@@ -145,9 +145,7 @@ class _Designer:
                 found = positions.places(self.schedule.segments, patterns)
                 sensor = self.models.sensor
                 assert sensor is not None
-                return found, positions.sight(
-                    name, spec, found, self.models.site, sensor, uses, self.options.output
-                )
+                return found, positions.sight(name, spec, found, self.models.site, sensor, uses, self.options.output)
             except EstimationError as error:
                 problems.append(f"{name}: {error}")
         raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
@@ -271,9 +269,7 @@ class _Designer:
             place.segments[0].orientation if name == "planned" else orientation_text(one)
             for place, one in zip(self.places, attitudes, strict=True)
         )
-        schedule, designs = (
-            (self.schedule, self.checked.designs) if name == "planned" else self._scheduled(attitudes)
-        )
+        schedule, designs = (self.schedule, self.checked.designs) if name == "planned" else self._scheduled(attitudes)
         return PositionSet(
             tuple(attitudes), texts, own, efficiency(own, best["free"]), efficiency(own, limits["free"].merit),
             efficiency(own, best["cardinal"]) if words and "cardinal" in best else None, schedule, designs,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -47,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    # The searches solve many tiny systems: threads of the linear algebra only wait for each other. It reads this as scipy is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from planrunner.designing import Options, design_plan, write_plan
 
     if args.restarts < 1 or args.seed < 0:

@@ -140,7 +140,7 @@ Climb = Callable[[Array, Array | None], tuple[Array, Array]]
 
 
 def solve_with_climbing(
-    rows: Array, climb: Climb, weighting: Array | None = None, *, tolerance: float = 2e-4, most_rounds: int = 8
+    rows: Array, climb: Climb, weighting: Array | None = None, *, tolerance: float = 2e-4, most_rounds: int = 6
 ) -> Continuous:
     """The best shares over a continuous region: candidates, then whatever better points are found by climbing, until none is.
 

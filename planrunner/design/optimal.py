@@ -108,12 +108,16 @@ def refine(over: Region, start: Array, weighting: Array | None = None) -> Array:
 
 
 def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[Array, Array]:
-    """Rows (m, p) and derivatives (m,) at the local maxima of the derivative nearest to the region's highest candidates."""
+    """Rows (m, p) and derivatives (m,) at the local maxima of the derivative nearest to high candidates, the highest among them."""
     from scipy.optimize import minimize
 
     inverse = np.linalg.inv(matrix)
     middle = inverse if weighting is None else inverse @ weighting @ inverse
-    top = np.argsort(derivative(over.rows, matrix, weighting))[::-1][:CLIMBERS]
+    height = derivative(over.rows, matrix, weighting)
+    # The highest of every part of the candidates rather than the highest of all, which would share one hill.
+    top = np.array(
+        [part[np.argmax(height[part])] for part in np.array_split(np.arange(len(height)), CLIMBERS) if len(part)]
+    )
     start = over.settings[top]
 
     def value(flat: Array) -> tuple[float, Array]:
@@ -122,7 +126,9 @@ def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[
         return -float(np.sum(carried * rows)), -2.0 * np.einsum("nkp,np->nk", slopes, carried).ravel()
 
     bounds = [_open(bound) for _ in range(len(start)) for bound in over.bounds]
-    done = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
+    done = minimize(
+        value, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100, "ftol": 1e-12}
+    )
     rows = over.rows_of(np.asarray(done.x).reshape(start.shape))
     return rows, derivative(rows, matrix, weighting)
 

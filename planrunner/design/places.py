@@ -74,7 +74,9 @@ def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[Place,
         segment = segments[index]
         if not isinstance(segment.motion, Rest) or segment.attitude is None:
             why = "has no known orientation" if segment.attitude is None else "moves while it records"
-            raise EstimationError(f"segment '{segment.label}' {why}: positions can be designed for segments at rest only")
+            raise EstimationError(
+                f"segment '{segment.label}' {why}: positions can be designed for segments at rest only"
+            )
         groups.setdefault(_mark(segment), []).append(segment)
     for index, segment in enumerate(segments):
         if index not in chosen and _mark(segment) in groups:
@@ -106,10 +108,14 @@ def sight(
         raise EstimationError(f"'{name}' has no output '{output}'; it has {', '.join(names)}")
     block = design.blocks[names.index(output) if output else 0]
     alike = tuple(
-        other.output for other in design.blocks if other.terms == block.terms and np.allclose(_scaled(other), _scaled(block))
+        other.output
+        for other in design.blocks
+        if other.terms == block.terms and np.allclose(_scaled(other), _scaled(block))
     )
     if output is None and len(alike) < len(names):
-        raise EstimationError(f"the outputs of '{name}' see different things: choose one of {', '.join(names)} with --output")
+        raise EstimationError(
+            f"the outputs of '{name}' see different things: choose one of {', '.join(names)} with --output"
+        )
     template = found[0].segments[0]
     return Sight(name, spec, block.output, alike, tuple(block.terms), template, site, sensor, uses)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import yaml
@@ -72,7 +73,9 @@ def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) ->
     known = {(node.start_mark.line + 1, node.start_mark.column + 1): node for node in _mappings(yaml.compose(text))}
     for place, new in replacements.items():
         if place not in known:
-            raise RewriteError(f"line {place[0]}: no orientation is written here; write it as {{x: up, y: north, z: west}}")
+            raise RewriteError(
+                f"line {place[0]}: no orientation is written here; write it as {{x: up, y: north, z: west}}"
+            )
         node = known[place]
         begin, end = node.start_mark.index, node.end_mark.index
         spans.append((begin, begin + len(text[begin:end].rstrip()), new))
@@ -81,12 +84,11 @@ def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) ->
     return text
 
 
-def with_dwells(
-    text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]
-) -> str:
+def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]) -> str:
     """The text in which sweeps over nothing but orientations become segments of their own, each with its dwell.
 
-    dwells, orientations: of the orientation that begins at (line, column); those that are not named stay. Raises `RewriteError` where an orientation stands in another form.
+    dwells, orientations: of the orientation that begins at (line, column); those that are not named stay.
+    Raises `RewriteError` where an orientation stands in another form.
     """
     left = dict(dwells)
     spans = []
@@ -96,7 +98,11 @@ def with_dwells(
             continue
         named = {key.value: value for key, value in item.value}
         swept = _child(item, "for_each")
-        only = swept is not None and set(named) == {"for_each"} and [key.value for key, _ in swept.value] == ["orientation"]
+        only = (
+            swept is not None
+            and set(named) == {"for_each"}
+            and [key.value for key, _ in swept.value] == ["orientation"]
+        )
         if only and isinstance(swept.value[0][1], yaml.MappingNode):
             rows = swept.value[0][1].value
             places = [(node.start_mark.line + 1, node.start_mark.column + 1) for _, node in rows]
@@ -127,7 +133,7 @@ def _dwell(given: str | None) -> str:
     return "" if given is None else f", dwell: {given}"
 
 
-def _child(node: yaml.Node | None, name: str) -> yaml.Node:
+def _child(node: yaml.Node | None, name: str) -> Any:
     pairs: Sequence[tuple[yaml.Node, yaml.Node]] = node.value if isinstance(node, yaml.MappingNode) else ()
     return next((value for key, value in pairs if key.value == name), None)
 

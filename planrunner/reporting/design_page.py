@@ -119,9 +119,7 @@ def _criteria(context: DesignContext) -> Table:
 
 
 def _figures(merit: Merit) -> tuple[str, ...]:
-    return tuple(
-        words.number(value, 6) for value in (merit.determinant, merit.trace, merit.worst, merit.mean)
-    )
+    return tuple(words.number(value, 6) for value in (merit.determinant, merit.trace, merit.worst, merit.mean))
 
 
 def _efficiencies(context: DesignContext) -> Table:
@@ -199,13 +197,17 @@ def notes(context: DesignContext) -> list[str]:
     )
     share = chosen.of_bound.D
     if share > 0.9999:
-        said.append("The chosen positions reach the bound: no set of as many positions on this bench has a larger determinant.")
+        said.append(
+            "The chosen positions reach the bound: no set of as many positions on this bench has a larger determinant."
+        )
     if context.dwells:
         said.append(
             f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the allotted ones; every position keeps at least a "
             "quarter of an equal share."
         )
-    said.append("Efficiencies suppose the same noise in every position. D at 97 % needs 3 % more recording for the same determinant.")
+    said.append(
+        "Efficiencies suppose the same noise in every position. D at 97 % needs 3 % more recording for the same determinant."
+    )
     return said
 
 
@@ -243,7 +245,9 @@ def _set_json(one: DesignedSet) -> dict[str, Any]:
     return {
         **_merit_json(one.merit),
         "efficiency": {
-            name: dict(zip("DAGI", _four(shares), strict=True)) for name, shares in against.items() if shares is not None
+            name: dict(zip("DAGI", _four(shares), strict=True))
+            for name, shares in against.items()
+            if shares is not None
         },
         "plan_time_s": one.seconds,
         "positions": [
