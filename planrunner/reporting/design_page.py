@@ -198,7 +198,7 @@ def notes(context: DesignContext) -> list[str]:
     share = chosen.of_bound.D
     if share > 0.9999:
         said.append(
-            "The chosen positions reach the bound: no set of as many positions on this bench has a larger determinant."
+            "The chosen positions reach the bound to within 0.01 %: as many other positions on this bench cannot be noticeably better by D."
         )
     if context.dwells:
         said.append(

@@ -64,6 +64,8 @@ def test_the_written_plan_passes_and_promises_smaller_uncertainties(study: Study
     old, new = (predicted(one, "drift") for one in (study.checked, checked))
     assert all(new[f"D_{x}_{y}"] < old[f"D_{x}_{y}"] for x in "XY" for y in "XY")
     assert new["D_X_Z"] > old["D_X_Z"]  # the joint region shrinks, not every side of it
+    with pytest.raises(EstimationError, match="the plan itself"):
+        write_plan(study, FLAGSHIP)
     kept = [line for line in FLAGSHIP.read_text().splitlines() if "  P" not in line]
     assert [line for line in path.read_text().splitlines() if "  P" not in line] == kept
 
