@@ -123,8 +123,8 @@ def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = N
 
 
 def report_names() -> list[str]:
-    """The reports that can be written of a run: the shipped templates but those of `show`."""
-    return [name for name in available() if not name.startswith("show.")]
+    """The reports that can be written of a run: the shipped templates but those of `show` and `design`."""
+    return [name for name in available() if not name.startswith(("show.", "design."))]
 
 
 def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:

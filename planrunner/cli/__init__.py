@@ -21,6 +21,7 @@ DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY, INTERRUPTED = 0, 1, 2, 3, 4, 
 COMMANDS = {
     "check": "check plans and benches before anything moves",
     "show": "show a plan's timeline, positions, total time and predicted uncertainties",
+    "design": "find better positions for a plan, and what no positions can pass",
     "run": "run a plan on a bench, then estimate and report",
     "resume": "go on with a run that was cut short",
     "estimate": "estimate again from a recording, as a new analysis",

@@ -1,0 +1,166 @@
+"""Continuous designs: shares of the observations on each candidate, and the bound that no set of observations can pass.
+
+By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance
+d(x) = xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) raises |M| with every
+step, w_i ← w_i·d_i/p, and Fedorov's and Wynn's steps towards the largest and away from the smallest d (Todd & Yıldırım 2007) end it; what
+is left above p is the certificate, and turns into a bound by the arithmetic–geometric mean: |M(η)| ≤ |M(ξ)|·(max d/p)^p for every η.
+For a linear criterion tr(W·M⁻¹) (A: W = 1) the same holds with xᵀM⁻¹WM⁻¹x against tr(W·M⁻¹), and the step is w_i ← w_i·√(·).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.design.efficiency import information
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
+
+
+@dataclass(frozen=True, slots=True)
+class Continuous:
+    """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean, less
+    one: 1e-6 says that nothing is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹)."""
+
+    shares: Array
+    matrix: Array
+    excess: float
+    value: float
+    weighting: Array | None
+
+    @property
+    def largest_variance(self) -> float:
+        """The certificate of a D-optimal design: max d(x) over the candidates, p at the optimum."""
+        return len(self.matrix) * (1.0 + self.excess)
+
+    def determinant_bound(self, observations: int) -> float:
+        """No set of so many observations has a larger determinant (D designs)."""
+        return float((observations * (1.0 + self.excess)) ** len(self.matrix) * self.value)
+
+    def trace_bound(self, observations: int) -> float:
+        """No set of so many observations has a smaller tr(W·M⁻¹) (linear criteria)."""
+        return self.value / (observations * (1.0 + self.excess))
+
+
+def derivative(rows: Array, matrix: Array, weighting: Array | None) -> Array:
+    """What each row would add: xᵀM⁻¹x, or xᵀM⁻¹WM⁻¹x for a linear criterion, shape (N,)."""
+    inverse = np.linalg.inv(matrix)
+    middle = inverse if weighting is None else inverse @ weighting @ inverse
+    return np.asarray(np.einsum("ij,ij->i", rows @ middle, rows))
+
+
+def solve(
+    rows: Array,
+    weighting: Array | None = None,
+    *,
+    least: float = 0.0,
+    tolerance: float = 1e-6,
+    most_steps: int = 20_000,
+    start: Array | None = None,
+) -> Continuous:
+    """The best shares on the candidates `rows`, shape (N, p), which must have rank p.
+
+    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: every candidate keeps this share. start: shares to begin with. Ends when the
+    excess is below `tolerance` or after `most_steps`; the excess that is left is told and the bounds allow for it.
+    Raises ValueError when the candidates cannot give all terms.
+    """
+    rows = np.asarray(rows, dtype=float)
+    count, p = rows.shape
+    if np.linalg.matrix_rank(rows) < p:
+        raise ValueError("the candidates cannot tell all terms apart")
+    if not 0.0 <= least * count < 1.0:
+        raise ValueError("the least shares add up to all that there is")
+    free = np.full(count, 1.0 / count) if start is None else np.maximum(start, 1e-6 / count)
+    free /= free.sum()
+    fixed, loose = least * information(rows), 1.0 - least * count
+    alive = np.arange(count)
+    for step in range(most_steps):
+        kept = rows[alive]
+        gain = derivative(kept, fixed + loose * information(kept, free), weighting)
+        mean = float(free @ gain)
+        excess = float(gain.max()) / mean - 1.0
+        if excess <= tolerance:
+            break
+        if weighting is None and least == 0.0 and step >= 30:
+            free = _step(free, gain, p)
+        else:
+            free = free * (gain / mean) ** (1.0 if weighting is None else 0.5)
+            free /= free.sum()
+        if weighting is None and least == 0.0 and step % 20 == 19:
+            keep = _needed(gain, p, excess)
+            alive, free = alive[keep], free[keep] / free[keep].sum()
+    shares = np.zeros(count)
+    shares[alive] = np.where(free > NEGLIGIBLE, free, 0.0)
+    shares = least + loose * shares / shares.sum()
+    return judged(rows, shares, weighting, least)
+
+
+def judged(rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0) -> Continuous:
+    """Given shares with their certificate over `rows`."""
+    matrix = information(rows, shares)
+    gain = derivative(rows, matrix, weighting)
+    free = shares - least
+    excess = max(0.0, float(gain.max()) / float(free @ gain / free.sum()) - 1.0)
+    value = np.linalg.det(matrix) if weighting is None else np.trace(weighting @ np.linalg.inv(matrix))
+    return Continuous(shares, matrix, excess, float(value), weighting)
+
+
+def _step(shares: Array, gain: Array, p: int) -> Array:
+    """Towards the candidate with the largest variance, or away from the one with the smallest that has a share, whichever violates
+    optimality more; the length maximises |M| along the way."""
+    up = int(np.argmax(gain))
+    held = np.flatnonzero(shares > 0.0)
+    down = int(held[np.argmin(gain[held])])
+    if gain[up] - p >= p - gain[down]:
+        length = (gain[up] / p - 1.0) / (gain[up] - 1.0)
+        result = (1.0 - length) * shares
+        result[up] += length
+        return np.asarray(result)
+    whole = shares[down] / (1.0 - shares[down])  # at most its whole share
+    back = (1.0 - gain[down] / p) / (gain[down] - 1.0) if gain[down] > 1.0 else np.inf
+    length = min(float(back), float(whole))
+    result = (1.0 + length) * shares
+    result[down] = max(0.0, result[down] - length)
+    return np.asarray(result / result.sum())
+
+
+def _needed(gain: Array, p: int, excess: float) -> Array:
+    """Which candidates may support a D-optimal design (Harman & Pronzato, Statist. Probab. Lett. 77, 2007)."""
+    e = p * excess
+    bound = p * (1.0 + e / 2 - np.sqrt(e * (4.0 + e - 4.0 / p)) / 2)
+    return np.asarray(gain >= bound)
+
+
+Climb = Callable[[Array, Array | None], tuple[Array, Array]]
+
+
+def solve_with_climbing(
+    rows: Array, climb: Climb, weighting: Array | None = None, *, tolerance: float = 2e-4, most_rounds: int = 6
+) -> Continuous:
+    """The best shares over a continuous region: candidates, then whatever better points are found by climbing, until none is.
+
+    climb(M, W) → (points' rows, their derivatives) at local maxima of the derivative over the region. The excess of what is returned
+    is that over the region, as far as climbing sees it.
+    """
+    known = np.asarray(rows, dtype=float)
+    shares: Array | None = None
+    best: Continuous | None = None
+    for _ in range(most_rounds):
+        found = solve(known, weighting, tolerance=tolerance / 3, most_steps=1000, start=shares)
+        tops, gains = climb(found.matrix, weighting)
+        mean = len(found.matrix) if weighting is None else found.value
+        excess = max(found.excess, float(gains.max()) / mean - 1.0)
+        if best is None or excess < best.excess:
+            best = Continuous(found.shares, found.matrix, excess, found.value, weighting)
+        if excess <= tolerance:
+            break
+        kept = found.shares > 0
+        known = np.vstack([known[kept], tops[gains > mean]])
+        shares = np.concatenate([found.shares[kept], np.full(len(known) - int(kept.sum()), 1e-4)])
+    assert best is not None
+    return best

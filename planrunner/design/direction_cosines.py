@@ -1,0 +1,40 @@
+"""Rows of a design matrix as polynomials of the attitude's nine direction cosines, so that a search can ask for millions of them.
+
+At rest a sensor feels the Earth's rate and gravity, which are linear in the direction cosines; products of two of them are of the second
+degree. A polynomial of that degree is fitted to what the estimator itself says and used only where it repeats it everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RowsAt = Callable[[Array], Array]
+
+EXACT = 1e-9  # of the largest entry
+_FITTED, _TRIED = 300, 100
+_UPPER = np.triu_indices(9)
+
+
+def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
+    """A quick stand-in for `rows_at`, which gives rows (m, p) at attitudes (m, 3, 3); `rows_at` itself where it is no such polynomial."""
+    random = np.random.default_rng(seed)
+    attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]
+    attitudes = attitudes * np.linalg.det(attitudes)[:, None, None]
+    rows = rows_at(attitudes)
+    monomials = _monomials(attitudes)
+    weights = np.linalg.pinv(monomials[:_FITTED], rcond=1e-10) @ rows[:_FITTED]
+    off = np.abs(monomials[_FITTED:] @ weights - rows[_FITTED:]).max()
+    if not off <= EXACT * max(1.0, float(np.abs(rows).max())):
+        return rows_at
+    return lambda given: np.asarray(_monomials(given) @ weights)
+
+
+def _monomials(attitudes: Array) -> Array:
+    """1, the nine cosines and their products, shape (m, 55)."""
+    cosines = attitudes.reshape(len(attitudes), 9)
+    products = cosines[:, _UPPER[0]] * cosines[:, _UPPER[1]]
+    return np.concatenate([np.ones((len(cosines), 1)), cosines, products], axis=1)

@@ -1,0 +1,94 @@
+"""How much a set of observations tells, by the four usual criteria of optimal design, and how near that is to the best.
+
+rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix in
+units of the inverse variance of one observation. D asks for the largest |M|, A for the smallest trace of M⁻¹ (sum of the coefficients'
+variances), G for the smallest worst variance xᵀM⁻¹x of a predicted output, I for its smallest mean over a region.
+Efficiencies are per observation: at 80 % the best design needs 0.8 times as many observations for the same (Atkinson, Donev & Tobias,
+Optimum Experimental Designs, with SAS, 2007, chapters 10 and 11).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SINGULAR = 1e-9
+"""Singular values of the rows below this times the largest count as zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Merit:
+    """The criteria of one set of n observations of p terms.
+
+    determinant: |M|, zero where the rank is short; trace: of M⁻¹; worst, mean: largest and mean variance of a predicted output over the
+    region, in units of one observation's variance. The last three are infinite where the rank is short.
+    """
+
+    observations: int
+    terms: int
+    rank: int
+    determinant: float
+    trace: float
+    worst: float
+    mean: float
+
+    @property
+    def sound(self) -> bool:
+        return self.rank == self.terms
+
+
+@dataclass(frozen=True, slots=True)
+class Efficiency:
+    """Shares of a reference, 1 at the reference itself."""
+
+    D: float
+    A: float
+    G: float
+    I: float  # noqa: E741 - the criterion's name
+
+
+def information(rows: Array, weights: Array | None = None) -> Array:
+    """M, shape (p, p). weights: (n,), one for each row without them."""
+    rows = np.asarray(rows, dtype=float)
+    return rows.T @ rows if weights is None else (rows * np.asarray(weights)[:, None]).T @ rows
+
+
+def region_moment(region: Array) -> Array:
+    """The mean of x·xᵀ over the rows of a region, shape (p, p), so that the mean variance there is trace(moment·M⁻¹)."""
+    return information(region) / len(region)
+
+
+def variances(rows: Array, matrix: Array) -> Array:
+    """xᵀM⁻¹x for each row, shape (n,)."""
+    return np.asarray(np.einsum("ij,ij->i", rows @ np.linalg.inv(matrix), rows))
+
+
+def merit(rows: Array, region: Array, weights: Array | None = None) -> Merit:
+    """The criteria of a set. region: rows over which predictions are wanted; weights: of each observation, one without them."""
+    n, p = rows.shape
+    used = rows if weights is None else rows * np.sqrt(weights)[:, None]
+    singular = np.linalg.svd(used, compute_uv=False)
+    rank = int(np.sum(singular > SINGULAR * singular[0])) if n and singular[0] > 0 else 0
+    if rank < p:
+        return Merit(n, p, rank, 0.0, math.inf, math.inf, math.inf)
+    matrix = information(rows, weights)
+    felt = variances(region, matrix)
+    trace = float(np.trace(np.linalg.inv(matrix)))
+    return Merit(n, p, rank, float(np.prod(singular**2)), trace, float(felt.max()), float(felt.mean()))
+
+
+def efficiency(of: Merit, reference: Merit) -> Efficiency:
+    """Efficiencies of a set against another one of the same number of terms, each by its own criterion."""
+    share = of.observations / reference.observations
+    root = (of.determinant / reference.determinant) ** (1 / of.terms) if reference.determinant > 0 else math.nan
+    return Efficiency(
+        root / share,
+        reference.trace / (of.trace * share),
+        reference.worst / (of.worst * share),
+        reference.mean / (of.mean * share),
+    )

@@ -1,0 +1,172 @@
+"""The best n of a list of candidates: all choices where they can be counted, exchange from many starts where not.
+
+Exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980): each point in turn gives way to the candidate that is
+best beside the others, until none does. With S the inverse information of the others and d = xᵀSx, adding x multiplies the determinant by
+1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Progress = Callable[[float], None]
+
+MOST_CHOICES = 1_000_000
+"""More choices than this are not all tried."""
+_CHUNK = 50_000
+_RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is still too small
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """indices: (n,), of the candidates, ascending; loss: −ln|M| (D) or tr(W·M⁻¹), infinite where no choice gives all terms.
+    tried: choices or restarts; exhaustive: whether all choices were tried."""
+
+    indices: Indices
+    loss: float
+    tried: int
+    exhaustive: bool
+
+
+def loss(rows: Array, weighting: Array | None = None) -> float:
+    """What is minimised for one set of rows, (n, p)."""
+    singular = np.linalg.svd(rows, compute_uv=False)
+    if len(rows) < rows.shape[1] or singular[-1] <= 1e-9 * singular[0]:
+        return math.inf
+    if weighting is None:
+        return float(-2.0 * np.sum(np.log(singular)))
+    return float(np.trace(weighting @ np.linalg.inv(rows.T @ rows)))
+
+
+def choose(
+    rows: Array,
+    count: int,
+    weighting: Array | None = None,
+    *,
+    restarts: int = 30,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Chosen:
+    """The best set of `count` different candidates: exhaustive where feasible, else by exchange."""
+    if math.comb(len(rows), count) <= MOST_CHOICES:
+        return exhaust(rows, count, weighting, progress)
+    return exchange(rows, count, weighting, restarts=restarts, seed=seed, progress=progress)
+
+
+def exhaust(rows: Array, count: int, weighting: Array | None = None, progress: Progress | None = None) -> Chosen:
+    """The best of all choices of `count` different candidates."""
+    p = rows.shape[1]
+    outers = np.einsum("ni,nj->nij", rows, rows).reshape(len(rows), p * p)
+    total = math.comb(len(rows), count)
+    best, best_loss, done = np.arange(count), math.inf, 0
+    for chunk in _chunks(len(rows), count):
+        member = np.zeros((len(chunk), len(rows)))
+        np.put_along_axis(member, chunk, 1.0, axis=1)
+        losses = _losses((member @ outers).reshape(-1, p, p), weighting)
+        least = int(np.argmin(losses))
+        if losses[least] < best_loss:
+            best, best_loss = chunk[least], float(losses[least])
+        done += len(chunk)
+        if progress:
+            progress(done / total)
+    return Chosen(best, best_loss, total, True)
+
+
+def _chunks(size: int, count: int) -> Iterator[Indices]:
+    choices = itertools.combinations(range(size), count)
+    while taken := list(itertools.islice(choices, _CHUNK)):
+        yield np.fromiter(itertools.chain.from_iterable(taken), dtype=np.intp, count=len(taken) * count).reshape(
+            -1, count
+        )
+
+
+def _losses(matrices: Array, weighting: Array | None) -> Array:
+    """Of many information matrices (N, p, p); infinite where singular."""
+    p = matrices.shape[-1]
+    sign, logarithm = np.linalg.slogdet(matrices)
+    size = np.log(np.maximum(np.trace(matrices, axis1=1, axis2=2) / p, 1e-300))
+    sound = (sign > 0) & (logarithm - p * size > 2 * math.log(1e-9))
+    result = np.full(len(matrices), math.inf)
+    if weighting is None:
+        result[sound] = -logarithm[sound]
+    elif sound.any():
+        result[sound] = np.einsum("ij,nji->n", weighting, np.linalg.inv(matrices[sound]))
+    return result
+
+
+def exchange(
+    rows: Array,
+    count: int,
+    weighting: Array | None = None,
+    *,
+    restarts: int = 30,
+    seed: int = 0,
+    repeats: bool = False,
+    progress: Progress | None = None,
+) -> Chosen:
+    """The best set found by exchange from `restarts` random sets. repeats: whether a candidate may be taken more than once."""
+    return exchange_all(rows, count, weighting, restarts=restarts, seed=seed, repeats=repeats, progress=progress)[0]
+
+
+def exchange_all(
+    rows: Array,
+    count: int,
+    weighting: Array | None = None,
+    *,
+    restarts: int = 30,
+    seed: int = 0,
+    repeats: bool = False,
+    progress: Progress | None = None,
+) -> list[Chosen]:
+    """What every restart ended in, the best first. The same seed gives the same sets."""
+    if not repeats and count > len(rows):
+        raise ValueError(f"{count} different positions cannot be chosen out of {len(rows)}")
+    random = np.random.default_rng(seed)
+    found = []
+    for turn in range(restarts):
+        start = random.choice(len(rows), size=count, replace=repeats or count > len(rows))
+        indices = np.sort(_settle(rows, start, weighting, repeats))
+        found.append(Chosen(indices, loss(rows[indices], weighting), restarts, False))
+        if progress:
+            progress((turn + 1) / restarts)
+    return sorted(found, key=lambda chosen: (chosen.loss, *chosen.indices.tolist()))
+
+
+def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool) -> Indices:
+    indices = start.copy()
+    ridge = _RIDGE * max(float(np.mean(rows**2)), 1e-300) * np.eye(rows.shape[1])
+    matrix = rows[indices].T @ rows[indices] + ridge
+    for _ in range(200):
+        before = indices.copy()
+        for place in range(len(indices)):
+            others = matrix - np.outer(rows[indices[place]], rows[indices[place]])
+            worth = _worth(rows, others, weighting)
+            if not repeats:
+                worth[np.delete(indices, place)] = -math.inf
+            best = int(np.argmax(worth))
+            if worth[best] > worth[indices[place]] * (1 + 1e-10):
+                indices[place] = best
+            matrix = others + np.outer(rows[indices[place]], rows[indices[place]])
+        matrix = rows[indices].T @ rows[indices] + ridge  # afresh: differences lose digits
+        if np.array_equal(indices, before):
+            break
+    return indices
+
+
+def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
+    """What each candidate is worth beside the others; only the order counts."""
+    values, vectors = np.linalg.eigh(others)
+    inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
+    carried = rows @ inverse
+    variance = np.einsum("ij,ij->i", carried, rows)
+    if weighting is None:
+        return np.asarray(variance)
+    return np.asarray(np.einsum("ij,ij->i", carried @ weighting, carried) / (1.0 + variance))

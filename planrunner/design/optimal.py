@@ -1,0 +1,163 @@
+"""Positions beyond a list of candidates: local optimisation over continuous settings, from many seeded starts.
+
+A setting is a row of k numbers within bounds, such as a table's joint angles, so that whatever is found can be reached. `rows_of` turns
+settings (m, k) into rows of the design matrix (m, p), columns divided by their magnitudes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.design import exchange
+from planrunner.design.continuous import Continuous, derivative, solve, solve_with_climbing
+
+Array = NDArray[np.float64]
+RowsOf = Callable[[Array], Array]
+Progress = Callable[[float], None]
+
+DIFFERENCE = 1e-5  # rad; central differences of smooth rows are then good to about 1e-10
+CLIMBERS = 24  # places from which the variance is climbed
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """settings: (N, k), candidates spread over the region; rows: (N, p) of them; bounds: (lowest, highest) of each of the k numbers,
+    infinite where there is none."""
+
+    rows_of: RowsOf
+    settings: Array
+    rows: Array
+    bounds: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """settings: (n, k); loss: −ln|M| or tr(W·M⁻¹); starts: how many local optimisations; agreeing: how many ended within 1e-4 of the
+    best."""
+
+    settings: Array
+    loss: float
+    starts: int
+    agreeing: int
+
+
+def region(rows_of: RowsOf, settings: Array, bounds: Sequence[tuple[float, float]]) -> Region:
+    settings = np.asarray(settings, dtype=float)
+    return Region(rows_of, settings, rows_of(settings), tuple(bounds))
+
+
+def spread(bounds: Sequence[tuple[float, float]], count: int, seed: int) -> Array:
+    """Settings drawn evenly within bounds, shape (count, k); an unbounded angle over one turn."""
+    low = np.array([-math.pi if math.isinf(low) else low for low, _ in bounds])
+    high = np.array([math.pi if math.isinf(high) else high for _, high in bounds])
+    return np.asarray(low + (high - low) * np.random.default_rng(seed).random((count, len(bounds))))
+
+
+def search(
+    over: Region,
+    count: int,
+    weighting: Array | None = None,
+    *,
+    restarts: int = 30,
+    seed: int = 0,
+    starts: Sequence[Array] = (),
+    progress: Progress | None = None,
+) -> Found:
+    """The best `count` settings found: exchange among the candidates, then every set is improved locally.
+
+    starts: settings (count, k) to improve as well, such as those of a plan. The same seed gives the same settings.
+    """
+    sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True)
+    begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
+    best, losses = begun[0], []
+    for turn, start in enumerate(begun):
+        settings = refine(over, start, weighting)
+        losses.append(exchange.loss(over.rows_of(settings), weighting))
+        if losses[-1] <= min(losses):
+            best = settings
+        if progress:
+            progress((turn + 1) / len(begun))
+    least = min(losses)
+    near = least + 1e-4 * (1.0 if weighting is None else abs(least))
+    return Found(best, least, len(begun), sum(one <= near for one in losses))
+
+
+def refine(over: Region, start: Array, weighting: Array | None = None) -> Array:
+    """The nearest local optimum, shape of `start` (n, k), by L-BFGS-B with the exact gradient in the rows."""
+    from scipy.optimize import minimize
+
+    shape = start.shape
+
+    def value(flat: Array) -> tuple[float, Array]:
+        rows, slopes = _with_slopes(over.rows_of, flat.reshape(shape))
+        matrix = rows.T @ rows + 1e-12 * np.eye(rows.shape[1])
+        inverse = np.linalg.inv(matrix)
+        if weighting is None:
+            return -float(np.linalg.slogdet(matrix)[1]), -2.0 * np.einsum("nkp,np->nk", slopes, rows @ inverse).ravel()
+        middle = inverse @ weighting @ inverse
+        return float(np.trace(weighting @ inverse)), -2.0 * np.einsum("nkp,np->nk", slopes, rows @ middle).ravel()
+
+    bounds = [_open(bound) for _ in range(shape[0]) for bound in over.bounds]
+    done = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300})
+    return np.asarray(done.x).reshape(shape)
+
+
+def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[Array, Array]:
+    """Rows (m, p) and derivatives (m,) at the local maxima of the derivative nearest to high candidates, the highest among them."""
+    from scipy.optimize import minimize
+
+    inverse = np.linalg.inv(matrix)
+    middle = inverse if weighting is None else inverse @ weighting @ inverse
+    height = derivative(over.rows, matrix, weighting)
+    # The highest of every part of the candidates rather than the highest of all, which would share one hill.
+    top = np.array(
+        [part[np.argmax(height[part])] for part in np.array_split(np.arange(len(height)), CLIMBERS) if len(part)]
+    )
+    start = over.settings[top]
+
+    def value(flat: Array) -> tuple[float, Array]:
+        rows, slopes = _with_slopes(over.rows_of, flat.reshape(start.shape))
+        carried = rows @ middle
+        return -float(np.sum(carried * rows)), -2.0 * np.einsum("nkp,np->nk", slopes, carried).ravel()
+
+    bounds = [_open(bound) for _ in range(len(start)) for bound in over.bounds]
+    done = minimize(
+        value, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100, "ftol": 1e-12}
+    )
+    rows = over.rows_of(np.asarray(done.x).reshape(start.shape))
+    return rows, derivative(rows, matrix, weighting)
+
+
+def bound(over: Region, begin: Array, weighting: Array | None = None, *, tolerance: float = 1e-5) -> Continuous:
+    """The continuous optimum over the region, with its certificate as far as climbing from the candidates can see.
+
+    begin: (m, k), settings to begin with, such as the best sets found; the nearer they are to the optimum, the sooner it is certified.
+    """
+    spots = over.rows[np.argsort(-np.sum(over.rows**2, axis=1), kind="stable")[: len(over.rows) // 20]]
+    rows = np.vstack([over.rows_of(begin), spots])
+    return solve_with_climbing(rows, lambda matrix, w: climb(over, matrix, w), weighting, tolerance=tolerance)
+
+
+def allocate(rows: Array, weighting: Array | None = None, *, least_share: float = 0.25) -> Array:
+    """Shares (n,) of the total recording time on given positions, adding up to 1, for observations whose variance falls as one over
+    the time. least_share: every position keeps this part of an equal share, so that none is lost for checking the model."""
+    return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9).shares
+
+
+def _with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
+    """Rows (n, p) and their derivatives (n, k, p) by central differences."""
+    n, k = settings.shape
+    steps = DIFFERENCE * np.eye(k)
+    moved = np.concatenate([settings[:, None] + steps, settings[:, None] - steps], axis=1)
+    rows = rows_of(np.concatenate([settings, moved.reshape(-1, k)]))
+    pairs = rows[n:].reshape(n, 2, k, -1)
+    return rows[:n], (pairs[:, 0] - pairs[:, 1]) / (2 * DIFFERENCE)
+
+
+def _open(bound: tuple[float, float]) -> tuple[float | None, float | None]:
+    return (None if math.isinf(bound[0]) else bound[0], None if math.isinf(bound[1]) else bound[1])

@@ -1,0 +1,197 @@
+"""The positions of a plan that a design may move: which segments rest there, and what an estimate would see at any other attitude.
+
+A place is one orientation as the plan writes it; segments that share it (repeats, temperatures) move together. What a position adds to
+the information is asked of the estimator itself, at rest, so that nothing here knows any sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner import plugins
+from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError
+from planrunner.instruments.models import SensorModel
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, transition_time
+from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.selection import select
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """mark: (line, column) of the orientation in the plan. segments: that rest there, in order."""
+
+    mark: tuple[int, int]
+    segments: tuple[Segment, ...]
+
+    @property
+    def label(self) -> str:
+        return self.segments[0].label
+
+    @property
+    def attitude(self) -> Array:
+        assert self.segments[0].attitude is not None
+        return self.segments[0].attitude
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What one output of an estimate sees: its terms, and the estimator asked at any attitude."""
+
+    name: str
+    spec: Any
+    output: str
+    others: tuple[str, ...]
+    terms: tuple[str, ...]
+    template: Segment
+    site: Site
+    sensor: SensorModel
+    uses: Mapping[str, Design]
+
+    def rows(self, attitudes: Array) -> Array:
+        """Rows of the design matrix, (m, p), columns divided by their magnitudes, for attitudes (m, 3, 3)."""
+        segments = tuple(replace(self.template, attitude=attitude) for attitude in attitudes)
+        block = self._block(_design(self.name, self.spec, segments, self.site, self.sensor, self.uses))
+        return np.asarray(block.matrix / block.magnitudes)
+
+    def _block(self, design: Design | None) -> DesignBlock:
+        assert design is not None
+        return next(block for block in design.blocks if block.output == self.output)
+
+
+def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[Place, ...]:
+    """The places of the segments that an estimate uses. Raises `EstimationError` for what no design of positions can move."""
+    chosen = set(select([segment.label for segment in segments], patterns))
+    groups: dict[tuple[int, int], list[Segment]] = {}
+    for index in sorted(chosen):
+        segment = segments[index]
+        if not isinstance(segment.motion, Rest) or segment.attitude is None:
+            why = "has no known orientation" if segment.attitude is None else "moves while it records"
+            raise EstimationError(
+                f"segment '{segment.label}' {why}: positions can be designed for segments at rest only"
+            )
+        groups.setdefault(_mark(segment), []).append(segment)
+    for index, segment in enumerate(segments):
+        if index not in chosen and _mark(segment) in groups:
+            shared = groups[_mark(segment)][0].label
+            raise EstimationError(
+                f"segment '{segment.label}' shares its orientation with '{shared}', but not the estimate: give it its own"
+            )
+    sizes = {len(group) for group in groups.values()}
+    if len(sizes) > 1:
+        raise EstimationError("the positions are recorded a different number of times; record each equally often")
+    return tuple(Place(mark, tuple(group)) for mark, group in groups.items())
+
+
+def sight(
+    name: str,
+    spec: Any,
+    found: Sequence[Place],
+    site: Site,
+    sensor: SensorModel,
+    uses: Mapping[str, Design],
+    output: str | None = None,
+) -> Sight:
+    """What an estimate sees at the places. output: which one, where they differ. Raises `EstimationError`."""
+    design = _design(name, spec, tuple(place.segments[0] for place in found), site, sensor, uses)
+    if design is None or not design.blocks:
+        raise EstimationError(f"'{name}' ({spec.estimator}) has no design matrix to improve")
+    names = [block.output for block in design.blocks]
+    if output is not None and output not in names:
+        raise EstimationError(f"'{name}' has no output '{output}'; it has {', '.join(names)}")
+    block = design.blocks[names.index(output) if output else 0]
+    alike = tuple(
+        other.output
+        for other in design.blocks
+        if other.terms == block.terms and np.allclose(_scaled(other), _scaled(block))
+    )
+    if output is None and len(alike) < len(names):
+        raise EstimationError(
+            f"the outputs of '{name}' see different things: choose one of {', '.join(names)} with --output"
+        )
+    template = found[0].segments[0]
+    return Sight(name, spec, block.output, alike, tuple(block.terms), template, site, sensor, uses)
+
+
+def _design(
+    name: str, spec: Any, segments: tuple[Segment, ...], site: Site, sensor: SensorModel, uses: Mapping[str, Design]
+) -> Design | None:
+    estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
+    design: Design | None = estimator.design(DesignRequest(name, segments, spec.parameters, site, sensor, uses))
+    return design
+
+
+def _scaled(block: DesignBlock) -> Array:
+    return np.asarray(block.matrix / block.magnitudes)
+
+
+def _mark(segment: Segment) -> tuple[int, int]:
+    mark = segment.marks.get("orientation") or segment.marks[""]
+    return mark.line, mark.column
+
+
+# -- the table -------------------------------------------------------------------------------------------------------
+
+
+def attitudes(axes: Sequence[TableAxis], settings: Array, azimuth: float) -> Array:
+    """The sensor's axes as rows in East-North-Up, (m, 3, 3), at joint angles (m, k) [rad]; many at a time."""
+    platform = np.broadcast_to(_turned(np.array([0.0, 0.0, 1.0]), np.array([-azimuth])), (len(settings), 3, 3))
+    for axis, angles in zip(axes, settings.T, strict=True):
+        platform = platform @ _turned(np.asarray(axis.direction, dtype=float), angles)
+    return np.asarray(platform.transpose(0, 2, 1))
+
+
+def _turned(axis: Array, angles: Array) -> Array:
+    x, y, z = axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, versine = np.sin(angles)[:, None, None], (1.0 - np.cos(angles))[:, None, None]
+    return np.asarray(np.eye(3) + sine * skew + versine * (skew @ skew))
+
+
+def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> tuple[list[Array], Array]:
+    """Of some attitudes those that the table reaches, with joint angles (m, k) near its zero."""
+    kept, settings = [], []
+    for attitude in wanted:
+        try:
+            settings.append(joint_angles(axes, attitude, np.zeros(len(axes)), azimuth))
+        except Unreachable:
+            continue
+        kept.append(attitude)
+    return kept, np.array(settings).reshape(-1, len(axes))
+
+
+def quick_order(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> list[int]:
+    """An order in which the table gets round the attitudes soon: the nearest next, then exchanges of two while they help."""
+
+    def travel(order: Sequence[int]) -> float:
+        joints, total = np.zeros(len(axes)), 0.0
+        for index in order:
+            target = joint_angles(axes, wanted[index], joints, azimuth)
+            total += transition_time(axes, joints, target)
+            joints = target
+        return total
+
+    order: list[int] = []
+    joints, left = np.zeros(len(axes)), list(range(len(wanted)))
+    while left:
+        targets = [joint_angles(axes, wanted[index], joints, azimuth) for index in left]
+        times = [transition_time(axes, joints, target) for target in targets]
+        place = int(np.argmin(times))
+        joints = targets[place]
+        order.append(left.pop(place))
+    best = travel(order)
+    pairs = [(i, j) for i in range(len(order)) for j in range(i)] if len(order) <= 12 else []
+    for i, j in pairs:
+        tried = list(order)
+        tried[i], tried[j] = tried[j], tried[i]
+        seconds = travel(tried)
+        if seconds < best - 1e-9:
+            order, best = tried, seconds
+    return order

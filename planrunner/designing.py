@@ -1,0 +1,368 @@
+"""Designing the positions of a plan on its bench: what the planned ones tell, the best that can be found, and what nothing can pass.
+
+study = design_plan(Path("plans/x.yaml"))
+study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
+study.text                                        the plan with the chosen set in it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.bench.scheduling import build_schedule
+from planrunner.checking import Checked, check_plan
+from planrunner.design import continuous, direction_cosines, exchange, optimal
+from planrunner.design import places as positions
+from planrunner.design.efficiency import Efficiency, Merit, efficiency, merit, region_moment
+from planrunner.design.places import Place, Sight
+from planrunner.estimators.analysis import predict
+from planrunner.estimators.interface import Design, EstimationError
+from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
+from planrunner.plan import source
+from planrunner.plan.expand import expand
+from planrunner.plan.findings import Findings, InputError
+from planrunner.plan.orientation import Orientation, in_words
+from planrunner.plan.rewriting import (
+    RewriteError,
+    as_written,
+    cardinal_orientations,
+    orientation_text,
+    with_dwells,
+    with_orientations,
+)
+from planrunner.plan.schedule import Schedule
+from planrunner.plan.selection import Detection
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
+_REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may do away with
+CRITERIA = ("D", "A", "I")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """estimate, output: which to design for, the first that has a design without. criterion: D, A or I. orientations: which set goes
+    into the plan: free, cardinal or planned. time: s, the whole plan's; dwells are allotted within it."""
+
+    estimate: str | None = None
+    output: str | None = None
+    criterion: str = "D"
+    orientations: str = "free"
+    time: float | None = None
+    restarts: int = 8
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PositionSet:
+    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies against the best found among all
+    reachable orientations and against the continuous bound; of_cardinal: against the best found among cardinal ones, for cardinal sets.
+    schedule: the plan with this set; designs: what its estimates could then learn."""
+
+    attitudes: tuple[Array, ...]
+    texts: tuple[str, ...]
+    merit: Merit
+    of_found: Efficiency | None
+    of_bound: Efficiency
+    of_cardinal: Efficiency | None
+    schedule: Schedule
+    designs: Mapping[str, Design]
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """D, A, I: what no set of as many positions passes, as criteria of such a set. certificate: max variance of the D-optimal
+    continuous design and the number of terms, which it cannot be below."""
+
+    merit: Merit
+    certificate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    sight: Sight
+    places: tuple[Place, ...]
+    options: Options
+    sets: Mapping[str, PositionSet]
+    best: Mapping[str, Merit]
+    bounds: Mapping[str, Bounds]
+    search: str
+    dwells: tuple[float, ...]
+    dwell_gain: float
+    text: str
+    checked: Checked
+
+    @property
+    def chosen(self) -> PositionSet:
+        return self.sets[self.options.orientations]
+
+
+def design_plan(path: Path, options: Options, bench: str | None = None, progress: Progress | None = None) -> Study:
+    """Raises `InputError` with the plan's findings, and `EstimationError` where there is nothing to design."""
+    checked = check_plan(path, bench=bench)
+    if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
+        raise InputError(checked.findings)
+    return _Designer(checked, options, progress or (lambda stage, fraction: None)).study()
+
+
+class _Designer:
+    def __init__(self, checked: Checked, options: Options, progress: Progress):
+        assert checked.plan and checked.models and checked.schedule and checked.models.sensor
+        self.checked, self.options, self.progress = checked, options, progress
+        self.plan, self.models, self.schedule = checked.plan, checked.models, checked.schedule
+        if self.models.table is None or self.models.replays:
+            raise EstimationError("this bench has no table that could take other positions; choose one with --bench")
+        self.axes: tuple[TableAxis, ...] = self.models.table.axes
+        self.azimuth = self.models.site.azimuth
+        self.places, self.sight = self._find()
+        self._quick_rows = direction_cosines.quick(self.sight.rows)
+        self.count = len(self.places)
+        self.terms = len(self.sight.terms)
+        if self.count < self.terms:
+            raise EstimationError(
+                f"'{self.sight.name}' has {self.terms} terms and {self.count} positions: add positions to the plan first"
+            )
+
+    def _find(self) -> tuple[tuple[Place, ...], Sight]:
+        names = list(self.plan.estimates)
+        if self.options.estimate is not None and self.options.estimate not in names:
+            raise EstimationError(f"the plan has no estimate '{self.options.estimate}'; it has {', '.join(names)}")
+        problems = []
+        for name in [self.options.estimate] if self.options.estimate else names:
+            spec = self.plan.estimates[name]
+            patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
+            uses = {used: self.checked.designs[used] for used in spec.uses if used in self.checked.designs}
+            try:
+                found = positions.places(self.schedule.segments, patterns)
+                sensor = self.models.sensor
+                assert sensor is not None
+                return found, positions.sight(name, spec, found, self.models.site, sensor, uses, self.options.output)
+            except EstimationError as error:
+                problems.append(f"{name}: {error}")
+        raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
+
+    def study(self) -> Study:
+        rows_of = self._rows_of
+        kept, cardinal_settings = positions.reachable(self.axes, cardinal_orientations(), self.azimuth)
+        bounds = [(axis.lowest, axis.highest) for axis in self.axes]
+        spread = optimal.spread(bounds, SPREAD, self.options.seed)
+        region = optimal.region(rows_of, np.concatenate([cardinal_settings, spread]), bounds)
+        self.region_rows, cardinal_rows = region.rows, region.rows[: len(kept)]
+        planned = [place.attitude for place in self.places]
+        weighting = self._weighting(self.options.criterion)
+        found: dict[str, list[Array]] = {"planned": planned}
+        how = []
+        if len(kept) and np.linalg.matrix_rank(cardinal_rows) == self.terms:
+            chosen = self._cardinal(cardinal_rows, weighting)
+            found["cardinal"] = self._ordered([kept[index] for index in chosen.indices])
+            tried = f"all {chosen.tried} choices" if chosen.exhaustive else f"exchange from {chosen.tried} starts"
+            how.append(f"cardinal: {tried} of {self.count} out of {len(kept)} orientations")
+        starts = [self._settings(planned)]
+        free = optimal.search(
+            region, self.count, weighting, restarts=self.options.restarts, seed=self.options.seed, starts=starts,
+            progress=lambda part: self.progress("free orientations", part),
+        )  # fmt: skip
+        attitudes = positions.attitudes(self.axes, free.settings, self.azimuth)
+        found["free"] = self._ordered([as_written(attitude) for attitude in attitudes])
+        how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
+        if self.options.orientations not in found:
+            raise EstimationError(
+                f"no {self.count} cardinal orientations tell all terms apart "
+                f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
+            )
+        best, limits = self._references(region, cardinal_rows, free.settings, found)
+        sets = {name: self._set(name, attitudes, best, limits) for name, attitudes in found.items()}
+        dwells, gain = self._dwells(sets[self.options.orientations])
+        text = self._text(sets[self.options.orientations], dwells)
+        return Study(
+            self.sight, self.places, self.options, sets, best, limits, "; ".join(how), dwells, gain, text, self.checked
+        )
+
+    # -- searching ---------------------------------------------------------------------------------------------------
+
+    def _rows_of(self, settings: Array) -> Array:
+        return self._quick_rows(positions.attitudes(self.axes, settings, self.azimuth))
+
+    def _settings(self, attitudes: Sequence[Array]) -> Array:
+        return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
+
+    def _weighting(self, criterion: str) -> Array | None:
+        if criterion == "D":
+            return None
+        return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
+
+    def _cardinal(self, rows: Array, weighting: Array | None) -> exchange.Chosen:
+        def tell(part: float) -> None:
+            self.progress("cardinal orientations", part)
+
+        if self.count > len(rows):
+            return exchange.exchange(rows, self.count, weighting, seed=self.options.seed, repeats=True, progress=tell)
+        return exchange.choose(rows, self.count, weighting, seed=self.options.seed, progress=tell)
+
+    def _ordered(self, attitudes: Sequence[Array]) -> list[Array]:
+        try:
+            return [attitudes[index] for index in positions.quick_order(self.axes, attitudes, self.azimuth)]
+        except Unreachable as error:
+            raise EstimationError(f"a position, rounded as it is written, lies beyond the table: {error}") from None
+
+    def _merit(self, rows: Array) -> Merit:
+        return merit(rows, self.region_rows)
+
+    def _references(
+        self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
+    ) -> tuple[dict[str, Merit], dict[str, Bounds]]:
+        """Best found and bounds, over cardinal and over all reachable orientations, each criterion from a search of its own."""
+        merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
+        continuous_ones = {}
+        for number, criterion in enumerate(CRITERIA):
+            self.progress("bounds", number / len(CRITERIA))
+            weighting = self._weighting(criterion)
+            settings = free
+            if criterion != self.options.criterion:
+                settings = optimal.search(
+                    region, self.count, weighting, restarts=3, seed=self.options.seed, starts=[free]
+                ).settings
+                merits.append(self._merit(region.rows_of(settings)))
+            continuous_ones[criterion] = optimal.bound(region, settings, weighting)
+        best = {"free": _best([one for one in merits if one.sound])}
+        limits = {"free": self._bounds(continuous_ones)}
+        if "cardinal" in found:
+            sets = [
+                exchange.exchange(
+                    cardinal_rows, self.count, self._weighting(name), seed=self.options.seed,
+                    repeats=self.count > len(cardinal_rows),
+                )
+                for name in CRITERIA
+            ]  # fmt: skip
+            own = [self._merit(cardinal_rows[one.indices]) for one in sets]
+            best["cardinal"] = _best([self._merit(self.sight.rows(np.array(found["cardinal"]))), *own])
+            limits["cardinal"] = self._bounds(
+                {name: continuous.solve(cardinal_rows, self._weighting(name)) for name in CRITERIA}
+            )
+        self.progress("bounds", 1.0)
+        return best, limits
+
+    def _bounds(self, designs: Mapping[str, continuous.Continuous]) -> Bounds:
+        n, p = self.count, self.terms
+        limit = Merit(
+            n, p, p, designs["D"].determinant_bound(n), designs["A"].trace_bound(n), p / n, designs["I"].trace_bound(n)
+        )
+        return Bounds(limit, designs["D"].largest_variance)
+
+    # -- what a set would be -----------------------------------------------------------------------------------------
+
+    def _set(
+        self, name: str, attitudes: Sequence[Array], best: Mapping[str, Merit], limits: Mapping[str, Bounds]
+    ) -> PositionSet:
+        own = self._merit(self.sight.rows(np.array(attitudes)))
+        words = all(np.allclose(np.abs(one).max(axis=1), 1.0, atol=1e-12) for one in attitudes)
+        texts = tuple(
+            place.segments[0].orientation if name == "planned" else orientation_text(one)
+            for place, one in zip(self.places, attitudes, strict=True)
+        )
+        schedule, designs = (self.schedule, self.checked.designs) if name == "planned" else self._scheduled(attitudes)
+        return PositionSet(
+            tuple(attitudes), texts, own, efficiency(own, best["free"]), efficiency(own, limits["free"].merit),
+            efficiency(own, best["cardinal"]) if words and "cardinal" in best else None, schedule, designs,
+        )  # fmt: skip
+
+    def _scheduled(self, attitudes: Sequence[Array]) -> tuple[Schedule, dict[str, Design]]:
+        """The plan with other orientations, with real transition times, and what its estimates could learn."""
+        new = {
+            place.mark: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))
+            for place, attitude in zip(self.places, attitudes, strict=True)
+        }
+        stated = []
+        for item in expand(self.plan, Findings()):
+            mark = item.marks.get("orientation")
+            changed = new.get((mark.line, mark.column)) if mark else None
+            stated.append(replace(item, state={**item.state, "orientation": changed}) if changed else item)
+        log = Findings()
+        schedule = build_schedule(stated, self.models, log)
+        if log.errors:
+            raise EstimationError(f"the bench cannot do it: {log.errors[0].message}")
+        assert self.models.sensor is not None
+        designs, _ = predict(self.plan.estimates, schedule.segments, self.models.site, self.models.sensor)
+        return schedule, designs
+
+    def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
+        """Dwells within the time budget, by place, and the D-efficiency of equal dwells against them."""
+        if self.options.time is None:
+            return (), 1.0
+        used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
+        if any(segment.dwell is None for segment in used):
+            raise EstimationError("the positions are recorded as long as a recording lasts: no dwell can be allotted")
+        spent = chosen.schedule.total - sum(segment.dwell or 0.0 for segment in used)
+        each = len(self.places[0].segments)
+        available = (self.options.time - spent) / each
+        if available < 10 * self.count:
+            raise EstimationError(
+                f"moving, settling and the other segments take {spent:.0f} s, which leaves too little of {self.options.time:.0f} s"
+            )
+        rows = self.sight.rows(np.array(chosen.attitudes))
+        if not chosen.merit.sound:
+            raise EstimationError("dwells cannot make up for positions that do not tell all terms apart")
+        shares = optimal.allocate(rows, self._weighting(self.options.criterion))
+        equal = merit(rows, self.region_rows)
+        allotted = merit(rows, self.region_rows, shares * self.count)
+        gain = getattr(efficiency(equal, allotted), self.options.criterion)
+        return tuple(float(math.floor(available * share)) for share in shares), float(gain)
+
+    def _text(self, chosen: PositionSet, dwells: Sequence[float]) -> str:
+        text = source.decode(self.checked.plan_bytes, self.checked.file)
+        marks = [place.mark for place in self.places]
+        try:
+            if dwells:
+                # Orientations first keep their lines, so that the dwells' places are still right afterwards.
+                text = with_dwells(
+                    text,
+                    {mark: f"{dwell:g} s" for mark, dwell in zip(marks, dwells, strict=True)},
+                    {} if self.options.orientations == "planned" else dict(zip(marks, chosen.texts, strict=True)),
+                )
+            elif self.options.orientations != "planned":
+                text = with_orientations(text, dict(zip(marks, chosen.texts, strict=True)))
+        except RewriteError as error:
+            raise EstimationError(f"{self.checked.file}: {error}") from None
+        return text
+
+
+def write_plan(study: Study, path: Path, bench: str | None = None) -> Checked:
+    """Writes the plan with the chosen positions, once it passes its checks. Raises `InputError` with what is wrong, and
+    `EstimationError` rather than writing over the plan that was designed for."""
+    if path.exists() and path.samefile(study.checked.file):
+        raise EstimationError(f"{path} is the plan itself: write to another file")
+    aside = path.with_name(f".{path.name}.tmp")
+    aside.write_text(study.text, encoding="utf-8", newline="")
+    try:
+        check_plan(aside, bench=bench).sound()
+        aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)
+    return check_plan(path, bench=bench)
+
+
+def residual_ratios(study: Study, name: str) -> dict[str, float]:
+    """`estimate.ratio_…` → expected ratio of residual sums of squares with one of the sets, for every comparison in the plan."""
+    found: dict[str, float] = {}
+    for estimate, design in study.sets[name].designs.items():
+        values: Mapping[str, Any] = design.extra
+        found |= {f"{estimate}.{key}": float(value) for key, value in values.items() if key.startswith("ratio_")}
+    return found
+
+
+def _best(merits: Sequence[Merit]) -> Merit:
+    """The best value of every criterion, whichever set has it."""
+    one = merits[0]
+    return Merit(
+        one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),
+        min(m.worst for m in merits), min(m.mean for m in merits),
+    )  # fmt: skip

@@ -1,0 +1,153 @@
+"""A plan's text with other orientations: only the places that state them change; comments and layout stay.
+
+Orientations are written as the nearest orientation in words and turns about the sensor's own axes, so that a reviewer can picture them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from planrunner.plan.orientation import AXES, DIRECTIONS, in_words, rotation
+
+Matrix = NDArray[np.float64]
+
+DECIMALS = 2  # of turns in degrees: 0.005 deg is 18 arcsec, of second order near an optimum
+
+
+class RewriteError(ValueError):
+    """The plan does not state what is to be changed in a form that can be changed in place. The message says where and what to do."""
+
+
+def cardinal_orientations() -> tuple[Matrix, ...]:
+    """The 24 right-handed attitudes whose axes lie along the site's axes, rows in East-North-Up."""
+    found = []
+    for first, second in itertools.permutations(DIRECTIONS.values(), 2):
+        if np.dot(first, second) == 0:
+            found.append(np.array([first, second, np.cross(first, second)], dtype=float))
+    return tuple(found)
+
+
+def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
+    """As a plan says it: words where the axes are cardinal, else the nearest words and turns about x, y and z in this order."""
+    start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
+    turns = [
+        f"{axis} {round(angle, decimals):.{decimals}f} deg"
+        for axis, angle in zip(AXES, _turns(start, attitude), strict=True)
+        if round(angle, decimals) != 0
+    ]
+    words = "{" + ", ".join(part.replace(" ", ": ") for part in in_words(start).split(", ")) + "}"
+    return f"{{from: {words}, rotate: [{', '.join(turns)}]}}" if turns else words
+
+
+def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
+    """The attitude that `orientation_text` says, rounding included."""
+    start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
+    result = start
+    for axis, angle in enumerate(_turns(start, attitude)):
+        result = rotation(axis, math.radians(round(angle, decimals))) @ result
+    return result
+
+
+def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
+    """Angles [deg] about x, y, z, one after the other, that take `start` to `end`.
+
+    With passive rotations end·startᵀ = Z·Y·X, so its transpose is the product of the active rotations about x, y and z.
+    """
+    turned = start @ end.T
+    y = math.asin(min(1.0, max(-1.0, float(turned[0, 2]))))
+    x = math.atan2(-float(turned[1, 2]), float(turned[2, 2]))
+    z = math.atan2(-float(turned[0, 1]), float(turned[0, 0]))
+    return math.degrees(x), math.degrees(y), math.degrees(z)
+
+
+def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) -> str:
+    """The text with the values at (line, column) replaced; both count from 1. Raises `RewriteError` where no orientation begins there."""
+    spans = []
+    known = {(node.start_mark.line + 1, node.start_mark.column + 1): node for node in _mappings(yaml.compose(text))}
+    for place, new in replacements.items():
+        if place not in known:
+            raise RewriteError(
+                f"line {place[0]}: no orientation is written here; write it as {{x: up, y: north, z: west}}"
+            )
+        node = known[place]
+        begin, end = node.start_mark.index, node.end_mark.index
+        spans.append((begin, begin + len(text[begin:end].rstrip()), new))
+    for begin, end, new in sorted(spans, reverse=True):
+        text = text[:begin] + new + text[end:]
+    return text
+
+
+def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]) -> str:
+    """The text in which sweeps over nothing but orientations become segments of their own, each with its dwell.
+
+    dwells, orientations: of the orientation that begins at (line, column); those that are not named stay.
+    Raises `RewriteError` where an orientation stands in another form.
+    """
+    left = dict(dwells)
+    spans = []
+    root = yaml.compose(text)
+    for item in _child(root, "segments").value:
+        if not isinstance(item, yaml.MappingNode):
+            continue
+        named = {key.value: value for key, value in item.value}
+        swept = _child(item, "for_each")
+        only = (
+            swept is not None
+            and set(named) == {"for_each"}
+            and [key.value for key, _ in swept.value] == ["orientation"]
+        )
+        if only and isinstance(swept.value[0][1], yaml.MappingNode):
+            rows = swept.value[0][1].value
+            places = [(node.start_mark.line + 1, node.start_mark.column + 1) for _, node in rows]
+            if not set(places) & set(left):
+                continue
+            lines = [
+                f"{{label: {key.value}, orientation: {orientations.get(place) or _of(text, node)}{_dwell(left.pop(place, None))}}}"
+                for (key, node), place in zip(rows, places, strict=True)
+            ]
+            begin, end = item.start_mark.index, item.end_mark.index
+            joint = "\n" + " " * (item.start_mark.column - 2) + "- "
+            spans.append((begin, begin + len(text[begin:end].rstrip()), joint.join(lines)))
+    if left:
+        raise RewriteError(
+            f"line {min(left)[0]}: a dwell of its own cannot be written here; write the positions as "
+            "`- for_each: {orientation: {P1: …, P2: …}}` with nothing else in that entry"
+        )
+    for begin, end, new in sorted(spans, reverse=True):
+        text = text[:begin] + new + text[end:]
+    return text
+
+
+def _of(text: str, node: yaml.Node) -> str:
+    return " ".join(text[node.start_mark.index : node.end_mark.index].split())
+
+
+def _dwell(given: str | None) -> str:
+    return "" if given is None else f", dwell: {given}"
+
+
+def _child(node: yaml.Node | None, name: str) -> Any:
+    pairs: Sequence[tuple[yaml.Node, yaml.Node]] = node.value if isinstance(node, yaml.MappingNode) else ()
+    return next((value for key, value in pairs if key.value == name), None)
+
+
+def _mappings(root: yaml.Node | None) -> Iterator[yaml.Node]:
+    """Every mapping once, however often aliases refer to it."""
+    waiting, seen = [root], set()
+    while waiting:
+        node = waiting.pop()
+        if node is None or id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            yield node
+            waiting += [value for _, value in node.value]
+        elif isinstance(node, yaml.SequenceNode):
+            waiting += node.value
