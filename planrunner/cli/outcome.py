@@ -32,12 +32,12 @@ def tell(folder: Path, outcome: Outcome) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> int:
-    """The results in the terminal, the verdict's exit code, and the path of the first report as the last line."""
+    """The results in the terminal, the verdict's exit code, and the path of the first report (or of the analysis) as the last line."""
     if as_json:
         print_json({"analysis": str(analysis.folder), **analysis.results.to_json()})
     else:
         print_results(analysis.results)
-        for path in reversed(analysis.reports):
+        for path in reversed(analysis.reports or (analysis.folder,)):
             print(path)
     return code_of(analysis.results)
 

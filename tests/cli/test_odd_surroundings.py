@@ -78,3 +78,15 @@ def test_a_seed_is_not_negative(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "a seed is not negative: -5" in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_plan_without_estimates_and_reports_says_where_its_recording_is(tmp_path: Path) -> None:
+    (tmp_path / "plan.yaml").write_text(
+        "planrunner: 1\ntitle: Only a recording\nbench: virtual\n"
+        "sensor: {kind: flexure-gyro, outputs: [torquer_x]}\n"
+        "segments: [{label: A, orientation: {x: up, y: north, z: west}, dwell: 10 s}]\nreport: []\n",
+        encoding="utf-8",
+    )
+    done = planrunner("run", "plan.yaml", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / done.stdout.splitlines()[-1] / "results.json").is_file()

@@ -245,7 +245,7 @@ def test_text_in_a_column_of_numbers_is_an_error(tmp_path):
     with pytest.raises(InstrumentError, match="column 'x' holds something that is not a number"):
         play(player(tmp_path))
     (tmp_path / "r.csv").write_text("t,x,y\n0,1,2\n0.1,one,2\n", encoding="utf-8")
-    with pytest.raises(InstrumentError, match=r"r.csv cannot be read"):
+    with pytest.raises(InstrumentError, match=r"r.csv, line 3: 'one' in column 'x' is not a number"):
         play(player(tmp_path, file="r.csv"))
 
 
