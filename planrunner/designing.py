@@ -7,6 +7,7 @@ study.text                                        the plan with the chosen set i
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from planrunner.design import continuous, direction_cosines, exchange, optimal
 from planrunner.design import places as positions
 from planrunner.design.efficiency import Efficiency, Merit, efficiency, merit, region_moment
 from planrunner.design.places import Place, Sight
-from planrunner.estimators.analysis import predict
+from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Design, EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
 from planrunner.plan import source
@@ -291,7 +292,12 @@ class _Designer:
         if log.errors:
             raise EstimationError(f"the bench cannot do it: {log.errors[0].message}")
         assert self.models.sensor is not None
-        designs, _ = predict(self.plan.estimates, schedule.segments, self.models.site, self.models.sensor)
+        designs: dict[str, Design] = {}
+        for name, spec in self.plan.estimates.items():
+            with contextlib.suppress(EstimationError):  # an estimate that is not designed for may make no sense here
+                design = design_of(name, spec, schedule.segments, self.models.site, self.models.sensor, designs)
+                if design is not None:
+                    designs[name] = design
         return schedule, designs
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
