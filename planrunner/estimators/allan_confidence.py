@@ -6,7 +6,8 @@ frequency (random walk of the angle), −1 flicker frequency (bias instability),
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST SP
 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003 (SP 1065,
 5.4.1). Phase made of rate samples is an exact integral, not an average over a sample, so that for α ≤ 0 the filter factor is F = ∞; for
-white noise this is SP 1065's own empirical formula also at the shortest averaging times. Where the sums grow with the averaging factor they are taken over a coarser grid with the same number of averaging times.
+white noise this is SP 1065's own empirical formula also at the shortest averaging times. Where the sums grow with the averaging factor
+they are taken over a coarser grid with the same number of averaging times.
 """
 
 from __future__ import annotations

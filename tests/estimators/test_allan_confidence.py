@@ -52,7 +52,7 @@ def test_another_package_agrees(order: int, modified: bool) -> None:
                     continue
                 try:
                     theirs = other.edf_greenhall(alpha, order, factor, points, overlapping=True, modified=modified)
-                except NotImplementedError:  # it has no table for some corners
+                except (NotImplementedError, AssertionError):  # it has no table for some corners
                     continue
                 assert degrees_of_freedom(alpha, order, factor, points, modified) == pytest.approx(theirs, rel=0.02)
                 compared += 1
