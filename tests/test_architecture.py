@@ -66,7 +66,7 @@ def test_simulator_and_estimators_share_no_formula() -> None:
 def test_check_imports_nothing_heavy() -> None:
     code = (
         "import sys; from planrunner.cli import main; main(['check', sys.argv[1]]);"
-        "print(sorted({'scipy', 'pyarrow', 'matplotlib', 'pint', 'rich', 'jinja2', 'jsonschema'} & set(sys.modules)))"
+        "print(sorted({'scipy', 'pyarrow', 'matplotlib', 'pint', 'rich', 'jinja2', 'jsonschema', 'numba'} & set(sys.modules)))"
     )
     plan = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
     run = subprocess.run([sys.executable, "-c", code, str(plan)], capture_output=True, text=True, check=True)

@@ -57,7 +57,8 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """Points for people, one per label or over x: series name → values, with optional standard uncertainties."""
+    """Points for people, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
+    logarithmic; values that are not positive are not shown."""
 
     title: str
     x_title: str
@@ -65,6 +66,7 @@ class Plot:
     x: tuple[Any, ...]
     series: Mapping[str, tuple[float, ...]]
     uncertainties: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    log: bool = False
 
 
 @dataclass(frozen=True)

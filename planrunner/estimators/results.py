@@ -126,6 +126,7 @@ def _estimate_from(data: Mapping[str, Any]) -> Estimate:
             tuple(item["x"]),
             {name: tuple(values) for name, values in item["series"].items()},
             {name: tuple(values) for name, values in item["uncertainties"].items()},
+            bool(item.get("log", False)),
         )
         for item in data["plots"]
     )

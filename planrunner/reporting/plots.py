@@ -74,6 +74,9 @@ def plot_svg(plot: Plot, key: str) -> str:
                 capsize=2.5,
                 label=name,
             )
+        if plot.log and not labels and any(value > 0 for values in plot.series.values() for value in values):
+            axes.set_xscale("log")
+            axes.set_yscale("log")
         _finish(axes, plot, labels)
         described = f"{plot.y_title} against {plot.x_title}, {len(plot.x)} points, series: {', '.join(plot.series)}"
         return save(key, plot.title, described)
@@ -88,7 +91,7 @@ def _finish(axes: Any, plot: Plot, labels: list[str]) -> None:
     axes.set_xlabel(plot.x_title)
     axes.set_ylabel(plot.y_title)
     lowest, highest = axes.get_ylim()
-    if lowest < 0 < highest:
+    if lowest < 0 < highest and axes.get_yscale() == "linear":
         axes.axhline(0, color="#8a949e", linewidth=0.8, zorder=1)
     if labels:
         step = math.ceil(len(labels) / 40)

@@ -33,6 +33,9 @@ def rocking() -> Schedule:
 PICTURES = {
     "labels": lambda: plots.plot_svg(example.estimate().plots[0], "k"),
     "line": lambda: plots.plot_svg(Plot("t", "rate, °/s", "y", (1.0, 2.0, 3.5), {"a": (1.0, math.nan, 2.0)}), "k"),
+    "logarithmic": lambda: plots.plot_svg(
+        Plot("t", "s", "y", (0.1, 1.0, 10.0), {"a": (3.0, 1.0, math.nan)}, {"a": (0.1, 0.2, 0.3)}, log=True), "k"
+    ),
     "many": lambda: plots.plot_svg(
         Plot("t", "x", "y", tuple(f"segment {i}" for i in range(90)), {"a": tuple(map(float, range(90)))}), "k"
     ),

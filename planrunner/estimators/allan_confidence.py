@@ -1,0 +1,153 @@
+"""How well a deviation is known: the power-law noise at each averaging time and the equivalent degrees of freedom (EDF) that follow.
+
+Noise types are exponents α of the frequency spectrum S_y ∝ f^α: 2 white phase (in this field: quantisation), 1 flicker phase, 0 white
+frequency (random walk of the angle), −1 flicker frequency (bias instability), −2 random walk of the frequency (rate random walk).
+
+Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST SP
+1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003 (SP 1065,
+5.4.1). Phase made of rate samples is an exact integral, not an average over a sample, so that for α ≤ 0 the filter factor is F = ∞; for
+white noise this is SP 1065's own empirical formula also at the shortest averaging times. Where the sums grow with the averaging factor
+they are taken over a coarser grid with the same number of averaging times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST_POINTS = 30  # averages from which the lag-1 autocorrelation tells a noise type
+MOST_POINTS = 2**20
+NAMES = {
+    2: "white phase",
+    1: "flicker phase",
+    0: "white",
+    -1: "flicker",
+    -2: "random walk",
+    -3: "flicker walk",
+    -4: "random run",
+}
+_GRID = 600  # terms of a sum over lags
+
+
+def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None) -> int | None:
+    """α of the averages over `factor` samples, from the phase runs; None where there are fewer than `LEAST_POINTS`.
+
+    before: α at the next shorter averaging time. It is kept unless the averages differ from it by more than half a step and two standard
+    deviations of what they can tell, because thirty averages alone mistake white noise for its neighbours one time in four.
+    """
+    averages, count = [], 0
+    for run in runs:
+        part = np.diff(run[::factor][: MOST_POINTS - count])
+        if part.size >= 4:
+            averages.append(part)
+            count += part.size
+        if count >= MOST_POINTS - 4:
+            break
+    if count < LEAST_POINTS:
+        return None
+    differenced = 0
+    while True:
+        delta = _delta(averages)
+        if delta < 0.25 or differenced == 2:
+            found = -2 * delta - 2 * differenced
+            if before is not None and abs(found - before) <= 0.5 + 4 / math.sqrt(count):
+                return before
+            return int(np.clip(round(found), -4, 2))
+        averages = [np.diff(part) for part in averages]
+        differenced += 1
+
+
+def _delta(parts: Sequence[Array]) -> float:
+    """r/(1 + r) of the lag-1 autocorrelation r, pooled over the parts."""
+    products, squares = 0.0, 0.0
+    for part in parts:
+        centred = part - part.mean()
+        products += float(centred[:-1] @ centred[1:])
+        squares += float(centred @ centred)
+    r = products / squares if squares > 0 else 0.0
+    return r / (1 + r) if r > -0.999 else -999.0
+
+
+def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modified: bool = False) -> float:
+    """EDF of a fully overlapped variance. order: 2 for Allan, 3 for Hadamard; points: of the phase run; 0 where no term fits.
+
+    alpha beyond what the variance converges for (α > 1 − 2·order) is taken at the limit.
+    """
+    alpha = min(2, max(alpha, 2 - 2 * order))
+    terms = points - order * factor - (factor if modified else 0) + (1 if modified else 0)
+    if terms < 1:
+        return 0.0
+    if alpha == 2 and not modified:
+        return _white_phase(order, factor, terms)
+    lags = min(terms, (order + 1) * factor)
+    shrink = min(1.0, _GRID / lags)
+    step, count, last = factor * shrink, terms * shrink, round(lags * shrink)
+    if modified:
+        filtering = 1.0
+    elif alpha == 1:
+        filtering = step
+    else:
+        filtering = math.inf
+    lag = np.arange(0, last + 1, dtype=float)
+    covariance = _generalised(lag / step, filtering, alpha, order)
+    weights = 2.0 * np.clip(1.0 - lag / count, 0.0, None)
+    weights[0] = 1.0
+    weights[-1] /= 2.0
+    variance = float(covariance[0])
+    if alpha == 1 and not modified:
+        # The variance grows as the logarithm of the factor; the covariances at other lags do not.
+        variance += math.comb(2 * order, order) * 2 * math.log(factor / filtering)
+    return max(1.0, variance**2 * count / float(np.sum(weights * covariance**2)))
+
+
+def _white_phase(order: int, factor: int, terms: int) -> float:
+    """Differences of white noise are correlated at whole averaging times alone."""
+    binomials = [math.comb(2 * order, order + k) for k in range(order + 1)]
+    total = binomials[0] ** 2 + 2 * sum(
+        max(0.0, 1 - k * factor / terms) * binomials[k] ** 2 for k in range(1, order + 1)
+    )
+    return max(1.0, binomials[0] ** 2 * terms / total)
+
+
+def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
+    """s_z(t, F, α, d): covariance of order-d differences at a lag of t averaging times, to within a factor."""
+    signs = [(-1) ** k * math.comb(2 * order, order + k) for k in range(order + 1)]
+    total = signs[0] * _averaged(t, filtering, alpha)
+    for k in range(1, order + 1):
+        total += signs[k] * (_averaged(t - k, filtering, alpha) + _averaged(t + k, filtering, alpha))
+    return total
+
+
+def _averaged(t: Array, filtering: float, alpha: int) -> Array:
+    """s_x(t, F, α)."""
+    if math.isinf(filtering):
+        return _integrated(t, alpha + 2)
+    width = 1.0 / filtering
+    middle = 2 * _integrated(t, alpha) - _integrated(t - width, alpha) - _integrated(t + width, alpha)
+    return np.asarray(filtering**2 * middle)
+
+
+def _integrated(t: Array, alpha: int) -> Array:
+    """s_w(t, α) for α from −4 to 4."""
+    size = np.abs(t)
+    if alpha % 2 == 0:
+        sign = -1.0 if alpha in (2, -2) else 1.0
+        return np.asarray(sign * size ** (3 - alpha))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.where(size > 0, np.log(np.where(size > 0, size, 1.0)), 0.0)
+    sign = 1.0 if alpha in (1, -3) else -1.0
+    return np.asarray(sign * size ** (3 - alpha) * logarithm)
+
+
+def interval(deviation: float, freedom: float, probability: float) -> tuple[float, float]:
+    """Two-sided confidence interval of a deviation whose variance follows χ² with `freedom` degrees of freedom."""
+    from scipy.special import chdtri
+
+    low = deviation * math.sqrt(freedom / float(chdtri(freedom, (1 - probability) / 2)))
+    high = deviation * math.sqrt(freedom / float(chdtri(freedom, (1 + probability) / 2)))
+    return low, high

@@ -1,0 +1,211 @@
+"""The four coefficients of inertial noise from Allan variances, by generalised least squares with the variances' full covariance.
+
+The model (IEEE Std 952, annex C; τ in s, the output in its unit):
+
+    σ²(τ) = 3·Q²/τ² + N²/τ + (2·ln2/π)·B² + K²·τ/3
+
+Q quantisation, N random walk of the integrated output (angle random walk), B bias instability (the flat part lies at 0.664·B), K rate
+random walk. The overlapping variances at two averaging times share their data. Their covariance is that of sums of squares of Gaussian
+differences, 2·Σ_p Σ_q C(q − p)²/(M_i·M_j), where C is the covariance of a second difference at one averaging time with one at the other;
+it follows from the generalised autocovariance of the phase, which is a sum over the four kinds of noise (Greenhall and Riley, 2003). It
+depends on the coefficients, so that fit and covariance are repeated until they agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+TERMS = ("Q", "N", "B", "K")
+FLAT = 2 * math.log(2) / math.pi  # 0.4413; its root is 0.664
+_SIGNS = (1.0, -2.0, 1.0)
+_EXACT = 48  # lags that are summed one by one; longer stretches are integrated
+_ROUNDS = 12
+_MOST_LENGTHS = 40
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², not negative, 0 where left out; covariance: (4, 4) of them, with no sign imposed;
+    fitted: (k,) variances of the model; chi_square with `freedom`; terms: that were fitted."""
+
+    squares: Array
+    covariance: Array
+    fitted: Array
+    chi_square: float
+    freedom: int
+    terms: tuple[str, ...]
+
+
+def model_matrix(factors: Integers) -> Array:
+    """(k, 4): Allan variance at each averaging factor for unit squares, in the order of `TERMS`."""
+    m = factors.astype(float)
+    return np.column_stack([3 / m**2, 1 / m, np.full(m.size, FLAT), m / 3])
+
+
+class VarianceCovariance:
+    """Covariance (k, k) of overlapping Allan variances for any mixture of the four kinds of noise.
+
+    factors: (k,) ascending; lengths: phase points of each run.
+    """
+
+    def __init__(self, factors: Integers, lengths: Integers):
+        lengths, counts = _grouped(np.asarray(lengths))
+        terms = np.array([float(np.sum(counts * np.clip(lengths - 2 * m, 0, None))) for m in factors])
+        size = factors.size
+        self.parts = np.zeros((size, size, 4, 4))
+        for i in range(size):
+            for j in range(i, size):
+                part = _sum_of_squares(int(factors[i]), int(factors[j]), lengths, counts)
+                part /= 2 * float(factors[i]) ** 2 * float(factors[j]) ** 2 * terms[i] * terms[j]
+                self.parts[i, j] = self.parts[j, i] = part
+
+    def __call__(self, squares: Array) -> Array:
+        return np.asarray(np.einsum("ijab,a,b->ij", self.parts, squares, squares))
+
+
+@lru_cache(maxsize=4)
+def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...]) -> VarianceCovariance:
+    """Kept for the next output, which mostly has the same runs."""
+    return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64))
+
+
+def _covariance_for(factors: Integers, lengths: Integers) -> VarianceCovariance:
+    return _covariance(tuple(factors.tolist()), tuple(np.asarray(lengths).tolist()))
+
+
+def _grouped(lengths: Integers) -> tuple[Integers, Array]:
+    """Distinct lengths and how often each occurs; where there are very many, lengths within some per cent count as the shortest."""
+    found, counts = np.unique(lengths, return_counts=True)
+    if found.size > _MOST_LENGTHS:
+        edges = np.geomspace(found[0], found[-1] + 1, _MOST_LENGTHS)
+        place = np.searchsorted(edges, found, side="right")
+        groups = np.unique(place)
+        weights = np.array([counts[place == group].sum() for group in groups])
+        found, counts = np.array([found[place == group].min() for group in groups]), weights
+    return found, counts.astype(float)
+
+
+def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array) -> Array:
+    """Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs for every pair of kinds of noise, (4, 4); averaging factors near ≤ far."""
+    shifts = np.array([[a * near - b * far for b in range(3)] for a in range(3)], dtype=float).ravel()
+    signs = np.array([x * y for x in _SIGNS for y in _SIGNS])
+    nodes, weights = _nodes(near, far, lengths)
+    smooth = _smooth(nodes[:, None] - shifts[None, :]) @ signs  # (3, nodes)
+    weights = weights * _pairs(nodes, near, far, lengths, counts)
+    total = np.zeros((4, 4))
+    total[1:, 1:] = (smooth * weights) @ smooth.T
+    places, which = np.unique(shifts, return_inverse=True)
+    spikes = np.bincount(which, weights=signs)
+    at_spikes = _pairs(places, near, far, lengths, counts) * spikes
+    total[0, 0] = float(at_spikes @ spikes)
+    total[0, 1:] = total[1:, 0] = (_smooth(places[:, None] - shifts[None, :]) @ signs) @ at_spikes
+    return total
+
+
+def _smooth(t: Array) -> Array:
+    """Generalised autocovariance of the phase for N, B and K at lags t [samples], shape (3, *t.shape)."""
+    size = np.abs(t)
+    logarithm = np.log(np.where(size > 0, size, 1.0))
+    return np.stack([-size / 2, size**2 * logarithm / (2 * math.pi), size**3 / 12])
+
+
+def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array) -> Array:
+    """How many pairs of a difference at `near` and one at `far` are `lag` samples apart, over all runs."""
+    total = np.zeros(lag.shape)
+    for length, count in zip(lengths, counts, strict=True):
+        first, second = length - 2 * near, length - 2 * far
+        if second > 0:
+            total += count * np.clip(np.minimum(first, second - lag) - np.maximum(0.0, -lag), 0.0, None)
+    return total
+
+
+def _nodes(near: int, far: int, lengths: Integers) -> tuple[Array, Array]:
+    """Lags and weights that sum a function with corners at a·near − b·far and features of size `near` about them."""
+    longest = int(lengths.max())
+    lowest, highest = -min(longest - 2 * near, 8 * far), min(longest - 2 * far, 8 * far)
+    edges = {lowest, highest + 1}
+    for b in range(3):
+        edges.update(a * near - b * far for a in range(-1, 4))
+        reach = 2 * near
+        while reach < 8 * far:
+            edges.update((near - b * far - reach, near - b * far + reach))
+            reach *= 2
+    for length in lengths[-4:]:
+        edges.update((int(length) - 2 * far, 2 * near - int(length)))
+    ends = np.array(sorted(edge for edge in edges if lowest <= edge <= highest + 1))
+    points, gauss = np.polynomial.legendre.leggauss(8)
+    nodes, weights = [], []
+    low, width = ends[:-1], np.diff(ends)
+    for start, length in zip(low[width <= _EXACT], width[width <= _EXACT], strict=True):
+        nodes.append(np.arange(start, start + length, dtype=float))
+        weights.append(np.ones(int(length)))
+    wide = width > _EXACT
+    # A sum over whole lags is the integral between the half lags around them.
+    nodes.append((low[wide, None] - 0.5 + width[wide, None] * (points + 1) / 2).ravel())
+    weights.append((width[wide, None] * gauss / 2).ravel())
+    return np.concatenate(nodes), np.concatenate(weights)
+
+
+def fit_noise(
+    factors: Integers, variances: Array, freedom: Array, lengths: Integers, terms: Sequence[str] = TERMS
+) -> NoiseFit:
+    """Fit of `terms` to Allan variances (k,) at `factors`; `freedom` (k,): degrees of freedom, for the first weights.
+
+    Raises `ValueError` when there are fewer averaging times than terms.
+    """
+    from scipy.optimize import nnls
+
+    chosen = [TERMS.index(name) for name in TERMS if name in terms]
+    if factors.size < len(chosen):
+        raise ValueError(f"{factors.size} averaging times cannot tell {len(chosen)} coefficients")
+    matrix = model_matrix(factors)[:, chosen]
+    covariance_of = _covariance_for(factors, lengths)
+    covariance = np.diag(2 * variances**2 / freedom)
+    squares = np.zeros(4)
+    for _ in range(_ROUNDS):
+        root = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(root, matrix)
+        size = np.linalg.norm(white, axis=0)
+        observed = np.linalg.solve(root, variances)
+        before, squares = squares, np.zeros(4)
+        squares[chosen] = nnls(white / size, observed)[0] / size
+        if not squares.any():
+            break
+        covariance = _sound(covariance_of(squares))
+        if np.allclose(squares, before, rtol=1e-6, atol=0):
+            break
+    residual = observed - white @ squares[chosen]
+    full = np.zeros((4, 4))
+    inverse = np.linalg.pinv((white / size).T @ (white / size)) / np.outer(size, size)
+    full[np.ix_(chosen, chosen)] = inverse
+    left = factors.size - int(np.count_nonzero(squares))
+    fitted = model_matrix(factors) @ squares
+    return NoiseFit(squares, full, fitted, float(residual @ residual), left, tuple(TERMS[k] for k in chosen))
+
+
+def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
+    """(4, 4) covariance of the squares that `fit_noise` would find with noise as given; before anything is recorded."""
+    chosen = [TERMS.index(name) for name in TERMS if name in terms]
+    covariance = _sound(_covariance_for(factors, lengths)(squares))
+    white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])
+    size = np.linalg.norm(white, axis=0)
+    full = np.zeros((4, 4))
+    full[np.ix_(chosen, chosen)] = np.linalg.pinv((white / size).T @ (white / size)) / np.outer(size, size)
+    return full
+
+
+def _sound(covariance: Array) -> Array:
+    """The covariance with the small negative eigenvalues that integration can leave lifted, so that it has a root."""
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+    return np.asarray(lifted * np.outer(size, size))

@@ -1,0 +1,172 @@
+"""Sums of squared differences of a phase record, compiled by numba: the inner loops of the Allan family.
+
+The module is imported only where such sums are needed, because importing numba takes longer than checking a plan. Compiled code is kept
+in the user's cache folder (never beside the source) when that can be written, else compiled anew in each process.
+
+The overlapping sums go through the record in short pieces, all averaging times per piece: with octave averaging times a piece that one
+averaging time has fetched from memory is the next one's middle, so that memory is read once an octave instead of three times.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+PIECE = 2048  # phase points, 16 kB: a few dozen of them stay in a core's second-level cache
+SHARED = 2**19  # phase points from which waking the other cores pays
+
+
+def _cache_folder() -> Path | None:
+    """Where compiled code may be kept, or None."""
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or ""
+    try:
+        folder = (Path(base) if base else Path.home() / ".cache") / "planrunner" / "compiled"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        folder = _cache_folder()
+        config: Any = numba.config
+        before = config.CACHE_DIR
+        try:
+            # numba settles where a function's code is kept when it is decorated.
+            config.CACHE_DIR = str(folder or "")
+            made: Callable[..., Any] = numba.njit(cache=folder is not None, **options)(function)
+        finally:
+            config.CACHE_DIR = before
+        return made
+
+    return decorate
+
+
+@_compiled()
+def _integrate(values, offset, carry, out):  # type: ignore[no-untyped-def]
+    total = carry
+    for i in range(values.size):
+        total += values[i] - offset
+        out[i] = total
+    return total
+
+
+@_compiled(fastmath={"reassoc", "nsz"})
+def _second_piece(x, factors, piece, partial):  # type: ignore[no-untyped-def]
+    low = piece * PIECE
+    for k in range(factors.size):
+        m = factors[k]
+        length = min(low + PIECE, x.size - 2 * m) - low
+        if length <= 0:
+            continue
+        first, middle, last = x[low : low + length], x[low + m :], x[low + 2 * m :]
+        total = 0.0
+        for i in range(length):
+            step = (last[i] - 2.0 * middle[i]) + first[i]
+            total += step * step
+        partial[piece, k] = total
+
+
+@_compiled(fastmath={"reassoc", "nsz"})
+def _third_piece(x, factors, piece, partial):  # type: ignore[no-untyped-def]
+    low = piece * PIECE
+    for k in range(factors.size):
+        m = factors[k]
+        length = min(low + PIECE, x.size - 3 * m) - low
+        if length <= 0:
+            continue
+        first, second = x[low : low + length], x[low + m :]
+        third, fourth = x[low + 2 * m :], x[low + 3 * m :]
+        total = 0.0
+        for i in range(length):
+            step = (fourth[i] - first[i]) - 3.0 * (third[i] - second[i])
+            total += step * step
+        partial[piece, k] = total
+
+
+@_compiled()
+def _modified_sum(x, m):  # type: ignore[no-untyped-def]
+    n = x.size
+    if n - 3 * m + 1 <= 0:
+        return 0.0
+    inner = 0.0
+    for i in range(m):
+        inner += (x[i + 2 * m] - 2.0 * x[i + m]) + x[i]
+    total = inner * inner
+    for j in range(n - 3 * m):
+        inner += (x[j + 3 * m] - x[j]) - 3.0 * (x[j + 2 * m] - x[j + m])
+        total += inner * inner
+    return total
+
+
+@_compiled(parallel=True)
+def _second_parallel(x, factors, partial):  # type: ignore[no-untyped-def]
+    for piece in prange(partial.shape[0]):
+        _second_piece(x, factors, piece, partial)
+
+
+@_compiled()
+def _second_serial(x, factors, partial):  # type: ignore[no-untyped-def]
+    for piece in range(partial.shape[0]):
+        _second_piece(x, factors, piece, partial)
+
+
+@_compiled(parallel=True)
+def _third_parallel(x, factors, partial):  # type: ignore[no-untyped-def]
+    for piece in prange(partial.shape[0]):
+        _third_piece(x, factors, piece, partial)
+
+
+@_compiled()
+def _third_serial(x, factors, partial):  # type: ignore[no-untyped-def]
+    for piece in range(partial.shape[0]):
+        _third_piece(x, factors, piece, partial)
+
+
+@_compiled(parallel=True)
+def _modified_parallel(x, factors, sums):  # type: ignore[no-untyped-def]
+    for k in prange(factors.size):
+        sums[k] = _modified_sum(x, factors[k])
+
+
+@_compiled()
+def _modified_serial(x, factors, sums):  # type: ignore[no-untyped-def]
+    for k in range(factors.size):
+        sums[k] = _modified_sum(x, factors[k])
+
+
+def integrate(values: Array, offset: float, carry: float, out: Array) -> float:
+    """Running sum of `values − offset` from `carry` on into `out`; returns where it ends."""
+    return float(_integrate(values, offset, carry, out))
+
+
+def second_differences(x: Array, factors: Integers) -> Array:
+    """Σ_i (x_{i+2m} − 2x_{i+m} + x_i)² over all i, for each averaging factor m. x: (n,); factors: (k,); returns (k,)."""
+    partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
+    (_second_parallel if x.size >= SHARED else _second_serial)(x, factors, partial)
+    return np.asarray(partial.sum(axis=0))
+
+
+def third_differences(x: Array, factors: Integers) -> Array:
+    """Σ_i (x_{i+3m} − 3x_{i+2m} + 3x_{i+m} − x_i)² over all i, for each averaging factor m."""
+    partial = np.zeros((max(1, -(-x.size // PIECE)), factors.size))
+    (_third_parallel if x.size >= SHARED else _third_serial)(x, factors, partial)
+    return np.asarray(partial.sum(axis=0))
+
+
+def averaged_second_differences(x: Array, factors: Integers) -> Array:
+    """Σ_j (Σ_{i=j}^{j+m−1} (x_{i+2m} − 2x_{i+m} + x_i))² over all j, for each averaging factor m."""
+    sums = np.zeros(factors.size)
+    (_modified_parallel if x.size >= SHARED else _modified_serial)(x, factors, sums)
+    return sums
