@@ -5,7 +5,8 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,13 +16,15 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
-from planrunner.bench.opening import open_bench
+from planrunner.bench.opening import OpenBench, open_bench
 from planrunner.checking import Sound, check_plan
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute
 from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
+from planrunner.instruments.interfaces import Foresees, InstrumentError
+from planrunner.plan.findings import InputError, Mark
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.from_run import report_context
 from planrunner.reporting.report import render_report
@@ -54,7 +57,7 @@ def start(
     """
     seed = sound.bench.seed if seed is None else seed
     require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
-    with open_bench(sound.bench, data_root=data_root, seed=seed) as bench:
+    with _ready(sound, data_root, seed) as bench:
         name = Path(sound.file).stem
         with RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed) as writer:
             outcome = execute(sound.schedule, bench, writer, stop=stop, progress=progress)
@@ -71,8 +74,31 @@ def resume(
     """Go on with a run that was cut short, from its own plan and bench."""
     seed = RunReader.open(run).run["seed"]
     sound = sound_run(run)
-    with open_bench(sound.bench, data_root=data_root, seed=seed) as bench, RunWriter.reopen(run) as writer:
+    with _ready(sound, data_root, seed) as bench, RunWriter.reopen(run) as writer:
         return execute(sound.schedule, bench, writer, stop=stop, progress=progress, start_at=writer.next_segment)
+
+
+@contextmanager
+def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[OpenBench]:
+    """The bench, connected and able to serve the schedule. A recording that is not is wrong input: nothing can have moved."""
+    try:
+        opened = open_bench(sound.bench, data_root=data_root, seed=seed)
+    except InstrumentError as error:
+        raise _unfit(sound, error) from None
+    with opened as bench:
+        try:
+            if isinstance(bench.sensor, Foresees):
+                bench.sensor.foresee(sound.schedule.segments)
+        except InstrumentError as error:
+            raise _unfit(sound, error) from None
+        yield bench
+
+
+def _unfit(sound: Sound, error: InstrumentError) -> Exception:
+    if not sound.models.replays:
+        return error
+    hint = "look at the bench file, at --data and at the plan's labels"
+    return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
 
 
 def sound_run(run: Path) -> Sound:

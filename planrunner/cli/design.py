@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner import cli
-from planrunner.cli.printing import print_findings, print_json
+from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, parse_quantity
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if args.html is not None:
         from planrunner.reporting.design_page import render_design
 
-        args.html.write_text(render_design(context), encoding="utf-8")
+        write_file(args.html, render_design(context))
         print(args.html, file=sys.stderr if args.json else sys.stdout)
     if args.write is not None:
         print_findings(write_plan(study, args.write, args.bench).findings)

@@ -17,7 +17,7 @@ Every failure is an `InstrumentError`; whatever happens, the executor then calls
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -110,6 +110,12 @@ class HoldsTemperature(Protocol):
         """Start towards a temperature; expected seconds until the air is there."""
 
     def at_temperature(self) -> bool: ...
+
+
+@runtime_checkable
+class Foresees(Protocol):
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        """Raises `InstrumentError` when a schedule cannot be served. Asked before anything moves."""
 
 
 @runtime_checkable

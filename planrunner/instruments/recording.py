@@ -8,7 +8,7 @@ a long recording is never held as a whole.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -186,6 +186,21 @@ class RecordingPlayer:
     def channels(self) -> Mapping[str, str]:
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
 
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        """Whether the recording holds every segment, for long enough. Raises `InstrumentError`."""
+        labels = [segment.label for segment in segments]
+        if self.spans is None:
+            if len(labels) > 1:
+                raise self._one_stretch(labels[0], labels[1])
+            return
+        for segment in segments:
+            span = self.spans.span(segment.label)
+            if (
+                segment.dwell is not None
+                and segment.dwell > span.end - span.start + 1.5 / self.parameters.sample_rate.value
+            ):
+                raise self._too_short(segment, span.end - span.start)
+
     def stream(self, segment: Segment) -> Iterator[Block]:
         """The stretch of one label: its first `dwell` seconds, or all of it. Time counts from the recording's first
         row.
@@ -245,13 +260,15 @@ class RecordingPlayer:
         if self.spans is not None:
             return self.spans.span(segment.label)
         if self._served not in (None, segment.label):
-            message = (
-                f"{self.parameters.file} has no table of segments and so holds one, which was played back as "
-                f"'{self._served}'; '{segment.label}' needs `segments: {{table: …}}` in the bench file"
-            )
-            raise InstrumentError(message)
+            raise self._one_stretch(self._served, segment.label)
         self._served = segment.label
         return Span(self.file.origin, math.inf)
+
+    def _one_stretch(self, served: str | None, label: str) -> InstrumentError:
+        return InstrumentError(
+            f"{self.parameters.file} has no table of segments and so holds one, which is played back as '{served}'; "
+            f"'{label}' needs `segments: {{table: …}}` in the bench file"
+        )
 
     def _too_short(self, segment: Segment, available: float) -> InstrumentError:
         return InstrumentError(
