@@ -1,5 +1,7 @@
-"""Steps a second: set, read, record with a trivial instrument, beside a bare loop with the same writes and beside
-OpenHTF and bluesky."""
+"""Steps a second: set, read, record with a trivial instrument, beside a bare loop, OpenHTF and bluesky.
+
+The bare loop does the same fsynced writes.
+"""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ an exit code: 0 done, 1 a limit failed, 2 the input is wrong, 3 a fault during e
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import os
 import sys
@@ -38,7 +39,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
     try:
-        return _run(arguments)
+        code = _run(arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what cannot be written shows here, not while the interpreter ends
+        return code
     except InputError as error:
         from planrunner.cli.printing import print_findings
 
@@ -48,12 +52,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_go_of_output()
         return DONE
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else WRONG_INPUT
     except Exception as error:
+        if isinstance(error, OSError):
+            _let_go_of_output()
         return _explain(error)
+
+
+def _let_go_of_output() -> None:
+    """What could not be written is dropped, so that the interpreter does not try again as it ends."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError, AttributeError):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _print_anything() -> None:
