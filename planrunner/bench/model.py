@@ -73,11 +73,12 @@ class Bench(Record):
     planrunner_bench: int = key(Number(1, 1, integer=True), "Version of the bench language.", 1)
     name: str = key(Text(LINE, "a name"), "Name of the bench.", "virtual")
     description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", "")
-    clock: str = key(
+    clock: str | None = key(
         Choice(("virtual", "wall")),
-        "virtual: time is simulated and runs as fast as it can; wall: real time.",
+        "virtual: time is simulated and runs as fast as it can; wall: real time. Without it, virtual where the sensor plays back a "
+        "recording, else wall.",
         "virtual",
-        "wall",
+        None,
     )
     site: SiteSpec = key(
         RecordOf(SiteSpec), "Where the bench stands.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
@@ -134,6 +135,11 @@ def models(bench: Bench) -> BenchModels:
             found[driver.role] = driver.model(entry.parameters)
             replays = replays or bool(getattr(driver, "replays", False))
     return BenchModels(site_of(bench), found.get("table"), found.get("chamber"), found.get("sensor"), replays)
+
+
+def runs_on_virtual_clock(bench: Bench) -> bool:
+    """As the bench says; where it says nothing, only a recording is played back faster than it was made."""
+    return bench.clock == "virtual" if bench.clock is not None else models(bench).replays
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from planrunner.bench.clock import VirtualClock, WallClock
-from planrunner.bench.model import SINGLE_ROLES, Bench, driver_of, safe_order, site_of
+from planrunner.bench.model import SINGLE_ROLES, Bench, driver_of, runs_on_virtual_clock, safe_order, site_of
 from planrunner.instruments.interfaces import Clock, InstrumentError, Surroundings
 from planrunner.physics.earth import Site
 
@@ -97,10 +97,11 @@ def open_bench(
     without it. clock: instead of the one that the bench names. Raises `InstrumentError` naming the instrument that
     could not be connected; those before it are then safe and closed.
     """
-    clock = clock or (VirtualClock() if bench.clock == "virtual" else WallClock())
+    virtual = runs_on_virtual_clock(bench)
+    clock = clock or (VirtualClock() if virtual else WallClock())
     site = site_of(bench)
     chosen_seed = bench.seed if seed is None else seed
-    surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=bench.clock == "wall")
+    surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=not virtual)
     opened = OpenBench(bench, clock, site)
     for name, entry in bench.instruments.items():
         try:
