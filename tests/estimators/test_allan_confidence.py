@@ -41,7 +41,7 @@ def test_white_phase_as_the_empirical_formula(factor: int) -> None:
 @pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("modified", [False, True])
 def test_another_package_agrees(order: int, modified: bool) -> None:
-    other = pytest.importorskip("allantools", reason="allantools is not installed (extra `bench`)")
+    other = pytest.importorskip("allantools", reason="allantools is not installed (extra `dev`)")
     if modified and order == 3:
         pytest.skip("there is no modified Hadamard deviation here")
     compared = 0

@@ -93,7 +93,7 @@ def test_sums_equal_plain_numpy_wherever_pieces_end(size: int) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_another_package_agrees() -> None:
-    other = pytest.importorskip("allantools", reason="allantools is not installed (extra `bench`)")
+    other = pytest.importorskip("allantools", reason="allantools is not installed (extra `dev`)")
     values = 5 + np.random.default_rng(3).standard_normal(20_000)
     factors = octave_factors(np.array([20_001]))
     for kind, function in (("overlapping", other.oadev), ("modified", other.mdev), ("hadamard", other.ohdev)):
