@@ -12,11 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from planrunner.bench.inputs import stated_inputs
 from planrunner.bench.model import Bench, BenchModels, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
-from planrunner.estimators.interface import Coefficient, Design, EstimationError
+from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup
 from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
@@ -53,6 +54,13 @@ class Checked:
     bench_bytes: bytes = b""
 
     @property
+    def setup(self) -> Setup:
+        """How the sensor is tested, as far as plan and bench say."""
+        if self.plan is None or self.models is None or self.bench is None:
+            return Setup()
+        return Setup(self.models.table, self.plan.mounting, stated_inputs(self.bench, self.plan.mounting))
+
+    @property
     def ok(self) -> bool:
         return self.schedule is not None and not self.findings.errors
 
@@ -76,6 +84,7 @@ class Checked:
             self.models.sensor,
             self.schedule,
             self.designs,
+            self.setup,
             self.plan_bytes,
             self.bench_bytes,
         )
@@ -93,6 +102,7 @@ class Sound:
     sensor: SensorModel
     schedule: Schedule
     designs: Mapping[str, Design]
+    setup: Setup
     plan_bytes: bytes
     bench_bytes: bytes
 
@@ -182,7 +192,13 @@ def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
             continue
         try:
             design = design_of(
-                name, spec, checked.schedule.segments, checked.models.site, checked.models.sensor, checked.designs
+                name,
+                spec,
+                checked.schedule.segments,
+                checked.models.site,
+                checked.models.sensor,
+                checked.designs,
+                checked.setup,
             )
         except EstimationError as error:
             log.error(
@@ -192,6 +208,9 @@ def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
         if design is None:
             continue
         checked.designs[name] = design
+        for remark in design.remarks:
+            add = log.error if remark.error else log.warning
+            add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
         checked.judged[name] = identify(design)
         for judged in checked.judged[name]:
             _report(name, judged, spec.at("segments"), log)

@@ -295,7 +295,9 @@ class _Designer:
         designs: dict[str, Design] = {}
         for name, spec in self.plan.estimates.items():
             with contextlib.suppress(EstimationError):  # an estimate that is not designed for may make no sense here
-                design = design_of(name, spec, schedule.segments, self.models.site, self.models.sensor, designs)
+                design = design_of(
+                    name, spec, schedule.segments, self.models.site, self.models.sensor, designs, self.checked.setup
+                )
                 if design is not None:
                     designs[name] = design
         return schedule, designs

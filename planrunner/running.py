@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from planrunner.archive.analyses import add_analysis
@@ -126,5 +126,7 @@ def _analyse(run: Path) -> tuple[ReportContext, Results, tuple[str, ...]]:
     reader = RunReader.open(run)
     sound = sound_run(run)
     recording = reader.recording(sound.schedule)
-    results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor)
+    told = {name: str(value) for name, value in reader.run["info"].items()}
+    setup = replace(sound.setup, information=told)
+    results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
     return report_context(reader, sound, recording, results), results, sound.plan.report

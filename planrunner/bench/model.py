@@ -27,6 +27,24 @@ LINE = r"[^\x00-\x1f]{1,200}"
 SINGLE_ROLES = ("table", "chamber", "sensor")
 
 
+class Calibration(Record):
+    """Where figures come from and how long they hold."""
+
+    certificate: str = key(Text(LINE, "a certificate"), "Certificate or report that says so.", "RT-0042 / 2026-117")
+    date: str = key(
+        Text(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date", "write for example 2026-03-01"),
+        "Day of the calibration or survey.",
+        "2026-03-01",
+    )
+    due: str | None = key(
+        Text(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date", "write for example 2027-03-01"),
+        "Last day on which it may be relied on.",
+        "2027-03-01",
+        None,
+    )
+    laboratory: str | None = key(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory", None)
+
+
 class SiteSpec(Record):
     """Where the bench stands."""
 
@@ -37,6 +55,21 @@ class SiteSpec(Record):
         "Azimuth of the table's reference direction from true north, positive towards east.",
         "0 deg",
         parse_quantity("0 deg"),
+    )
+    longitude: Quantity = key(
+        QuantityOf("angle"),
+        "Geodetic longitude, east positive; for navigation.",
+        "116.34 deg",
+        parse_quantity("0 deg"),
+    )
+    height: Quantity = key(
+        QuantityOf("length"), "Height above the ellipsoid; for navigation.", "50 m", parse_quantity("0 m")
+    )
+    survey: Calibration | None = key(
+        RecordOf(Calibration),
+        "Survey that latitude, gravity and azimuth come from.",
+        {"certificate": "site survey 2026-1", "date": "2026-02-10"},
+        None,
     )
 
 
@@ -54,6 +87,12 @@ class InstrumentEntry(Record):
     driver: str = key(Text(NAME, "a driver's name"), "Driver that talks to the instrument.", "virtual_table")
     asset: str | None = key(
         Text(LINE, "an asset number"), "Your own number for the instrument, kept in the run folder.", "RT-0042", None
+    )
+    calibration: Calibration | None = key(
+        RecordOf(Calibration),
+        "Calibration that the instrument's stated uncertainties come from.",
+        {"certificate": "RT-0042 / 2026-117", "date": "2026-03-01", "due": "2027-03-01"},
+        None,
     )
     parameters: Any = field(default=None)
 
@@ -122,7 +161,13 @@ def driver_of(entry: InstrumentEntry) -> Any:
 
 def site_of(bench: Bench) -> Site:
     site = bench.site
-    return Site(site.latitude.value, site.gravity.value, site.azimuth.value)
+    return Site(
+        site.latitude.value,
+        site.gravity.value,
+        site.azimuth.value,
+        longitude=site.longitude.value,
+        height=site.height.value,
+    )
 
 
 def models(bench: Bench) -> BenchModels:

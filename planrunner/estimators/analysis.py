@@ -11,7 +11,7 @@ from typing import Any
 
 from planrunner import plugins
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.results import Results, segment_statistics
@@ -30,6 +30,7 @@ def analyse(
     recording: Sequence[RecordedSegment],
     site: Site,
     sensor: SensorModel,
+    setup: Setup | None = None,
 ) -> Results:
     """All estimates and limits of a plan.
 
@@ -41,7 +42,7 @@ def analyse(
     for name in _in_order(estimates):
         spec = estimates[name]
         try:
-            made[name] = _estimate(name, spec, recording, site, sensor, made, estimates)
+            made[name] = _estimate(name, spec, recording, site, sensor, made, estimates, setup or Setup())
         except EstimationError as error:
             failures[name] = str(error)
         except InputError as error:
@@ -67,6 +68,7 @@ def design_of(
     site: Site,
     sensor: SensorModel,
     designs: Mapping[str, Design],
+    setup: Setup | None = None,
 ) -> Design | None:
     """What one estimate could learn from the planned segments; None where its estimator has no linear model.
 
@@ -80,7 +82,9 @@ def design_of(
         raise EstimationError(f"no segment has a label like {', '.join(_patterns(spec))}")
     estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     uses = {used: designs[used] for used in spec.uses}
-    design: Design | None = estimator.design(DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses))
+    design: Design | None = estimator.design(
+        DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup())
+    )
     return design
 
 
@@ -112,6 +116,7 @@ def _estimate(
     sensor: SensorModel,
     made: Mapping[str, Estimate],
     estimates: Mapping[str, Any],
+    setup: Setup,
 ) -> Estimate:
     for used in spec.uses:
         if used not in made:
@@ -123,6 +128,6 @@ def _estimate(
     estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     detection = spec.segments if isinstance(spec.segments, Detection) else None
     uses = {used: made[used] for used in spec.uses}
-    request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection)
+    request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection, setup)
     estimate: Estimate = estimator.estimate(request)
     return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))

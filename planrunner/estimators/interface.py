@@ -22,10 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.instruments.models import SensorModel
+from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
+from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.influences import Budget, Influence, Inputs
 
 Array = NDArray[np.float64]
 
@@ -58,7 +60,8 @@ class Table:
 @dataclass(frozen=True, slots=True)
 class Plot:
     """Points for people, one per label or over x: series name → values, with optional standard uncertainties. log: both axes are
-    logarithmic; values that are not positive are not shown."""
+    logarithmic; values that are not positive are not shown. lines: values belong to a course over x, drawn as lines without points.
+    """
 
     title: str
     x_title: str
@@ -67,11 +70,15 @@ class Plot:
     series: Mapping[str, tuple[float, ...]]
     uncertainties: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     log: bool = False
+    lines: bool = False
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Coefficients, their covariance (m, m) in the products of their units, and what a reader needs to judge them.
+
+    An estimator gives the covariance that its data show (type A) and the `influences` that they do not; the analysis adds these up, so
+    that coefficients and covariance hold both, and writes the `budgets`.
 
     headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain
     data for estimates that build on this one.
@@ -89,6 +96,8 @@ class Estimate:
     warnings: tuple[str, ...] = ()
     segments: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+    influences: tuple[Influence, ...] = ()
+    budgets: tuple[Budget, ...] = ()
 
     def __getitem__(self, name: str) -> Coefficient:
         for item in self.coefficients:
@@ -98,6 +107,17 @@ class Estimate:
 
     def values(self, *names: str) -> Array:
         return np.array([self[name].value for name in names])
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """How the sensor is tested, beside site and sensor: the table, the fixture that it is mounted in, what is stated of uncertainties,
+    and what was told of this run (name → text)."""
+
+    table: TableModel | None = None
+    mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
+    inputs: Inputs = field(default_factory=Inputs)
+    information: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +132,7 @@ class EstimateRequest:
     sensor: SensorModel
     uses: Mapping[str, Estimate] = field(default_factory=dict)
     detection: Any = None
+    setup: Setup = field(default_factory=Setup)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +145,7 @@ class DesignRequest:
     site: Site
     sensor: SensorModel
     uses: Mapping[str, Design] = field(default_factory=dict)
+    setup: Setup = field(default_factory=Setup)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +165,29 @@ class DesignBlock:
 
 
 @dataclass(frozen=True, slots=True)
+class Remark:
+    """What an estimator finds wrong or doubtful in planned segments; `check` prints it as a finding at `key` of the estimate.
+
+    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run so.
+    """
+
+    code: str
+    message: str
+    hint: str
+    key: str = "segments"
+    error: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Design:
-    """blocks: one an output. predicted: coefficients at their nominal values with the standard uncertainty to expect."""
+    """blocks: one an output, none where there is no linear model. predicted: coefficients at their nominal values with the standard
+    uncertainty to expect."""
 
     blocks: tuple[DesignBlock, ...]
     predicted: tuple[Coefficient, ...] = ()
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+    remarks: tuple[Remark, ...] = ()
 
 
 class Estimator(Protocol):

@@ -127,6 +127,7 @@ def _estimate_from(data: Mapping[str, Any]) -> Estimate:
             {name: tuple(values) for name, values in item["series"].items()},
             {name: tuple(values) for name, values in item["uncertainties"].items()},
             bool(item.get("log", False)),
+            bool(item.get("lines", False)),
         )
         for item in data["plots"]
     )

@@ -16,11 +16,13 @@ __all__ = ["ChamberModel", "NoiseModel", "OutputModel", "SensorModel", "TableAxi
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
-    """A position/rate table. axes: outermost first. position_uncertainty: standard, rad; rate_stability: relative."""
+    """A position/rate table. axes: outermost first. position_uncertainty: standard, rad; rate_stability: relative, standard;
+    orthogonality: standard uncertainty of the angles between its axes, rad."""
 
     axes: tuple[TableAxis, ...]
     position_uncertainty: float = 0.0
     rate_stability: float = 0.0
+    orthogonality: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

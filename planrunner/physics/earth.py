@@ -15,6 +15,7 @@ EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.04106
 class Site:
     """Where the bench stands. latitude, azimuth: rad; gravity: m/s^2.
 
+    longitude: rad, east positive; height: m above the ellipsoid; both only matter where positions are navigated.
     azimuth: of the table's reference direction, from true north, positive clockwise seen from above (towards east). Orientation
     words in plans mean true directions; the table's joint angles take the azimuth into account.
     """
@@ -23,6 +24,8 @@ class Site:
     gravity: float = 9.80665
     azimuth: float = 0.0
     earth_rate: float = EARTH_RATE
+    longitude: float = 0.0
+    height: float = 0.0
 
     @property
     def earth_rate_enu(self) -> NDArray[np.float64]:

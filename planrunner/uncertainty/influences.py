@@ -1,0 +1,91 @@
+"""What results depend on beside the data: quantities that somebody stated with an uncertainty, and how coefficients follow them.
+
+These are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states them; an estimator says how its
+coefficients depend on them; `planrunner.uncertainty.budget` adds them up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class InputQuantity:
+    """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular, u-shaped,
+    t. source: who says so, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or empty."""
+
+    name: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+    degrees_of_freedom: float = math.inf
+    distribution: str = "normal"
+    source: str = ""
+    calibrated: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Influence:
+    """How m coefficients depend on an input quantity.
+
+    sensitivities: shape (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 where r independent inputs of the
+    same uncertainty act, such as the table's error at each of r positions; r = 1 for one that all segments share. in_scatter: the data's
+    own scatter shows it already, so that it is listed in the budget and not added again.
+    """
+
+    quantity: InputQuantity
+    sensitivities: Array
+    in_scatter: bool = False
+
+    @property
+    def covariance(self) -> Array:
+        """What it adds to the covariance of the coefficients, shape (m, m)."""
+        return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetLine:
+    """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: coefficient's unit per input's unit; contribution: |c|·u, in the
+    coefficient's unit. kind: A or B. added: whether it is part of the sum."""
+
+    quantity: str
+    kind: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+    distribution: str
+    degrees_of_freedom: float
+    sensitivity: float
+    contribution: float
+    source: str = ""
+    added: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The uncertainty budget of one coefficient; its combined uncertainty is that of the coefficient."""
+
+    coefficient: str
+    unit: str
+    lines: tuple[BudgetLine, ...]
+    standard_uncertainty: float
+    degrees_of_freedom: float
+    coverage_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table orthogonality`,
+    `temperature`, `fixture angle x`, `resolution gyro_x`. Absent: nobody stated an uncertainty."""
+
+    quantities: Mapping[str, InputQuantity] = field(default_factory=dict)
+
+    def get(self, name: str) -> InputQuantity | None:
+        return self.quantities.get(name)
