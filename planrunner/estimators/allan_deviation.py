@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planrunner.estimators.allan_confidence import NAMES
 from planrunner.estimators.allan_fit import FLAT, TERMS, NoiseFit, expected_covariance, fit_noise
 from planrunner.estimators.allan_phase import LONGEST, Phase, read_phase
+from planrunner.estimators.allan_scale import ScaleFactorKind, SensedBy, sensed_by
 from planrunner.estimators.allan_table import KINDS, Deviation, deviations, octave_factors
 from planrunner.estimators.allan_units import coefficient_units, squares_to_coefficients
 from planrunner.estimators.interface import (
@@ -26,9 +27,11 @@ from planrunner.estimators.interface import (
     Plot,
     Table,
 )
-from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, Text, key
+from planrunner.plan.findings import closest
+from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
@@ -71,6 +74,13 @@ class AllanDeviationParameters(Record):
     fit_up_to: Quantity | None = key(
         QuantityOf("time", "positive"), "Longest averaging time in the fit, where drift takes over.", "1 h", None
     )
+    scale_factors: dict[str, Quantity | str] = key(
+        MapOf(ScaleFactorKind()),
+        "Scale factor of an output that is no rate or acceleration itself: a quantity, or a coefficient of an estimate in `uses`. "
+        "The coefficients are then those of what is sensed.",
+        {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_Y"},
+        default_factory=dict,
+    )
     bridge: Quantity = key(
         QuantityOf("time", "not negative"),
         "Gaps up to this long are filled on a straight line; longer ones split the record.",
@@ -92,6 +102,7 @@ class AllanDeviation:
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
         notes = [f"'{label}' moves: what the motion does to the outputs is taken for noise." for label in moving]
+        _known_scale_factors(parameters, names)
         predicted: list[Coefficient] = []
         for name in names:
             output = request.sensor.output(name)
@@ -107,6 +118,7 @@ class AllanDeviation:
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
         names = parameters.outputs or request.segments[0].statistics.channels
+        _known_scale_factors(parameters, names)
         results = [_output(request, name) for name in names]
         size = sum(len(result.coefficients) for result in results)
         covariance, place = np.zeros((size, size)), 0
@@ -133,6 +145,7 @@ class AllanDeviation:
             tuple(warning for result in results for warning in result.warnings),
             tuple(recorded.label for recorded in request.segments),
             {"taus": {name: [row.tau for row in result.rows] for name, result in zip(names, results, strict=True)}},
+            tuple(_influences(results)),
         )
 
 
@@ -148,6 +161,7 @@ class _Result:
         self.notes: list[str] = []
         self.warnings: list[str] = []
         self.plot = Plot("", "", "", (), {})
+        self.sensed: SensedBy | None = None
 
 
 def _output(request: EstimateRequest, name: str) -> _Result:
@@ -166,11 +180,33 @@ def _output(request: EstimateRequest, name: str) -> _Result:
         raise EstimationError(
             f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
         )
+    if name in parameters.scale_factors:
+        result.sensed = sensed_by(parameters.scale_factors[name], name, result.unit, request.uses)
     _fit(result, phase, parameters)
     for kind in parameters.deviations:
         result.tables.append(_table(name, result.unit, kind, rows[kind], parameters.confidence))
     _describe_gaps(result, phase)
     return result
+
+
+def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[str]) -> None:
+    for name in parameters.scale_factors:
+        if name not in names:
+            raise EstimationError(f"`scale_factors` names '{name}', which is no output here: {closest(name, names)}")
+
+
+def _influences(results: Sequence[_Result]) -> list[Influence]:
+    """What the scale factors' uncertainty adds: every coefficient is proportional to that of its output, or to its inverse."""
+    values = np.array([item.value for result in results for item in result.coefficients])
+    found, place = [], 0
+    for result in results:
+        end = place + len(result.coefficients)
+        if result.sensed and result.sensed.quantity.standard_uncertainty:
+            sensitivities = np.zeros((values.size, 1))
+            sensitivities[place:end, 0] = result.sensed.power * values[place:end] / result.sensed.quantity.value
+            found.append(Influence(result.sensed.quantity, sensitivities))
+        place = end
+    return found
 
 
 def _factors(taus: Sequence[Quantity], phase: Phase, name: str) -> NDArray[np.int64]:
@@ -202,12 +238,13 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     variances = np.array([row.value**2 for row in chosen])
     fit = fit_noise(factors, variances, np.array([row.freedom for row in chosen]), phase.lengths, terms)
     widening = _judge(result, fit)
-    units, roots = coefficient_units(result.unit), squares_to_coefficients(phase.interval)
+    units = result.sensed.units if result.sensed else coefficient_units(result.unit)
+    roots = squares_to_coefficients(phase.interval)
     spreads = []
     for term in terms:
         k = TERMS.index(term)
         text, factor = units[term]
-        value, spread = _root(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
+        value, spread = coefficient_of(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
         scale = roots[term] * factor
         spreads.append(spread * scale)
         found = Coefficient(f"{term}_{result.name}", value * scale, text, spread * scale, description=WORDS[term])
@@ -224,7 +261,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     result.plot = _plot(result, chosen, fit)
 
 
-def _root(square: float, spread: float) -> tuple[float, float]:
+def coefficient_of(square: float, spread: float) -> tuple[float, float]:
     """A coefficient and its standard uncertainty from its square's: half of the wider side of the interval that the square ± two standard
     uncertainties becomes, which is the linear rule where the square is well known and stays finite where it is not."""
     value = math.sqrt(square)
@@ -326,13 +363,15 @@ def _predicted(request: DesignRequest, name: str) -> list[Coefficient]:
     factors = octave_factors(lengths)[: -1 if not parameters.taus else None]
     squares = np.array([0.0, output.noise.white**2 / interval, output.noise.bias_instability**2, 0.0])
     spread = np.sqrt(np.diag(expected_covariance(factors, squares, lengths, parameters.terms)))
-    units, roots = coefficient_units(output.unit), squares_to_coefficients(interval)
+    stated = parameters.scale_factors.get(name)
+    units = sensed_by(stated, name, output.unit, request.uses).units if stated else coefficient_units(output.unit)
+    roots = squares_to_coefficients(interval)
     found = []
     for term in ("N", "B"):
         k = TERMS.index(term)
         if term in parameters.terms and squares[k] > 0:
             text, factor = units[term]
-            value, u = _root(squares[k], float(spread[k]))
+            value, u = coefficient_of(squares[k], float(spread[k]))
             scale = roots[term] * factor
             found.append(Coefficient(f"{term}_{name}", value * scale, text, u * scale, description=WORDS[term]))
     return found

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from planrunner.estimators.interface import EstimationError
-from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+from planrunner.plan.units import DIMENSIONS, Dimension, UnknownUnitError, unit
 
 _NAMED = {
     DIMENSIONS["angular rate"]: {"Q": "arcsec", "N": "deg/sqrt(h)", "B": "deg/h", "K": "deg/h/sqrt(h)"},
@@ -15,13 +16,18 @@ _OTHERWISE = {"Q": "{}*s", "N": "{}*sqrt(s)", "B": "{}", "K": "{}/sqrt(s)"}
 _PULSES = {"Q": "pulse", "N": "pulse/sqrt(s)", "B": "pulse/s", "K": "pulse/s/sqrt(s)"}
 
 
+def named_units(dimension: Dimension) -> Mapping[str, str] | None:
+    """Q, N, B, K → the field's units for a rate or an acceleration; None for anything else."""
+    return _NAMED.get(dimension)
+
+
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
     """Q, N, B, K → the unit's text and the factor from the output's unit times s, √s, 1, 1/√s to it. Raises `EstimationError`."""
     try:
         own = unit(output)
     except UnknownUnitError as error:
         raise EstimationError(str(error)) from None
-    named = _PULSES if output == "pulse/s" else _NAMED.get(own.dimension)
+    named = _PULSES if output == "pulse/s" else named_units(own.dimension)
     if named is None:
         whole = output if output.isalpha() else f"({output})"
         texts = {name: text.format(output if name == "B" else whole) for name, text in _OTHERWISE.items()}
