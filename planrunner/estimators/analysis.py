@@ -20,6 +20,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
+from planrunner.uncertainty.budget import Measured, combine
 
 __all__ = ["LimitVerdict", "Results", "analyse", "design_of"]
 
@@ -129,5 +130,31 @@ def _estimate(
     detection = spec.segments if isinstance(spec.segments, Detection) else None
     uses = {used: made[used] for used in spec.uses}
     request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection, setup)
-    estimate: Estimate = estimator.estimate(request)
+    estimate: Estimate = combined(estimator.estimate(request))
     return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))
+
+
+_RESTS_ON = {"residual": "scatter of the segments about the model", "within_segment": "noise within the segments"}
+
+
+def combined(estimate: Estimate) -> Estimate:
+    """The estimate with its influences added to what its data show, and a budget for each coefficient."""
+    basis = estimate.settings.get("uncertainty", "")
+    measured = [
+        Measured(item.name, item.value, item.unit, item.standard_uncertainty, item.degrees_of_freedom)
+        for item in estimate.coefficients
+    ]
+    sums = combine(measured, estimate.covariance, estimate.influences, _RESTS_ON.get(basis, "the data"))
+    coefficients = tuple(
+        replace(item, standard_uncertainty=float(u), degrees_of_freedom=float(dof))
+        for item, u, dof in zip(
+            estimate.coefficients, sums.standard_uncertainties, sums.degrees_of_freedom, strict=True
+        )
+    )
+    return replace(
+        estimate,
+        coefficients=coefficients,
+        covariance=sums.covariance,
+        data_covariance=estimate.covariance,
+        budgets=sums.budgets,
+    )

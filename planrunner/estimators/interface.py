@@ -81,7 +81,9 @@ class Estimate:
     that coefficients and covariance hold both, and writes the `budgets`.
 
     headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain
-    data for estimates that build on this one.
+    data for estimates that build on this one. data_covariance: what the data show alone, kept by the analysis when it has added the
+    influences; an estimate that builds on this one starts from it and carries the influences on (`Influence.through`), so that an input
+    that acts on both counts once and with its sign.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Estimate:
     extra: Mapping[str, Any] = field(default_factory=dict)
     influences: tuple[Influence, ...] = ()
     budgets: tuple[Budget, ...] = ()
+    data_covariance: Array | None = None
 
     def __getitem__(self, name: str) -> Coefficient:
         for item in self.coefficients:

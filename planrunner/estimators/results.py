@@ -16,6 +16,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import Coefficient, Estimate, Plot, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.plan.findings import InputError, Mark
+from planrunner.uncertainty.influences import Budget, BudgetLine
 
 FORMAT = 1
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
@@ -110,11 +111,17 @@ def _estimate_to(estimate: Estimate) -> dict[str, Any]:
         "warnings": list(estimate.warnings),
         "segments": list(estimate.segments),
         "extra": dict(estimate.extra),
+        "budgets": [_budget_to(budget) for budget in estimate.budgets],
     }
 
 
+def _budget_to(budget: Budget) -> dict[str, Any]:
+    plain = {item.name: getattr(budget, item.name) for item in fields(budget)}
+    return plain | {"lines": [{item.name: getattr(line, item.name) for item in fields(line)} for line in budget.lines]}
+
+
 def _estimate_from(data: Mapping[str, Any]) -> Estimate:
-    rest = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
+    rest: dict[str, Any] = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
     tables = tuple(
         Table(item["title"], tuple(item["columns"]), tuple(map(tuple, item["rows"]))) for item in data["tables"]
     )
@@ -140,6 +147,10 @@ def _estimate_from(data: Mapping[str, Any]) -> Estimate:
         tables=tables,
         plots=plots,
         extra=data["extra"],
+        budgets=tuple(
+            Budget(**{**item, "lines": tuple(BudgetLine(**line) for line in item["lines"])})
+            for item in data.get("budgets", ())
+        ),
         **rest,
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,9 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class InputQuantity:
     """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular, u-shaped,
-    t. source: who says so, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or empty."""
+    t. source: who says so, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or empty.
+    shown: the unit that budgets show it in, such as the one it was stated in, `shown_factor` times `unit`; `unit` itself where empty.
+    """
 
     name: str
     value: float
@@ -29,31 +31,40 @@ class InputQuantity:
     distribution: str = "normal"
     source: str = ""
     calibrated: str = ""
+    shown: str = ""
+    shown_factor: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Influence:
     """How m coefficients depend on an input quantity.
 
     sensitivities: shape (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 where r independent inputs of the
     same uncertainty act, such as the table's error at each of r positions; r = 1 for one that all segments share. in_scatter: the data's
-    own scatter shows it already, so that it is listed in the budget and not added again.
+    own scatter shows it already, so that it is listed in the budget and not added again. parts: names of the r inputs, such as
+    orientations, so that one that acts through two influences is known for the same; without names they are taken for different ones.
     """
 
     quantity: InputQuantity
     sensitivities: Array
     in_scatter: bool = False
+    parts: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Array:
         """What it adds to the covariance of the coefficients, shape (m, m)."""
         return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
 
+    def through(self, gradient: Array) -> Influence:
+        """The same on q quantities that are computed from the m coefficients: gradient, shape (q, m), ∂quantity/∂coefficient."""
+        return replace(self, sensitivities=gradient @ self.sensitivities)
+
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
     """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: coefficient's unit per input's unit; contribution: |c|·u, in the
-    coefficient's unit. kind: A or B. added: whether it is part of the sum."""
+    coefficient's unit. kind: A or B. added: whether it is part of the sum. count: how many independent inputs of this uncertainty act; of
+    several, the sensitivity is the root sum of squares. calibrated: ISO date, or empty."""
 
     quantity: str
     kind: str
@@ -66,6 +77,8 @@ class BudgetLine:
     contribution: float
     source: str = ""
     added: bool = True
+    count: int = 1
+    calibrated: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,14 +14,16 @@ from recorded import from_means, segment, sensor
 from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
-from planrunner.estimators.analysis import Results, analyse, design_of
+from planrunner.estimators.analysis import Results, analyse, combined, design_of
 from planrunner.estimators.compensation_residual import CompensationResidualParameters
-from planrunner.estimators.flexure_gyro_static import FlexureGyroStaticParameters
-from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
+from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.limits import hold
 from planrunner.plan.findings import InputError
 from planrunner.plan.model import Limit
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.influences import Influence, InputQuantity
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "schemas" / "results.schema.json").read_text(encoding="utf-8"))
 
@@ -76,6 +79,36 @@ def test_everything_is_made_in_the_order_of_its_use() -> None:
     assert found.limits[1].upper == pytest.approx(3.6)  # deg/s written, deg/h judged
     assert found.limits[0].upper == 5.0  # exactly as written
     assert found.limits[0].coverage_factor == pytest.approx(2.776, abs=1e-3)
+
+
+def test_influences_widen_what_limits_are_held_against() -> None:
+    """A stated input of 3 deg/h on D_X_F alone: u grows by it in quadrature and the guarded limit of ±5 deg/h is no longer kept."""
+    plain = results().estimates["drift"]
+
+    class Influenced(FlexureGyroStatic):
+        def estimate(self, request: EstimateRequest) -> Estimate:
+            given = super().estimate(request)
+            names = [item.name for item in given.coefficients]
+            column = np.array([[3.0] if name == "D_X_F" else [0.0] for name in names])
+            return replace(given, influences=(Influence(InputQuantity("fixture", 0.0, "rad", 1.0), column),))
+
+    made = combined(
+        Influenced().estimate(
+            EstimateRequest("drift", tuple(recording()[:8]), FlexureGyroStaticParameters(), SITE, sensor(*CHANNELS))
+        )
+    )
+    own = plain["D_X_F"].standard_uncertainty
+    assert made["D_X_F"].standard_uncertainty == pytest.approx(math.hypot(own, 3.0))
+    assert made["D_Y_F"] == plain["D_Y_F"]
+    at = [item.name for item in made.coefficients].index("D_X_F")
+    assert made.covariance[at, at] - made.data_covariance[at, at] == pytest.approx(9.0)
+    assert hold(limits()[0], {"drift": plain}).verdict == "pass"
+    assert hold(limits()[0], {"drift": made}).verdict == "fail"
+    again = Results.from_json(json.loads(json.dumps(Results({"drift": made}).to_json(), allow_nan=False)))
+    assert again.estimates["drift"].budgets == made.budgets
+    older = Results({"drift": made}).to_json()
+    del older["estimates"][0]["budgets"]
+    assert Results.from_json(older).estimates["drift"].budgets == ()
 
 
 def test_one_failure_leaves_the_others() -> None:

@@ -1,0 +1,155 @@
+"""Adding up: what the data show (type A) and what was stated (type B), and the budget of each coefficient.
+
+The law of propagation of uncertainty for inputs that are independent of each other (JCGM 100:2008, 5.1.2), kept for all coefficients at
+once so that their covariance is kept too (H.2.4), and the Welch–Satterthwaite formula for effective degrees of freedom (G.4.1). An
+input that reaches the coefficients by several ways is one input: its sensitivities add up before they are squared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.uncertainty.decision import coverage_factor
+from planrunner.uncertainty.influences import Budget, BudgetLine, Influence, InputQuantity
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-6  # of the combined uncertainty: smaller contributions are not listed
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A coefficient as the data give it. standard_uncertainty, degrees_of_freedom: of type A."""
+
+    name: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+    degrees_of_freedom: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Combined:
+    """m coefficients with all of their uncertainty. covariance: (m, m); standard_uncertainties, degrees_of_freedom: (m,)."""
+
+    covariance: Array
+    standard_uncertainties: Array
+    degrees_of_freedom: Array
+    budgets: tuple[Budget, ...]
+
+
+def combine(
+    measured: Sequence[Measured], covariance: Array, influences: Iterable[Influence] = (), source: str = ""
+) -> Combined:
+    """Type A `covariance` (m, m) of the coefficients and what the influences add to it.
+
+    source: what the type A part rests on, for its line in the budgets. Raises ValueError for sensitivities that do not fit the
+    coefficients or are not finite.
+    """
+    acting = merged(influences)
+    m = len(measured)
+    for item in acting:
+        if item.sensitivities.shape[0] != m or not np.isfinite(item.sensitivities).all():
+            raise ValueError(f"the sensitivities to '{item.quantity.name}' do not fit the {m} coefficients")
+    added = [item for item in acting if not item.in_scatter]
+    total = np.array(covariance, dtype=float) + sum((item.covariance for item in added), np.zeros((m, m)))
+    # What each input contributes to each coefficient, (m, inputs).
+    sizes = np.array([item.quantity.standard_uncertainty * _root_sum(item.sensitivities) for item in acting])
+    budgets = tuple(_budget(one, k, acting, sizes.reshape(-1, m)[:, k], source) for k, one in enumerate(measured))
+    return Combined(
+        total,
+        np.array([budget.standard_uncertainty for budget in budgets]),
+        np.array([budget.degrees_of_freedom for budget in budgets]),
+        budgets,
+    )
+
+
+def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
+    """One influence for each input: sensitivities of the same input (or part of it, by name) are added, others stand side by side."""
+    columns: dict[tuple[InputQuantity, bool], dict[object, Array]] = {}
+    for item in influences:
+        sensitivities = np.asarray(item.sensitivities, dtype=float)
+        if sensitivities.ndim != 2 or (item.parts and len(item.parts) != sensitivities.shape[1]):
+            raise ValueError(f"the sensitivities to '{item.quantity.name}' must have a column for each of its parts")
+        parts: Sequence[object] = item.parts or ([""] if sensitivities.shape[1] == 1 else _unnamed(sensitivities))
+        held = columns.setdefault((item.quantity, item.in_scatter), {})
+        for part, column in zip(parts, sensitivities.T, strict=True):
+            held[part] = held[part] + column if part in held else column
+    return tuple(
+        Influence(quantity, np.column_stack(list(held.values())), in_scatter, _named(held))
+        for (quantity, in_scatter), held in columns.items()
+    )
+
+
+def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
+    """Welch–Satterthwaite (JCGM 100:2008, G.4.1). Infinite where nothing contributes, zero where a contribution has none."""
+    pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
+    if any(not freedom > 0 for _, freedom in pairs):
+        return 0.0
+    whole = math.fsum(size**2 for size, _ in pairs)
+    inverse = math.fsum((size**2 / whole) ** 2 / freedom for size, freedom in pairs)
+    return 1.0 / inverse if inverse else math.inf
+
+
+def _budget(one: Measured, k: int, acting: Sequence[Influence], sizes: Array, source: str) -> Budget:
+    parts = [(float(size), item) for size, item in zip(sizes, acting, strict=True)]
+    added = [(size, item.quantity.degrees_of_freedom) for size, item in parts if size and not item.in_scatter]
+    combined, freedom = one.standard_uncertainty, one.degrees_of_freedom
+    if added:
+        combined = math.hypot(combined, *(size for size, _ in added))
+        freedom = effective_degrees_of_freedom(
+            [one.standard_uncertainty, *(size for size, _ in added)], [freedom, *(own for _, own in added)]
+        )
+    data = BudgetLine(
+        "data",
+        "A",
+        one.value,
+        one.unit,
+        one.standard_uncertainty,
+        "t" if math.isfinite(one.degrees_of_freedom) else "normal",
+        one.degrees_of_freedom,
+        1.0,
+        one.standard_uncertainty,
+        source,
+    )
+    lines = (data, *(_line(item, k, size) for size, item in parts if size > NEGLIGIBLE * combined))
+    return Budget(one.name, one.unit, lines, combined, freedom, coverage_factor(freedom))
+
+
+def _line(item: Influence, k: int, contribution: float) -> BudgetLine:
+    """Sensitivity and input in the unit that the input is shown in."""
+    quantity, row = item.quantity, item.sensitivities[k]
+    factor = quantity.shown_factor if quantity.shown else 1.0
+    return BudgetLine(
+        quantity.name,
+        "B",
+        quantity.value / factor,
+        quantity.shown or quantity.unit,
+        quantity.standard_uncertainty / factor,
+        quantity.distribution,
+        quantity.degrees_of_freedom,
+        factor * float(row[0] if len(row) == 1 else _root_sum(row[None, :])[0]),
+        contribution,
+        quantity.source,
+        not item.in_scatter,
+        len(row),
+        quantity.calibrated,
+    )
+
+
+def _root_sum(sensitivities: Array) -> Array:
+    return np.sqrt(np.einsum("ij,ij->i", sensitivities, sensitivities))
+
+
+def _unnamed(sensitivities: Array) -> list[object]:
+    return [object() for _ in range(sensitivities.shape[1])]
+
+
+def _named(parts: Iterable[object]) -> tuple[str, ...]:
+    names = list(parts)
+    return tuple(str(name) for name in names) if len(names) > 1 and all(isinstance(name, str) for name in names) else ()
