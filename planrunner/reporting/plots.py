@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 WIDTH = 4.7  # inches
 COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")
 _MARKERS = ("o", "s", "^", "D", "v")
+_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # told apart in print without colour
+MOST_POINTS = 2000  # of a course, as drawn
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "planrunner",
@@ -50,36 +52,77 @@ _STYLE: dict[Any, Any] = {
 
 
 def plot_svg(plot: Plot, key: str) -> str:
-    """One chart of points with error bars (±1 standard uncertainty) over labels, or of points and lines over numbers.
+    """One chart of points with error bars (±1 standard uncertainty) over labels, of points and lines over numbers, or of courses.
 
     key: a name unique in the page, of letters, digits and hyphens; ids in the picture begin with it.
     """
     labels = _labels(plot.x)
     with _figure(WIDTH, 3.1) as (figure, save):
         axes = figure.add_subplot()
-        xs = np.arange(len(labels), dtype=float) if labels else np.array([float(x) for x in plot.x])
-        count = max(len(plot.series), 1)
-        for index, (name, values) in enumerate(plot.series.items()):
-            shift = (index - (count - 1) / 2) * min(0.16, 0.6 / count) if labels else 0.0
-            width = plot.uncertainties.get(name)
-            axes.errorbar(
-                xs + shift,
-                np.array(values, dtype=float),
-                yerr=None if width is None else np.array(width, dtype=float),
-                fmt=_MARKERS[index % len(_MARKERS)] if labels or len(xs) <= 60 else "",
-                linestyle="none" if labels else "-",
-                color=COLOURS[index % len(COLOURS)],
-                markersize=4.5,
-                linewidth=1.1,
-                capsize=2.5,
-                label=name,
-            )
+        if plot.lines and not labels:
+            _draw_courses(axes, plot)
+        else:
+            _draw_points(axes, plot, labels)
         if plot.log and not labels and any(value > 0 for values in plot.series.values() for value in values):
             axes.set_xscale("log")
             axes.set_yscale("log")
         _finish(axes, plot, labels)
         described = f"{plot.y_title} against {plot.x_title}, {len(plot.x)} points, series: {', '.join(plot.series)}"
         return save(key, plot.title, described)
+
+
+def _draw_points(axes: Any, plot: Plot, labels: list[str]) -> None:
+    xs = np.arange(len(labels), dtype=float) if labels else np.array([float(x) for x in plot.x])
+    count = max(len(plot.series), 1)
+    for index, (name, values) in enumerate(plot.series.items()):
+        shift = (index - (count - 1) / 2) * min(0.16, 0.6 / count) if labels else 0.0
+        width = plot.uncertainties.get(name)
+        axes.errorbar(
+            xs + shift,
+            np.array(values, dtype=float),
+            yerr=None if width is None else np.array(width, dtype=float),
+            fmt=_MARKERS[index % len(_MARKERS)] if labels or len(xs) <= 60 else "",
+            linestyle="none" if labels else "-",
+            color=COLOURS[index % len(COLOURS)],
+            markersize=4.5,
+            linewidth=1.1,
+            capsize=2.5,
+            label=name,
+        )
+
+
+def _draw_courses(axes: Any, plot: Plot) -> None:
+    """Each series as a line; ±1 standard uncertainty, where given, as a band. A value that is not finite interrupts the line."""
+    xs = np.array([float(x) for x in plot.x])
+    for index, (name, values) in enumerate(plot.series.items()):
+        colour = COLOURS[index % len(COLOURS)]
+        course = np.array(values, dtype=float)
+        shown = thinned(course)
+        dashes = _DASHES[index % len(_DASHES)]
+        axes.plot(xs[shown], course[shown], linestyle=dashes, color=colour, linewidth=1.2, label=name)
+        if name in plot.uncertainties:
+            width = np.array(plot.uncertainties[name], dtype=float)[shown]
+            low, high = course[shown] - width, course[shown] + width
+            axes.fill_between(xs[shown], low, high, color=colour, alpha=0.18, linewidth=0)
+    if len(xs) > 1 and not plot.log:
+        axes.set_xlim(np.nanmin(xs), np.nanmax(xs))
+
+
+def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Which of the values (n,) of a course to draw: all up to `most`; beyond that the ends and, of each of equal stretches, the lowest,
+    the highest and whatever is not finite first, so that no peak and no gap is lost."""
+    if len(values) <= most:
+        return np.arange(len(values))
+    kept = {0, len(values) - 1}
+    for stretch in np.array_split(np.arange(len(values)), max(1, (most - 2) // 3)):
+        part = values[stretch]
+        finite = np.isfinite(part)
+        if finite.any():
+            kept.add(int(stretch[np.argmin(np.where(finite, part, np.inf))]))
+            kept.add(int(stretch[np.argmax(np.where(finite, part, -np.inf))]))
+        if not finite.all():
+            kept.add(int(stretch[np.argmin(finite)]))
+    return np.array(sorted(kept))
 
 
 def _labels(x: Sequence[Any]) -> list[str]:

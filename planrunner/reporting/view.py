@@ -10,11 +10,12 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
     limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
                                       factor, probability, reason}
     estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
-                                      correlation, strong_correlations, notes, warnings, segments}
+                                      correlation, budgets, strong_correlations, notes, warnings, segments}
       coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
                                       standard, unit, factor, freedom}, all text
       tables                          list of {title, columns: list of {title, numeric}, rows of text, more}
       plots, correlation              {title, svg}
+      budgets                         as `budgets.budget_views` gives them
     segments                          like a table
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
@@ -32,6 +33,7 @@ from typing import TYPE_CHECKING, Any
 from planrunner.estimators.interface import Coefficient, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
+from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.context import ReportContext, SegmentSummary, site_facts
 from planrunner.reporting.rounding import rounded
 from planrunner.uncertainty.decision import coverage_factor
@@ -122,6 +124,7 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
             "title": "Correlations, in hundredths",
             "svg": _markup(correlation_svg(names, covariance, f"{key}-c")) if pairs else None,
         },
+        "budgets": budget_views(estimate),
         "strong_correlations": [
             f"{one} and {other}: {value:+.2f}" for one, other, value in pairs[:6] if abs(value) >= STRONG
         ],
@@ -143,7 +146,7 @@ def coefficient_row(item: Coefficient, probability: float = 0.95) -> dict[str, s
         "value": value,
         "expanded": width,
         "standard": standard,
-        "unit": "" if item.unit == "1" else item.unit,
+        "unit": shown_unit(item.unit),
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "–",
         "freedom": freedom(item.degrees_of_freedom),
     }
@@ -156,13 +159,6 @@ def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
     return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
 
 
-def freedom(value: float) -> str:
-    """Degrees of freedom; effective ones keep a decimal below a hundred."""
-    if not math.isfinite(value):
-        return "∞"
-    return f"{value:.0f}" if value >= 100 else f"{value:.1f}".removesuffix(".0")
-
-
 def limit_row(limit: LimitVerdict) -> dict[str, str]:
     value, width = format_pair(limit.value, limit.expanded_uncertainty)
     return {
@@ -173,7 +169,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "kind": "pass" if limit.verdict == "pass" else "fail",
         "value": value,
         "expanded": width,
-        "unit": "" if limit.unit == "1" else limit.unit,
+        "unit": shown_unit(limit.unit),
         "factor": f"{limit.coverage_factor:.2f}",
         "probability": _percent(limit.probability),
         "reason": "" if limit.verdict == "pass" else limit.reason,

@@ -13,6 +13,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.orientation import DIRECTIONS, in_words
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.reporting.context import ReportContext, SegmentSummary
+from planrunner.uncertainty.influences import Budget, BudgetLine
 
 POSITIONS = {
     "P1": "up north west",
@@ -136,6 +137,57 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
         ("The uncertainties rest on the residuals of the fit, with two degrees of freedom an output.",),
         (),
         labels,
+        budgets=budgets() if scale == 1 else (),
+    )
+
+
+def budgets() -> tuple[Budget, ...]:
+    """Of D_X_F (headline) and epsilon: combined by hand, u² = 0.0112² + 0.0036² + 0.0008² = 1.3904e-4 (deg/h)², u = 0.011791 deg/h."""
+    u = math.sqrt(0.0112**2 + 0.0036**2 + 0.0008**2)
+    data = BudgetLine(
+        "data", "A", 4.2713, "deg/h", 0.0112, "t", 4.0, 1.0, 0.0112, "scatter of the segments about the model"
+    )
+    position = BudgetLine(
+        "table position", "B", 0.0, "arcsec", 3.0, "rectangular", math.inf, 0.0012, 0.0036,
+        "table, asset RT-0042, certificate RT-0042 / 2026-117", count=8, calibrated="2026-03-01",
+    )  # fmt: skip
+    latitude = BudgetLine(
+        "latitude", "B", 39.98, "deg", 0.004, "normal", math.inf, 0.2, 0.0008, "bench site, site survey 2026-1",
+        calibrated="2026-02-10",
+    )  # fmt: skip
+    resolution = BudgetLine(
+        "resolution torquer_x",
+        "B",
+        0.0,
+        "pulse/s",
+        0.29,
+        "rectangular",
+        math.inf,
+        0.2,
+        0.0002,
+        "sensor's driver",
+        False,
+    )
+    other = BudgetLine("data", "A", 3.4127, "arcmin", 0.083, "t", 4.0, 1.0, 0.083, "scatter of the segments")
+    tilt = BudgetLine("table orthogonality", "B", 0.0, "arcsec", 2.0, "normal", math.inf, 0.0167, 0.0333, "table")
+    return (
+        Budget("D_X_F", "deg/h", (data, position, latitude, resolution), u, 4.913, 2.59),
+        Budget("epsilon", "arcmin", (other, tilt), math.hypot(0.083, 0.0333), 5.39, 2.51),
+    )
+
+
+def courses() -> Plot:
+    """Position errors over 24 h, two series of 2000 points."""
+    hours = np.linspace(0, 24, 2000)
+    still = 3.1 * hours / 24 + 1.4 * (1 - np.cos(2 * math.pi * hours / 1.4067))
+    turned = 0.11 * hours / 24 + 0.06 * (1 - np.cos(2 * math.pi * hours / 1.4067))
+    return Plot(
+        "Position error over time",
+        "time [h]",
+        "position error [nmi]",
+        tuple(hours),
+        {"without rotation": tuple(still), "with rotation": tuple(turned)},
+        lines=True,
     )
 
 
@@ -165,7 +217,7 @@ def comparison() -> Estimate:
         {"drift": (0.012, 0.012, 0.012), "traditional": (0.015, 0.015, 0.015)},
     )
     return Estimate(
-        "residual", "compensation_residual", (), np.zeros((0, 0)), tables=(table,), plots=(plot,),
+        "residual", "compensation_residual", (), np.zeros((0, 0)), tables=(table,), plots=(plot, courses()),
         warnings=("Three positions: the measured ratio scatters between 0.17 and 9.1 (5 % to 95 %).",),
         segments=("V1", "V2", "V3"),
     )  # fmt: skip

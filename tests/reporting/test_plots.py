@@ -40,6 +40,10 @@ PICTURES = {
         Plot("t", "x", "y", tuple(f"segment {i}" for i in range(90)), {"a": tuple(map(float, range(90)))}), "k"
     ),
     "dollar": lambda: plots.plot_svg(Plot("$x^{$", "$\\frac{", "<y> & z", ("$a$",), {"_hidden": (1.0,)}), "k"),
+    "courses": lambda: plots.plot_svg(example.courses(), "k"),
+    "interrupted": lambda: plots.plot_svg(
+        Plot("t", "s", "y", (0.0, 1.0, 2.0, 3.0), {"a": (1.0, math.nan, 3.0, 4.0)}, {"a": (0.1,) * 4}, lines=True), "k"
+    ),
     "empty": lambda: plots.plot_svg(Plot("t", "x", "y", (), {}), "k"),
     "correlation": lambda: plots.correlation_svg(["a", "b"], np.array([[4.0, -3.0], [-3.0, 9.0]]), "k"),
     "still": lambda: plots.timeline_svg(example.schedule(), "k"),
@@ -98,3 +102,47 @@ def test_spans_of_a_schedule() -> None:
     assert panels_of(example.schedule()) == ["segments", "temperature"]
     assert panels_of(example.thermal_schedule()) == ["segments", "temperature", "rate"]
     assert panels_of(rocking()) == ["segments", "rate"]
+
+
+def drawn_lines(picture: str, colour: str) -> list[list[tuple[float, float]]]:
+    """The points of every line that is drawn in a colour and is longer than a legend's."""
+    found = []
+    for element in ElementTree.fromstring(picture).iter(SVG + "path"):
+        if f"stroke: {colour}" in (element.get("style") or ""):
+            pairs = re.findall(r"[ML] (-?[0-9.]+) (-?[0-9.]+)", element.get("d") or "")
+            found.append([(float(x), float(y)) for x, y in pairs])
+    return [points for points in found if len(points) > 3]
+
+
+def test_courses_are_lines_without_points_told_apart_without_colour() -> None:
+    picture = PICTURES["courses"]()
+    root = ElementTree.fromstring(picture)
+    texts = [element.text for element in root.iter(SVG + "text")]
+    assert {"without rotation", "with rotation", "time [h]"} <= set(texts)
+    for colour in plots.COLOURS[:2]:
+        assert not [e for e in root.iter(SVG + "use") if f"fill: {colour}" in (e.get("style") or "")]
+        (line,) = drawn_lines(picture, colour)
+        assert len(line) > 100
+    dashed = [
+        e.get("style") or "" for e in root.iter(SVG + "path") if f"stroke: {plots.COLOURS[1]}" in (e.get("style") or "")
+    ]
+    assert dashed and all("stroke-dasharray" in style for style in dashed)
+    # The course without rotation ends at 3.1 + 1.4 (1 - cos(2π 24/1.4067)) and so far above that with rotation.
+    (still,), (turned,) = (drawn_lines(picture, colour) for colour in plots.COLOURS[:2])
+    assert still[-1][1] < turned[-1][1] - 50
+
+
+def test_a_long_course_keeps_its_peaks_and_gaps() -> None:
+    values = np.sin(np.linspace(0, 300, 144_000))
+    values[71_234], values[99_000], values[100_000:100_400] = 7.5, -6.25, math.nan
+    shown = plots.thinned(values)
+    assert len(shown) <= 2000
+    assert (np.diff(shown) > 0).all()
+    assert shown[0] == 0 and shown[-1] == 143_999
+    assert {71_234, 99_000, 100_000} <= set(shown.tolist())
+    assert (plots.thinned(values[:2000]) == np.arange(2000)).all()
+
+
+def test_band_of_a_course() -> None:
+    band = Plot("t", "s", "y", (0.0, 1.0, 2.0), {"a": (1.0, 2.0, 3.0)}, {"a": (0.5, 0.5, 0.5)}, lines=True)
+    assert plots.plot_svg(band, "k").count("fill-opacity: 0.18") == 1

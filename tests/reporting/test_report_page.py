@@ -12,6 +12,7 @@ import pytest
 import reporting_example as example
 
 from planrunner.estimators.interface import Coefficient, Estimate, Table
+from planrunner.reporting.budgets import budget_views
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.report import render_report
 from planrunner.reporting.show_page import ShowContext, render_show
@@ -195,3 +196,40 @@ def test_headline_coefficients_come_first_and_the_others_are_kept() -> None:
     assert text.index("Other coefficients") > text.index("D_X_F")
     assert text.index("Other coefficients") < text.rindex("epsilon")
     assert "Correlations of 4 coefficients" in page
+
+
+def test_budgets_show_every_input_with_its_share_and_source() -> None:
+    """u = sqrt(0.0112² + 0.0036² + 0.0008²) = 0.011791 deg/h; shares 90.2 %, 9.3 % and 0.5 %; U = 2.59 · 0.011791 = 0.0305."""
+    (first, second) = budget_views(example.estimate())
+    assert (first["standard"], first["freedom"], first["factor"], first["expanded"]) == (
+        "0.012",
+        "4.9",
+        "2.59",
+        "0.031",
+    )
+    assert [line["share"] for line in first["lines"]] == ["90.2 %", "9.3 %", "0.5 %", "–"]
+    position = first["lines"][1]
+    assert position["quantity"] == "table position (8 ×)"
+    assert (position["standard"], position["unit"], position["distribution"]) == ("3.0", "arcsec", "rectangular")
+    assert (position["sensitivity"], position["contribution"], position["freedom"]) == ("0.0012", "0.0036", "∞")
+    assert position["source"] == "table, asset RT-0042, certificate RT-0042 / 2026-117, 2026-03-01"
+    assert [line["added"] for line in first["lines"]] == [True, True, True, False]
+    assert second["coefficient"] == "epsilon"
+    page = render_report(example.context(), "report.html")
+    text = " ".join(" ".join(read(page).words).split())
+    assert "D_X_F: u = 0.012 deg/h, ν = 4.9" in text
+    assert "in the scatter" in text
+
+
+def test_only_budgets_of_headline_coefficients_are_open() -> None:
+    narrow = replace(example.estimate(), headline=("epsilon",))
+    page = render_report(example.context(estimates=(narrow,)), "report.html")
+    parts = re.findall(r'<details class="budget"( open)?>\s*<summary>(\w+):', page)
+    assert parts == [(" open", "epsilon"), ("", "D_X_F")]
+    assert "Uncertainty budget of epsilon" in render_report(example.context(estimates=(narrow,)), "summary.md")
+    assert "Uncertainty budget of D" not in render_report(example.context(estimates=(narrow,)), "summary.md")
+
+
+def test_no_budget_where_only_the_data_contribute() -> None:
+    lonely = replace(example.budgets()[0], lines=example.budgets()[0].lines[:1])
+    assert budget_views(replace(example.estimate(), budgets=(lonely,))) == []
