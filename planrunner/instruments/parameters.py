@@ -1,4 +1,5 @@
-"""Kinds of parameter that instruments have beside the language's own: quantities of a sensor's compound dimensions."""
+"""Kinds of parameter that instruments have beside the language's own: quantities of a sensor's compound dimensions, and polynomials
+of temperature."""
 
 from __future__ import annotations
 
@@ -8,23 +9,25 @@ from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Schema
 from planrunner.plan.quantity import Quantity, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema
-from planrunner.plan.source import Node
+from planrunner.plan.source import Node, Sequence
 from planrunner.plan.units import unit
 
 
 @dataclass(frozen=True, slots=True)
 class QuantityLike:
-    """A quantity of the dimension of `unit`, such as `(deg/h)/(pulse/s)`; `sign` as for `QuantityOf`."""
+    """A quantity of the dimension of `unit`, such as `(deg/h)/(pulse/s)`, or of one of `others`; `sign` as for `QuantityOf`."""
 
     unit: str
     sign: str = "any"
+    others: tuple[str, ...] = ()
 
     def read(self, node: Node, log: Findings) -> Quantity | None:
         quantity = read_quantity(node, None, log)
         if quantity is None:
             return None
-        if quantity.unit.dimension != unit(self.unit).dimension:
-            message = f"'{quantity.unit.text}' does not fit here; a unit such as {self.unit} is needed"
+        units = (self.unit, *self.others)
+        if all(quantity.unit.dimension != unit(text).dimension for text in units):
+            message = f"'{quantity.unit.text}' does not fit here; a unit such as {' or '.join(units)} is needed"
             log.error("meaning-dimension", node.mark, message, f"write for example '1 {self.unit}'")
             return None
         if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):
@@ -34,3 +37,24 @@ class QuantityLike:
 
     def schema(self) -> Schema:
         return quantity_schema(None)
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomial:
+    """Coefficients of (T − T₀), (T − T₀)², … in `unit`/K, `unit`/K^2, …, up to the third power."""
+
+    unit: str
+
+    def read(self, node: Node, log: Findings) -> tuple[Quantity, ...] | None:
+        if not isinstance(node, Sequence) or not 1 <= len(node.items) <= 3:
+            hint = f"write for example [0.01 {self._unit(1)}]"
+            log.error("form-type", node.mark, "a list of one to three temperature coefficients is expected here", hint)
+            return None
+        found = [QuantityLike(self._unit(power)).read(item, log) for power, item in enumerate(node.items, start=1)]
+        return None if None in found else tuple(item for item in found if item is not None)
+
+    def schema(self) -> Schema:
+        return {"type": "array", "minItems": 1, "maxItems": 3, "items": quantity_schema(None)}
+
+    def _unit(self, power: int) -> str:
+        return f"{self.unit}/K" + (f"^{power}" if power > 1 else "")

@@ -47,6 +47,7 @@ arcmin = degree / 60 = arcminute
 arcsec = arcmin / 60 = arcsecond
 turn = 360 * degree = rev = revolution
 mil = 0.001 * radian
+nautical_mile = 1852 * meter = nmi
 hertz = 1 / second = Hz
 g = {STANDARD_GRAVITY!r} * meter / second ** 2 = standard_gravity
 gal = 0.01 * meter / second ** 2 = Gal
@@ -72,6 +73,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "temperature rate": (("temperature", 1.0), ("time", -1.0)),
     "acceleration": (("length", 1.0), ("time", -2.0)),
     "length": (("length", 1.0),),
+    "speed": (("length", 1.0), ("time", -1.0)),
     "pressure": (("length", -1.0), ("mass", 1.0), ("time", -2.0)),
 }
 EXAMPLES = {
@@ -85,6 +87,7 @@ EXAMPLES = {
     "temperature rate": "3 K/min",
     "acceleration": "1 g",
     "length": "12 mm",
+    "speed": "10 m/s",
     "pressure": "101.3 kPa",
 }
 
@@ -134,14 +137,35 @@ _DAILY = {
         Unit("K", 1.0, DIMENSIONS["temperature"]),
         Unit("K/min", 1 / 60, DIMENSIONS["temperature rate"]),
         Unit("m", 1.0, DIMENSIONS["length"]),
+        Unit("km", 1000.0, DIMENSIONS["length"]),
+        Unit("nmi", 1852.0, DIMENSIONS["length"]),
+        Unit("m/s", 1.0, (("length", 1.0), ("time", -1.0))),
+        Unit("nmi/h", 1852 / 3600, (("length", 1.0), ("time", -1.0))),
         Unit("m/s^2", 1.0, _ACCEL),
         Unit("g", STANDARD_GRAVITY, _ACCEL),
         Unit("mg", STANDARD_GRAVITY / 1000, _ACCEL),
+        Unit("ug", STANDARD_GRAVITY / 1e6, _ACCEL),
         Unit("pulse/s", 1.0, (("pulse", 1.0), ("time", -1.0))),
         Unit("pulse", 1.0, (("pulse", 1.0),)),
         Unit("(deg/h)/(pulse/s)", _DEG / 3600, (("angle", 1.0), ("pulse", -1.0))),
         Unit("deg/h/g", _DEG / 3600 / STANDARD_GRAVITY, (("angle", 1.0), ("length", -1.0), ("time", 1.0))),
         Unit("pulse/sqrt(s)", 1.0, (("pulse", 1.0), ("time", -0.5))),
+        Unit("(pulse/s)/(deg/s)", 1 / _DEG, (("angle", -1.0), ("pulse", 1.0))),
+        Unit("(pulse/s)/(m/s^2)", 1.0, (("length", -1.0), ("pulse", 1.0), ("time", 1.0))),
+        Unit("deg/sqrt(h)", _DEG / 60, (("angle", 1.0), ("time", -0.5))),
+        Unit("m/s/sqrt(h)", 1 / 60, (("length", 1.0), ("time", -1.5))),
+        Unit("deg/h/sqrt(h)", _DEG / 3600 / 60, (("angle", 1.0), ("time", -1.5))),
+        Unit("ug/sqrt(h)", STANDARD_GRAVITY / 1e6 / 60, (("length", 1.0), ("time", -2.5))),
+        Unit("ppm/K", 1e-6, (("temperature", -1.0),)),
+        Unit("ppm/K^2", 1e-6, (("temperature", -2.0),)),
+        Unit("deg/h/K", _DEG / 3600, (("angle", 1.0), ("temperature", -1.0), ("time", -1.0))),
+        Unit("deg/h/K^2", _DEG / 3600, (("angle", 1.0), ("temperature", -2.0), ("time", -1.0))),
+        Unit("ug/K", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("temperature", -1.0), ("time", -2.0))),
+        Unit("ug/K^2", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("temperature", -2.0), ("time", -2.0))),
+        Unit("ug/g^2", 1e-6 / STANDARD_GRAVITY, (("length", -1.0), ("time", 2.0))),
+        Unit("ug/g^3", 1e-6 / STANDARD_GRAVITY**2, (("length", -2.0), ("time", 4.0))),
+        Unit("ppm/(deg/s)", 1e-6 / _DEG, (("angle", -1.0), ("time", 1.0))),
+        Unit("ppm/dps^2", 1e-6 / _DEG**2, (("angle", -2.0), ("time", 2.0))),
     )
 }
 

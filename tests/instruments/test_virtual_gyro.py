@@ -10,8 +10,9 @@ import pytest
 
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
-from planrunner.instruments.virtual.flexure_gyro import BLOCK, VirtualFlexureGyro, VirtualFlexureGyroParameters
+from planrunner.instruments.virtual.flexure_gyro import VirtualFlexureGyro, VirtualFlexureGyroParameters
 from planrunner.instruments.virtual.noise import Flicker, generator
+from planrunner.instruments.virtual.streaming import BLOCK
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.physics.earth import Site
 from planrunner.plan import source

@@ -8,8 +8,9 @@ follows the course need not compute with arrays where nothing moves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -22,6 +23,15 @@ Value = float | Array
 TURN = 2 * math.pi
 
 
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A time [s] during which a course is smooth. pace: rad/s, how fast the phases of its sines change at most; 0 where nothing moves."""
+
+    begin: float
+    end: float
+    pace: float
+
+
 class Course(Protocol):
     kind: ClassVar[str]
 
@@ -30,6 +40,9 @@ class Course(Protocol):
 
     def still(self, start: float) -> bool:
         """Whether nothing moves from `start` on."""
+
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        """The smooth stretches between two times, one after the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +57,9 @@ class Standing:
 
     def still(self, start: float) -> bool:
         return True
+
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        return [Stretch(begin, end, 0.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +85,15 @@ class Travelling:
 
     def still(self, start: float) -> bool:
         return start >= self.arrival
+
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        breaks = [self.begin]
+        pace = 0.0
+        for start, stop, rate, acceleration in zip(self.start, self.end, self.rates, self.accelerations, strict=True):
+            up, total = profile(stop - start, rate, acceleration)
+            breaks += [self.begin + up, self.begin + total - up, self.begin + total]
+            pace += min(rate, up * acceleration) + math.sqrt(acceleration)
+        return _cut(begin, end, breaks, lambda time: pace if self.begin < time < self.arrival else 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +127,10 @@ class Spinning:
     def still(self, start: float) -> bool:
         return self.rate == 0.0 and start >= self.steady
 
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        changing = max(abs(self.first_rate), abs(self.rate)) + math.sqrt(self.acceleration)
+        return _cut(begin, end, [self.steady], lambda time: changing if time < self.steady else abs(self.rate))
+
 
 @dataclass(frozen=True, slots=True)
 class Rocking:
@@ -133,7 +162,18 @@ class Rocking:
         return joints
 
     def still(self, start: float) -> bool:
-        return start >= self.steady + self.duration + 1 / self.frequency
+        return start >= self._over
+
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        # The sine, its fading, and the joints that carry one another; fading out while fading in may sum to both.
+        circular = TURN * self.frequency
+        pace = circular * (2 + 2 * self.amplitude * len(self.phases))
+        breaks = [self.steady - 1 / self.frequency, self.steady, self.steady + self.duration, self._over]
+        return _cut(begin, end, breaks, lambda time: pace if time < self._over else 0.0)
+
+    @property
+    def _over(self) -> float:
+        return self.steady + self.duration + 1 / self.frequency
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,19 +190,54 @@ class Cycling:
     stop: float
 
     def follow(self, times: Array) -> list[tuple[Value, Value]]:
-        lasting = np.array([self.stop + move_time(turn, self.rate, self.acceleration) for turn in self.turns])
-        begins = np.concatenate(([0.0], np.cumsum(lasting)))
-        reached = np.concatenate(([0.0], np.cumsum(self.turns)))
+        begins, reached, turns = self._schedule()
         cycles, within = np.divmod(times - self.begin, begins[-1])
         index = np.clip(np.searchsorted(begins, within, side="right") - 1, 0, len(self.turns) - 1)
         turning = within - begins[index] - self.stop
-        turn, rate = trapezoid(turning, np.array(self.turns)[index], self.rate, self.acceleration)
+        turn, rate = trapezoid(turning, turns[index], self.rate, self.acceleration)
         joints: list[tuple[Value, Value]] = [(angle, 0.0) for angle in self.angles]
         joints[self.joint] = (self.angles[self.joint] + cycles * reached[-1] + reached[index] + turn, rate)
         return joints
 
+    def _schedule(self) -> tuple[Array, Array, Array]:
+        """Within a cycle: when [s] each stop begins, and the cycle's end; the angles [rad] reached by then; the turns [rad]."""
+        lasting = [self.stop + move_time(turn, self.rate, self.acceleration) for turn in self.turns]
+        turns = np.array(self.turns)
+        return np.concatenate(([0.0], np.cumsum(lasting))), np.concatenate(([0.0], np.cumsum(turns))), turns
+
     def still(self, start: float) -> bool:
         return False
+
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        lasting, _, _ = self._schedule()
+        profiles = [profile(turn, self.rate, self.acceleration) for turn in self.turns]
+        found: list[Stretch] = []
+        cycle = math.floor((begin - self.begin) / lasting[-1])
+        while (zero := self.begin + cycle * lasting[-1]) < end:
+            for since, (up, total) in zip(lasting, profiles, strict=False):
+                stop, turn = zero + since, zero + since + self.stop
+                ramping = self.acceleration * up + math.sqrt(self.acceleration)
+                found += [
+                    Stretch(stop, turn, 0.0),
+                    Stretch(turn, turn + up, ramping),
+                    Stretch(turn + up, turn + total - up, self.acceleration * up),
+                    Stretch(turn + total - up, turn + total, ramping),
+                ]
+            cycle += 1
+        clipped = (Stretch(max(item.begin, begin), min(item.end, end), item.pace) for item in found)
+        return [item for item in clipped if item.begin < item.end]
+
+
+def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[float], float]) -> list[Stretch]:
+    """The stretches between two times with breaks at some times; `pace` is asked at the middle of each."""
+    times = [begin, *sorted(time for time in set(breaks) if begin < time < end), end]
+    return [Stretch(first, last, pace((first + last) / 2)) for first, last in pairwise(times)]
+
+
+def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
+    """Seconds of speeding up, and of all, of a rest-to-rest move over `distance` [rad]."""
+    up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
+    return up, move_time(distance, max_rate, acceleration)
 
 
 def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: float) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from planrunner.instruments.interfaces import Block, InstrumentError, Surroundin
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.parameters import QuantityLike
 from planrunner.instruments.virtual.noise import Flicker, Readout, generator
+from planrunner.instruments.virtual.streaming import Sampling
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -28,8 +29,6 @@ from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
 
 Array = NDArray[np.float64]
-BLOCK = 100_000  # samples
-_SAMPLES = np.arange(BLOCK, dtype=float)
 OUTPUTS = ("torquer_x", "torquer_y")
 THERMOMETER = "sensor_temperature"
 
@@ -151,25 +150,14 @@ class VirtualFlexureGyro:
         return {**dict.fromkeys(OUTPUTS, "pulse/s"), THERMOMETER: "degC"}
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        if segment.dwell is None:
-            raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
-        own = self.parameters.sample_rate.value
-        rate = segment.sample_rate or own
-        if rate > own * (1 + 1e-9):
-            raise InstrumentError(f"'{segment.label}' asks for {rate:g} Hz; the gyro gives {own:g} Hz at most")
-        start = self.world.now()
+        sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "gyro")
         draw = generator(self.world.seed, segment.index)
         for flicker in self.flicker.values():
-            flicker.begin(start, draw)
-        hold = max(1, min(BLOCK, round(rate)))
-        size = max(hold, hold * ((round(rate) if self.world.real_time else BLOCK) // hold))
-        count = max(1, round(segment.dwell * rate))
-        still = self.world.course.still(start)
-        for first in range(0, count, size):
-            length = min(size, count - first)
-            block = self._block(start, first, length, rate, hold, still, draw)
-            self.world.clock.sleep(length / rate)
-            yield block
+            flicker.begin(sampling.start, draw)
+        still = self.world.course.still(sampling.start)
+        return sampling.blocks(
+            self.world, lambda first, length: self._block(sampling.times(first, length), sampling, still, draw)
+        )
 
     def read(self) -> Mapping[str, float]:
         kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
@@ -193,12 +181,9 @@ class VirtualFlexureGyro:
 
     # -- how it does it --------------------------------------------------------------------------------------------
 
-    def _block(
-        self, start: float, first: int, length: int, rate: float, hold: int, still: bool, draw: np.random.Generator
-    ) -> Block:
-        """Samples first … first + length − 1 of a segment that began at `start`."""
-        time = _SAMPLES[:length] / rate
-        time += start + first / rate
+    def _block(self, time: Array, sampling: Sampling, still: bool, draw: np.random.Generator) -> Block:
+        """The samples at `time`."""
+        length, rate, hold = time.size, sampling.rate, sampling.hold
         nodes = -(-length // hold)
         node_times = time[::hold]
         slow = [self.flicker[name].advance(nodes, hold / rate, draw) for name in OUTPUTS]

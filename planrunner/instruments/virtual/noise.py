@@ -26,9 +26,9 @@ _EXPONENT = 500.0  # keeps e^(n·step/τ) far from overflow
 TIMES = SHORTEST * 2.0 ** np.arange(OCTAVES)
 
 
-def generator(seed: int, segment: int) -> np.random.Generator:
-    """The generator of one segment: the same numbers whenever the segment is carried out."""
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(segment,))))
+def generator(seed: int, *occasion: int) -> np.random.Generator:
+    """The generator of one occasion, such as a segment by its index: the same numbers whenever it is carried out."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=occasion)))
 
 
 @lru_cache(maxsize=8)
@@ -85,6 +85,55 @@ class Flicker:
     def restore(self, time: float, state: Sequence[float] | None) -> None:
         self.time = time
         self.state = None if state is None else np.array(state, dtype=float)
+
+
+class RandomWalk:
+    """A bias that walks: it scatters by coefficient·√T [unit] after T s. coefficient: K, unit/√s."""
+
+    def __init__(self, coefficient: float):
+        self.coefficient = coefficient
+        self.value = 0.0
+        self.time = 0.0
+
+    def begin(self, time: float, draw: np.random.Generator) -> None:
+        """Go to the time [s] of a segment's first node."""
+        self.value += self.coefficient * math.sqrt(max(0.0, time - self.time)) * draw.standard_normal()
+        self.time = time
+
+    def advance(self, nodes: int, step: float, draw: np.random.Generator) -> Array:
+        """The walk at `nodes` nodes [unit], `step` s apart, beginning with the present one."""
+        if self.coefficient == 0.0:
+            return np.zeros(nodes)
+        walked = self.value + np.cumsum(self.coefficient * math.sqrt(step) * draw.standard_normal(nodes))
+        values = np.concatenate(([self.value], walked[:-1]))
+        self.value = float(walked[-1])
+        self.time += nodes * step
+        return values
+
+    def checkpoint(self) -> dict[str, float]:
+        return {"time": self.time, "value": self.value}
+
+    def restore(self, time: float, value: float) -> None:
+        self.time, self.value = time, value
+
+
+class Counter:
+    """An integrating output that is counted: what is left of one sample is counted in the next. step: of a sample, output unit."""
+
+    def __init__(self, step: float):
+        self.step = step
+        self.left = 0.0
+
+    def count(self, samples: Array) -> None:
+        """Replace samples by whole steps."""
+        samples /= self.step
+        samples[0] += self.left
+        np.cumsum(samples, out=samples)
+        last = float(samples[-1])
+        np.rint(samples, out=samples)
+        self.left = last - float(samples[-1])
+        samples[1:] -= samples[:-1].copy()
+        samples *= self.step
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Clock, Surroundings
 from planrunner.instruments.virtual import courses, thermal
-from planrunner.instruments.virtual.courses import Course, Standing, Value
+from planrunner.instruments.virtual.courses import Course, Standing, Stretch, Value
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis
 
@@ -62,6 +62,10 @@ class World:
         angles, rates = zip(*followed, strict=True) if followed else ((), ())
         return np.array([float(np.ravel(v)[0]) for v in angles]), np.array([float(np.ravel(v)[0]) for v in rates])
 
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        """The times between two, within which all that the sensor feels changes smoothly."""
+        return self.course.stretches(begin, end)
+
     def stimulus(self, times: Array) -> tuple[Components, Components]:
         """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats where nothing
         moves.
@@ -84,6 +88,12 @@ class World:
         e = self.skew
         x, y, z = (e[i, 0] * v[0] + e[i, 1] * v[1] + e[i, 2] * v[2] for i in range(3))
         return x, y, z
+
+    # -- position --------------------------------------------------------------------------------------------------
+
+    def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
+        """Latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats where the bench stands."""
+        return self.site.latitude, self.site.longitude, self.site.height, 0.0, 0.0
 
     # -- temperature -----------------------------------------------------------------------------------------------
 

@@ -1,0 +1,202 @@
+"""The virtual inertial sensor: gyros and accelerometers that integrate what they feel, on the table of the virtual world.
+
+A sample is the mean over its sampling interval, and its time is the interval's end. The error model is that of `inertial_axis.py`, and
+shares no formula with the estimators.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.instruments.virtual.averages import interval_means
+from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
+from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
+from planrunner.instruments.virtual.noise import Counter, Flicker, RandomWalk, Readout, generator
+from planrunner.instruments.virtual.streaming import Sampling
+from planrunner.instruments.virtual.world import World
+from planrunner.plan.schedule import Segment
+from planrunner.plan.units import ZERO_CELSIUS, unit
+
+Array = NDArray[np.float64]
+THERMOMETER = "sensor_temperature"
+REFERENCE = {
+    "reference_latitude": "deg",
+    "reference_longitude": "deg",
+    "reference_height": "m",
+    "reference_velocity_east": "m/s",
+    "reference_velocity_north": "m/s",
+}
+MODES = ("powered", "unpowered")
+_SWITCH_ON = 1  # second part of the key of a generator: apart from those of segments, which have one part
+
+
+class VirtualImu:
+    """A simulated inertial sensor."""
+
+    role = "sensor"
+    Parameters = VirtualImuParameters
+
+    def __init__(self, parameters: VirtualImuParameters, world: World):
+        self.parameters = parameters
+        self.world = world
+        self.axes = axes_of(parameters)
+        self.flicker = {axis.name: Flicker(axis.bias_instability) for axis in self.axes}
+        self.walk = {axis.name: RandomWalk(axis.walk) for axis in self.axes}
+        self.powered = True
+        self.switched_on = 0.0
+        self.times_switched_on = 0
+        world.lags = replace(world.lags, sensor=parameters.thermal_lag.value)
+
+    @classmethod
+    def model(cls, parameters: VirtualImuParameters) -> SensorModel:
+        rate = parameters.sample_rate.value
+        axes = axes_of(parameters)
+        thermometer = NoiseModel(parameters.thermometer_noise.value / math.sqrt(rate))
+        reference = REFERENCE if parameters.reference else {}
+        outputs = (
+            *(axis.output(rate) for axis in axes),
+            OutputModel(THERMOMETER, "degC", noise=thermometer),
+            *(OutputModel(name, text) for name, text in reference.items()),
+        )
+        nominal = {f"K_{axis.name}": axis.scale_factor for axis in axes}
+        return SensorModel(parameters.kind, outputs, rate, nominal, MODES)
+
+    @classmethod
+    def connect(cls, parameters: VirtualImuParameters, surroundings: Surroundings) -> VirtualImu:
+        if parameters.gyros is None and parameters.accelerometers is None:
+            raise InstrumentError("it has neither gyros nor accelerometers: add `gyros` or `accelerometers`")
+        return cls(parameters, World.of(surroundings))
+
+    # -- what it does ----------------------------------------------------------------------------------------------
+
+    def channels(self) -> Mapping[str, str]:
+        reference = REFERENCE if self.parameters.reference else {}
+        return {**{axis.name: axis.unit for axis in self.axes}, THERMOMETER: "degC", **reference}
+
+    def set_mode(self, mode: str) -> float:
+        if mode not in MODES:
+            raise InstrumentError(f"it has no mode '{mode}', only {' and '.join(MODES)}")
+        if mode == "powered" and not self.powered:
+            self.times_switched_on += 1
+            self.switched_on = self.world.now()
+        self.powered = mode == "powered"
+        return 0.0
+
+    def stream(self, segment: Segment) -> Iterator[Block]:
+        sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "sensor")
+        draw = generator(self.world.seed, segment.index)
+        for axis in self.axes:
+            self.flicker[axis.name].begin(sampling.start, draw)
+            self.walk[axis.name].begin(sampling.start, draw)
+        counters = {axis.name: Counter(axis.step_of_sample(sampling.rate)) for axis in self.axes if axis.counted}
+        drawn = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
+        return sampling.blocks(
+            self.world, lambda first, length: self._block(sampling, first, length, draw, drawn, counters)
+        )
+
+    def read(self) -> Mapping[str, float]:
+        kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
+        return {f"{THERMOMETER}_degC": kelvin - ZERO_CELSIUS}
+
+    def identify(self) -> Mapping[str, str]:
+        return {"manufacturer": "planrunner", "model": f"virtual {self.parameters.kind}"}
+
+    def make_safe(self) -> None:
+        """A sensor that is read does nothing dangerous."""
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def checkpoint(self) -> Mapping[str, Any]:
+        return {
+            "powered": self.powered,
+            "switched_on": self.switched_on,
+            "times_switched_on": self.times_switched_on,
+            "flicker": {name: flicker.checkpoint() for name, flicker in self.flicker.items()},
+            "walk": {name: walk.checkpoint() for name, walk in self.walk.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.powered = bool(state["powered"])
+        self.switched_on = float(state["switched_on"])
+        self.times_switched_on = int(state["times_switched_on"])
+        for name, flicker in self.flicker.items():
+            flicker.restore(**state["flicker"][name])
+        for name, walk in self.walk.items():
+            walk.restore(**state["walk"][name])
+
+    # -- how it does it --------------------------------------------------------------------------------------------
+
+    def _block(
+        self,
+        sampling: Sampling,
+        first: int,
+        length: int,
+        draw: np.random.Generator,
+        drawn: Array,
+        counters: Mapping[str, Counter],
+    ) -> Block:
+        """Samples first … first + length − 1. Temperature and slow noise are those of the middle of each second."""
+        hold = sampling.hold
+        middles = sampling.middles(first, length)
+        kelvin = self.world.sensor(middles)
+        readings: dict[str, Array] = {}
+        if self.powered:
+            felt = interval_means(self.world, sampling, first, length)
+            for axis, chance in zip(self.axes, drawn, strict=True):
+                level = self._level(axis, felt, kelvin, middles, sampling, chance, draw)
+                readings[axis.name] = self._read_out(axis, level, length, sampling, draw, counters.get(axis.name))
+        else:
+            readings = {axis.name: np.zeros(length) for axis in self.axes}
+        thermometer = Readout(self.parameters.thermometer_noise.value)
+        readings[THERMOMETER] = thermometer.samples(draw, kelvin - ZERO_CELSIUS, length, hold)
+        time = sampling.times(first, length, delay=1)
+        if self.parameters.reference:
+            truth = zip(REFERENCE.items(), self.world.position(time), strict=True)
+            readings |= {name: np.broadcast_to(value / unit(text).factor, length) for (name, text), value in truth}
+        return Block(time, readings)
+
+    def _level(
+        self,
+        axis: InertialAxis,
+        means: Any,
+        kelvin: Array,
+        middles: Array,
+        sampling: Sampling,
+        chance: Array,
+        draw: np.random.Generator,
+    ) -> Array:
+        """Output of one axis without white noise."""
+        off = kelvin - self.parameters.reference_temperature.value
+        step = sampling.hold / sampling.rate
+        drift = axis.drift(off, middles - self.switched_on, axis.bias_repeatability * chance[0])
+        drift = drift + self.flicker[axis.name].advance(off.size, step, draw)
+        drift += self.walk[axis.name].advance(off.size, step, draw)
+        scale = axis.scale(off, axis.error_repeatability * chance[1])
+        return axis.level(axis.felt(*means), drift, scale, sampling.hold)
+
+    def _read_out(
+        self,
+        axis: InertialAxis,
+        level: Array,
+        length: int,
+        sampling: Sampling,
+        draw: np.random.Generator,
+        counter: Counter | None,
+    ) -> Array:
+        """Samples of one axis around its level."""
+        sigma = axis.white * axis.nominal * math.sqrt(sampling.rate)
+        step = 0.0 if axis.counted else axis.step
+        readout = Readout(sigma, step, axis.full_scale * axis.nominal)
+        samples = readout.samples(draw, level, length, sampling.hold)
+        if counter is not None and counter.step > 0:
+            counter.count(samples)
+        return samples

@@ -1,0 +1,294 @@
+"""The keys of a virtual inertial sensor in a bench file: its axes and their errors.
+
+What is said of all gyros (accelerometers) stands once beside `axes`; what an axis says of itself comes before it; what neither says is
+zero. `docs/virtual-sensors.md` has the error model that these are the coefficients of.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from planrunner.instruments.parameters import Polynomial, QuantityLike
+from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import Boolean, Choice, MapOf, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+MOST_AXES = 12
+AXIS_NAME = r"[A-Za-z0-9][A-Za-z0-9_]{0,15}"
+KIND = r"[a-z][a-z0-9-]{0,39}"
+FRAME = ("x", "y", "z")
+
+
+class ScaleErrors(Record):
+    """How a true scale factor differs from the declared one: alike for gyros and accelerometers."""
+
+    scale_factor_error: Quantity | None = key(
+        QuantityOf("ratio"),
+        "How far the true scale factor at the reference temperature is above the declared one.",
+        "150 ppm",
+        None,
+    )
+    scale_factor_asymmetry: Quantity | None = key(
+        QuantityOf("ratio"),
+        "2·(K₊ − K₋)/(K₊ + K₋) of the scale factors for positive and negative input.",
+        "20 ppm",
+        None,
+    )
+    scale_factor_temperature: tuple[Quantity, ...] | None = key(
+        Polynomial("ppm"), "Relative change of the scale factor: coefficients of ΔT, ΔT², ΔT³.", ["30 ppm/K"], None
+    )
+    scale_factor_repeatability: Quantity | None = key(
+        QuantityOf("ratio", "not negative"),
+        "Standard deviation of the scale factor from one switch-on to the next.",
+        "10 ppm",
+        None,
+    )
+    warm_up_time: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Time constant with which the warm-up error decays; 10 min without it.",
+        "10 min",
+        None,
+    )
+
+
+class GyroErrors(ScaleErrors):
+    """Errors of one gyro, or of all."""
+
+    scale_factor: Quantity | None = key(
+        QuantityLike("(pulse/s)/(deg/s)", "positive", ("1",)),
+        "Declared scale factor: a ratio gives an output in deg/s, pulses per angle one in pulse/s. 1 without it.",
+        "1000 (pulse/s)/(deg/s)",
+        None,
+    )
+    bias: Quantity | None = key(QuantityOf("angular rate"), "Bias at the reference temperature.", "0.05 deg/h", None)
+    bias_temperature: tuple[Quantity, ...] | None = key(
+        Polynomial("deg/h"),
+        "Change of the bias: coefficients of ΔT, ΔT², ΔT³.",
+        ["0.002 deg/h/K", "1e-5 deg/h/K^2"],
+        None,
+    )
+    bias_repeatability: Quantity | None = key(
+        QuantityOf("angular rate", "not negative"),
+        "Standard deviation of the bias from one switch-on to the next.",
+        "0.02 deg/h",
+        None,
+    )
+    warm_up: Quantity | None = key(
+        QuantityOf("angular rate"), "Additional bias at switch-on, which decays exponentially.", "0.3 deg/h", None
+    )
+    quadratic: Quantity | None = key(
+        QuantityLike("ppm/(deg/s)"), "Nonlinearity: coefficient of the squared input.", "0.02 ppm/(deg/s)", None
+    )
+    cubic: Quantity | None = key(
+        QuantityLike("ppm/dps^2"), "Nonlinearity: coefficient of the cubed input.", "1e-4 ppm/dps^2", None
+    )
+    g_sensitivity: dict[str, Quantity] | None = key(
+        MapOf(QuantityLike("deg/h/g"), names=FRAME),
+        "Bias proportional to the specific force along the sensor's axes.",
+        {"x": "0.1 deg/h/g", "z": "-0.2 deg/h/g"},
+        None,
+    )
+    dead_zone: Quantity | None = key(
+        QuantityOf("angular rate", "not negative"), "Threshold: a smaller input gives no output.", "0.002 deg/h", None
+    )
+    resolution: Quantity | None = key(
+        QuantityLike("arcsec", "not negative", ("deg/s",)),
+        "Smallest step: an angle is counted, what is left of a sample in the next; a rate is rounded sample by sample.",
+        "0.01 arcsec",
+        None,
+    )
+    full_scale: Quantity | None = key(
+        QuantityOf("angular rate", "positive"), "Largest input, either sign; unlimited without it.", "400 deg/s", None
+    )
+    angle_random_walk: Quantity | None = key(
+        QuantityLike("deg/sqrt(h)", "not negative"),
+        "White noise N: a mean over T scatters by N/√T.",
+        "0.003 deg/sqrt(h)",
+        None,
+    )
+    bias_instability: Quantity | None = key(
+        QuantityOf("angular rate", "not negative"),
+        "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
+        "0.005 deg/h",
+        None,
+    )
+    rate_random_walk: Quantity | None = key(
+        QuantityLike("deg/h/sqrt(h)", "not negative"),
+        "Random walk of the bias: it scatters by K·√T.",
+        "0.001 deg/h/sqrt(h)",
+        None,
+    )
+
+
+class AccelerometerErrors(ScaleErrors):
+    """Errors of one accelerometer, or of all."""
+
+    scale_factor: Quantity | None = key(
+        QuantityLike("(pulse/s)/(m/s^2)", "positive", ("1",)),
+        "Declared scale factor: a ratio gives an output in m/s^2, pulses per velocity one in pulse/s. 1 without it.",
+        "10000 (pulse/s)/(m/s^2)",
+        None,
+    )
+    bias: Quantity | None = key(QuantityOf("acceleration"), "Bias at the reference temperature.", "50 ug", None)
+    bias_temperature: tuple[Quantity, ...] | None = key(
+        Polynomial("ug"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["5 ug/K"], None
+    )
+    bias_repeatability: Quantity | None = key(
+        QuantityOf("acceleration", "not negative"),
+        "Standard deviation of the bias from one switch-on to the next.",
+        "20 ug",
+        None,
+    )
+    warm_up: Quantity | None = key(
+        QuantityOf("acceleration"), "Additional bias at switch-on, which decays exponentially.", "100 ug", None
+    )
+    quadratic: Quantity | None = key(
+        QuantityLike("ug/g^2"), "Nonlinearity: coefficient of the squared input.", "10 ug/g^2", None
+    )
+    cubic: Quantity | None = key(
+        QuantityLike("ug/g^3"), "Nonlinearity: coefficient of the cubed input.", "1 ug/g^3", None
+    )
+    dead_zone: Quantity | None = key(
+        QuantityOf("acceleration", "not negative"), "Threshold: a smaller input gives no output.", "1 ug", None
+    )
+    resolution: Quantity | None = key(
+        QuantityLike("m/s", "not negative", ("m/s^2",)),
+        "Smallest step: a velocity is counted, what is left of a sample in the next; an acceleration is rounded sample by sample.",
+        "1e-5 m/s",
+        None,
+    )
+    full_scale: Quantity | None = key(
+        QuantityOf("acceleration", "positive"), "Largest input, either sign; unlimited without it.", "20 g", None
+    )
+    velocity_random_walk: Quantity | None = key(
+        QuantityLike("m/s/sqrt(h)", "not negative"),
+        "White noise N: a mean over T scatters by N/√T.",
+        "0.02 m/s/sqrt(h)",
+        None,
+    )
+    bias_instability: Quantity | None = key(
+        QuantityOf("acceleration", "not negative"),
+        "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
+        "10 ug",
+        None,
+    )
+    acceleration_random_walk: Quantity | None = key(
+        QuantityLike("ug/sqrt(h)", "not negative"),
+        "Random walk of the bias: it scatters by K·√T.",
+        "1 ug/sqrt(h)",
+        None,
+    )
+
+
+class Direction(Record):
+    """Where an input axis points in the sensor's frame: as a fixture tilts it, or near an axis of the frame."""
+
+    angle: Quantity | None = key(
+        QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg", None
+    )
+    azimuth: Quantity | None = key(
+        QuantityOf("angle"), "True azimuth about the frame's z axis, right-handed from x.", "120 deg", None
+    )
+    axis: str | None = key(
+        Choice(FRAME), "Axis of the frame along which it lies nominally; without it the one of its own name.", "x", None
+    )
+    towards: dict[str, Quantity] | None = key(
+        MapOf(QuantityOf("angle"), names=FRAME),
+        "Misalignments: small angles by which it leans towards the other two axes of the frame.",
+        {"y": "12 arcsec", "z": "-5 arcsec"},
+        None,
+    )
+
+
+class GyroAxis(GyroErrors, Direction):
+    """One gyro."""
+
+
+class AccelerometerAxis(AccelerometerErrors, Direction):
+    """One accelerometer."""
+
+
+class Gyros(GyroErrors):
+    """The gyros of a sensor, and what is said of all of them."""
+
+    axes: dict[str, Any] = key(
+        MapOf(RecordOf(GyroAxis), pattern=AXIS_NAME),
+        "The gyros by name, 1 to 12; the output of `x` is `gyro_x`.",
+        {"x": {"bias": "0.05 deg/h"}, "y": {}, "z": {}},
+    )
+
+
+class Accelerometers(AccelerometerErrors):
+    """The accelerometers of a sensor, and what is said of all of them."""
+
+    axes: dict[str, Any] = key(
+        MapOf(RecordOf(AccelerometerAxis), pattern=AXIS_NAME),
+        "The accelerometers by name, 1 to 12; the output of `x` is `accel_x`.",
+        {"x": {"bias": "50 ug"}, "y": {}, "z": {}},
+    )
+
+
+def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
+    """Findings about the directions of the axes and their number."""
+    if not 1 <= len(group.axes) <= MOST_AXES:
+        log.error("form-size", group.at("axes"), f"{len(group.axes)} axes are given here", f"give 1 to {MOST_AXES}")
+    for name, axis in group.axes.items():
+        problem = _problem(name, axis)
+        if problem is not None:
+            log.error("meaning-input-axis", axis.origin.mark, f"the axis '{name}' {problem[0]}", problem[1])
+
+
+def _problem(name: str, axis: Direction) -> tuple[str, str] | None:
+    """What is wrong with an axis's direction, and the remedy."""
+    if (axis.angle is None) != (axis.azimuth is None):
+        given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")
+        return f"has an {given} but no {missing}", f"add for example `{missing}: 0 deg`"
+    if axis.angle is not None:
+        if axis.axis is not None or axis.towards is not None:
+            return "is placed twice: by angle and azimuth, and by axis", "keep one of them"
+        return None
+    nominal = axis.axis or name
+    if nominal not in FRAME:
+        hint = "add for example `axis: x`, or `angle: 54.7356 deg, azimuth: 0 deg`"
+        return "does not say where it points", hint
+    lean = axis.towards or {}
+    if nominal in lean:
+        return f"lies along {nominal}, so it cannot lean towards {nominal}", "name the other two axes of the frame"
+    large = [towards for towards, angle in lean.items() if abs(angle.value) > 0.2]
+    if large:
+        return f"leans {lean[large[0]]} towards {large[0]}, which is no small angle", "use `angle` and `azimuth`"
+    return None
+
+
+class VirtualImuParameters(Record):
+    """A simulated inertial sensor with a known truth: gyros, accelerometers or both, and a thermometer."""
+
+    kind: str = key(
+        Text(KIND, "a kind of sensor", "small letters, digits and -, such as gyro-triad"),
+        "Kind of sensor, as plans name it.",
+        "gyro-triad",
+        "imu",
+    )
+    gyros: Gyros | None = key(
+        RecordOf(Gyros, check_axes), "The gyros.", {"angle_random_walk": "0.003 deg/sqrt(h)", "axes": {"x": {}}}, None
+    )
+    accelerometers: Accelerometers | None = key(
+        RecordOf(Accelerometers, check_axes), "The accelerometers.", {"axes": {"x": {"bias": "50 ug"}}}, None
+    )
+    sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "200 Hz")
+    reference_temperature: Quantity = key(
+        QuantityOf("temperature"), "T₀ of the temperature polynomials.", "25 degC", parse_quantity("25 degC")
+    )
+    thermal_lag: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Time constant of the sensor's temperature behind the air.",
+        "15 min",
+        parse_quantity("10 min"),
+    )
+    thermometer_noise: Quantity = key(
+        QuantityOf("temperature", "not negative"),
+        "Noise of one temperature reading.",
+        "0.005 K",
+        parse_quantity("0.005 K"),
+    )
+    reference: bool = key(Boolean(), "Whether true position and velocity are recorded beside the outputs.", True, False)

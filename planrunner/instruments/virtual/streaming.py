@@ -1,0 +1,63 @@
+"""How a simulated sensor's samples come: in blocks of bounded size, in time with the clock of its bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Block, InstrumentError
+from planrunner.instruments.virtual.world import World
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+BLOCK = 100_000  # samples
+_SAMPLES = np.arange(BLOCK + 1, dtype=float)
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """The sampling of one segment's dwell.
+
+    start: s, when it begins; rate: Hz; count: samples of all blocks; hold: samples of about a second, for which slow changes of the
+    sensor stand still; size: samples of a block, a multiple of `hold`.
+    """
+
+    start: float
+    rate: float
+    count: int
+    hold: int
+    size: int
+
+    @classmethod
+    def of(cls, world: World, segment: Segment, fastest: float, sensor: str) -> Sampling:
+        """Beginning now. fastest: Hz, the `sensor`'s own rate. Raises `InstrumentError` where it cannot be sampled so."""
+        if segment.dwell is None:
+            raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
+        rate = segment.sample_rate or fastest
+        if rate > fastest * (1 + 1e-9):
+            raise InstrumentError(f"'{segment.label}' asks for {rate:g} Hz; the {sensor} gives {fastest:g} Hz at most")
+        hold = max(1, min(BLOCK, round(rate)))
+        size = max(hold, hold * ((round(rate) if world.real_time else BLOCK) // hold))
+        return cls(world.now(), rate, max(1, round(segment.dwell * rate)), hold, size)
+
+    def blocks(self, world: World, make: Callable[[int, int], Block]) -> Iterator[Block]:
+        """What `make(first, length)` gives for each block, when its time has come."""
+        for first in range(0, self.count, self.size):
+            length = min(self.size, self.count - first)
+            block = make(first, length)
+            world.clock.sleep(length / self.rate)
+            yield block
+
+    def times(self, first: int, length: int, delay: int = 0) -> Array:
+        """Times [s] of samples first … first + length − 1, `delay` sampling intervals (0 or 1) after each began."""
+        time: Array = _SAMPLES[delay : length + delay] / self.rate
+        time += self.start + first / self.rate
+        return time
+
+    def middles(self, first: int, length: int) -> Array:
+        """Times [s] of the middle of every `hold` samples of the same."""
+        middle: Array = np.arange(0.5, -(-length // self.hold)) * self.hold
+        return self.start + (first + middle) / self.rate
