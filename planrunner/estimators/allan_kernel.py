@@ -1,7 +1,6 @@
 """Sums of squared differences of a phase record, compiled by numba: the inner loops of the Allan family.
 
-The module is imported only where such sums are needed, because importing numba takes longer than checking a plan. Compiled code is kept
-in the user's cache folder (never beside the source) when that can be written, else compiled anew in each process.
+The module is imported only where such sums are needed (see `planrunner.compiled`).
 
 The overlapping sums go through the record in short pieces, all averaging times per piece: with octave averaging times a piece that one
 averaging time has fetched from memory is the next one's middle, so that memory is read once an octave instead of three times.
@@ -9,15 +8,11 @@ averaging time has fetched from memory is the next one's middle, so that memory 
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
-import numba
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
+
+from planrunner.compiled import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,34 +21,7 @@ PIECE = 2048  # phase points, 16 kB: a few dozen of them stay in a core's second
 SHARED = 2**19  # phase points from which waking the other cores pays
 
 
-def _cache_folder() -> Path | None:
-    """Where compiled code may be kept, or None."""
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or ""
-    try:
-        folder = (Path(base) if base else Path.home() / ".cache") / "planrunner" / "compiled"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return None
-    return folder if os.access(folder, os.W_OK | os.X_OK) else None
-
-
-def _compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        folder = _cache_folder()
-        config: Any = numba.config
-        before = config.CACHE_DIR
-        try:
-            # numba settles where a function's code is kept when it is decorated.
-            config.CACHE_DIR = str(folder or "")
-            made: Callable[..., Any] = numba.njit(cache=folder is not None, **options)(function)
-        finally:
-            config.CACHE_DIR = before
-        return made
-
-    return decorate
-
-
-@_compiled()
+@compiled()
 def _integrate(values, offset, carry, out):  # type: ignore[no-untyped-def]
     total = carry
     for i in range(values.size):
@@ -62,7 +30,7 @@ def _integrate(values, offset, carry, out):  # type: ignore[no-untyped-def]
     return total
 
 
-@_compiled(fastmath={"reassoc", "nsz"})
+@compiled(fastmath={"reassoc", "nsz"})
 def _second_piece(x, factors, piece, partial):  # type: ignore[no-untyped-def]
     low = piece * PIECE
     for k in range(factors.size):
@@ -78,7 +46,7 @@ def _second_piece(x, factors, piece, partial):  # type: ignore[no-untyped-def]
         partial[piece, k] = total
 
 
-@_compiled(fastmath={"reassoc", "nsz"})
+@compiled(fastmath={"reassoc", "nsz"})
 def _third_piece(x, factors, piece, partial):  # type: ignore[no-untyped-def]
     low = piece * PIECE
     for k in range(factors.size):
@@ -95,7 +63,7 @@ def _third_piece(x, factors, piece, partial):  # type: ignore[no-untyped-def]
         partial[piece, k] = total
 
 
-@_compiled()
+@compiled()
 def _modified_sum(x, m):  # type: ignore[no-untyped-def]
     n = x.size
     if n - 3 * m + 1 <= 0:
@@ -110,37 +78,37 @@ def _modified_sum(x, m):  # type: ignore[no-untyped-def]
     return total
 
 
-@_compiled(parallel=True)
+@compiled(parallel=True)
 def _second_parallel(x, factors, partial):  # type: ignore[no-untyped-def]
     for piece in prange(partial.shape[0]):
         _second_piece(x, factors, piece, partial)
 
 
-@_compiled()
+@compiled()
 def _second_serial(x, factors, partial):  # type: ignore[no-untyped-def]
     for piece in range(partial.shape[0]):
         _second_piece(x, factors, piece, partial)
 
 
-@_compiled(parallel=True)
+@compiled(parallel=True)
 def _third_parallel(x, factors, partial):  # type: ignore[no-untyped-def]
     for piece in prange(partial.shape[0]):
         _third_piece(x, factors, piece, partial)
 
 
-@_compiled()
+@compiled()
 def _third_serial(x, factors, partial):  # type: ignore[no-untyped-def]
     for piece in range(partial.shape[0]):
         _third_piece(x, factors, piece, partial)
 
 
-@_compiled(parallel=True)
+@compiled(parallel=True)
 def _modified_parallel(x, factors, sums):  # type: ignore[no-untyped-def]
     for k in prange(factors.size):
         sums[k] = _modified_sum(x, factors[k])
 
 
-@_compiled()
+@compiled()
 def _modified_serial(x, factors, sums):  # type: ignore[no-untyped-def]
     for k in range(factors.size):
         sums[k] = _modified_sum(x, factors[k])

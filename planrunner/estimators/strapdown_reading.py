@@ -1,0 +1,177 @@
+"""Increments of angle and velocity from recorded samples, block by block: units, missing samples, and the clock.
+
+A sample is the mean over the interval that ends at its time stamp, so that sample times interval is the increment; outputs that are
+increments already (angle, velocity) are taken as they are. What is missing for at most `bridge` seconds is filled on straight lines; a
+longer gap ends the matter, because where the unit turned meanwhile nobody knows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import EstimationError
+from planrunner.plan.findings import closest
+from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+
+REFERENCES = {
+    "reference_latitude": "angle",
+    "reference_longitude": "angle",
+    "reference_height": "length",
+    "reference_velocity_east": "speed",
+    "reference_velocity_north": "speed",
+    "reference_velocity_up": "speed",
+}
+"""Channels that tell where a moving carrier really is, and their dimensions."""
+_KINDS = (("angular rate", "angle", "deg/s"), ("acceleration", "speed", "m/s^2"))
+_PAUSE = 1.5  # sample intervals between two samples from which one is missing
+_JUMP = 0.5  # sample intervals between two samples below which the clock went wrong
+_RATE_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Increments:
+    """values: (6, n), rad and m/s on body x, y, z. interval: (n,), s, that each covers; time: (n,), s, at which it ends. reference: SI
+    values by channel, (n,)."""
+
+    time: Array
+    interval: Array
+    values: Array
+    reference: Mapping[str, Array]
+
+
+class IncrementReader:
+    """Reads segments that follow each other in time; keeps the clock from one to the next."""
+
+    def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float):
+        """channels: three gyros and three accelerometers in the order x, y, z. sample_rate: Hz. bridge: s."""
+        self.channels = tuple(channels)
+        self.interval = 1 / sample_rate
+        self.bridge = bridge
+        self.bridged = 0
+        self._last: float | None = None
+        self._before: Array | None = None
+
+    def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
+        """The increments of one segment; each sample is read once. Raises `EstimationError`."""
+        factors, integrated = scales(recorded, self.channels)
+        references = [name for name in REFERENCES if name in recorded.units]
+        to_si = [_reference_unit(recorded, name) for name in references]
+        for block in recorded.blocks([*self.channels, *references]):
+            rows = np.vstack([block.time, *(block.channels[name] for name in (*self.channels, *references))])
+            rows = rows[:, np.isfinite(rows).all(axis=0)]
+            if not rows.size:
+                continue
+            interval, rows = self._clock(recorded.label, rows)
+            values = rows[1:7] * factors[:, None]
+            values *= np.where(integrated[:, None], 1.0, interval)
+            found = {name: rows[7 + k] * to_si[k] for k, name in enumerate(references)}
+            yield Increments(rows[0], interval, values, found)
+
+    def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
+        """The interval that each sample covers, and the samples with short gaps filled."""
+        time = rows[0]
+        begin = time[0] - self.interval if self._last is None else self._last
+        steps = np.diff(time, prepend=begin)
+        self._check_rate(label, steps[1:])
+        backwards = np.flatnonzero(steps < _JUMP * self.interval)
+        if backwards.size:
+            k = int(backwards[0])
+            raise EstimationError(
+                f"segment '{label}': the clock goes from {time[k] - steps[k]:.6f} s to {time[k]:.6f} s between two samples; "
+                "navigation needs time stamps that increase evenly"
+            )
+        wide = np.flatnonzero(steps > _PAUSE * self.interval)
+        if wide.size:
+            rows, steps = self._fill(label, rows, steps, wide)
+        self._last, self._before = float(rows[0, -1]), rows[:, -1].copy()
+        return steps, rows
+
+    def _check_rate(self, label: str, steps: Array) -> None:
+        if steps.size < 10:
+            return
+        found = float(np.median(steps))
+        if abs(found / self.interval - 1) > _RATE_TOLERANCE:
+            raise EstimationError(
+                f"segment '{label}' has a sample every {found:.6g} s where the plan and the bench say {self.interval:.6g} s: "
+                "give the segment its `sample_rate`"
+            )
+
+    def _fill(self, label: str, rows: Array, steps: Array, wide: NDArray[np.int64]) -> tuple[Array, Array]:
+        missing = np.rint(steps[wide] / self.interval).astype(np.int64) - 1
+        longest = int(np.argmax(steps[wide]))
+        if missing[longest] * self.interval > self.bridge * (1 + 1e-9):
+            at = rows[0, wide[longest]] - steps[wide[longest]]
+            raise EstimationError(
+                f"segment '{label}': samples are missing for {steps[wide[longest]]:.4g} s after {at:.3f} s, more than the {self.bridge:g} s "
+                "that `bridge` allows; what the unit did meanwhile is not known, so navigation ends there"
+            )
+        pieces, done = [], 0
+        for k, count in zip(wide.tolist(), missing.tolist(), strict=True):
+            before = rows[:, k - 1] if k else self._before
+            assert before is not None
+            pieces += [rows[:, done:k], np.linspace(before, rows[:, k], count + 2, axis=1)[:, 1:-1]]
+            done = k
+            self.bridged += count
+        filled = np.hstack([*pieces, rows[:, done:]])
+        begin = rows[0, 0] - steps[0]
+        return filled, np.diff(filled[0], prepend=begin)
+
+
+def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
+    """Factors to SI (6,) and which of the channels are increments already. Raises `EstimationError` for a channel that is missing or in
+    a unit of neither kind."""
+    factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
+    for k, name in enumerate(channels):
+        if name not in recorded.units:
+            raise EstimationError(
+                f"segment '{recorded.label}' has no channel '{name}': {closest(name, tuple(recorded.units))}"
+            )
+        rate, increment, example = _KINDS[k // 3]
+        try:
+            found = unit(recorded.units[name])
+        except UnknownUnitError as error:
+            raise EstimationError(f"channel '{name}': {error}") from None
+        if found.dimension not in (DIMENSIONS[rate], DIMENSIONS[increment]):
+            raise EstimationError(
+                f"channel '{name}' is in {found.text}, which is neither {_with_article(rate)} nor an increment of {increment}: "
+                f"record it in {example}"
+            )
+        factors[k], integrated[k] = found.factor, found.dimension == DIMENSIONS[increment]
+    return factors, integrated
+
+
+def rate_means(recorded: RecordedSegment, channels: Sequence[str], interval: float) -> tuple[Array, Array]:
+    """Mean (6,) and its standard uncertainty (6,) of a segment's channels, rad/s and m/s², from the statistics of the recording."""
+    factors, integrated = scales(recorded, channels)
+    statistics = recorded.statistics
+    index = [statistics.of(name) for name in channels]
+    scale = factors / np.where(integrated, interval, 1.0)
+    return statistics.mean[index] * scale, statistics.standard_error[index] * scale
+
+
+def _reference_unit(recorded: RecordedSegment, name: str) -> float:
+    try:
+        found = unit(recorded.units[name])
+    except UnknownUnitError as error:
+        raise EstimationError(f"channel '{name}': {error}") from None
+    if found.dimension != DIMENSIONS[REFERENCES[name]]:
+        raise EstimationError(f"channel '{name}' is in {found.text}, which is not {_with_article(REFERENCES[name])}")
+    return found.factor
+
+
+def _with_article(words: str) -> str:
+    return ("an " if words[0] in "aeiou" else "a ") + words
+
+
+def duration(recorded: RecordedSegment, interval: float) -> float:
+    """Seconds that the samples of a segment cover."""
+    statistics = recorded.statistics
+    return statistics.end - statistics.start + interval if statistics.count and math.isfinite(statistics.start) else 0.0

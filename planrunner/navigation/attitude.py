@@ -1,0 +1,74 @@
+"""Attitude: body axes in East-North-Up as quaternion, matrix, and heading, pitch and roll.
+
+The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading: of the y axis from true
+north, clockwise seen from above; pitch: of the y axis above the horizon; roll: about the y axis, positive with the x axis below it.
+Quaternions are scalar first and turn body vectors into navigation axes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def matrix(quaternion: Array) -> Array:
+    """The body axes as columns in East-North-Up, (3, 3), from a quaternion (4,)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(rotation: Array) -> Array:
+    """The quaternion (4,), scalar first, of a rotation matrix (3, 3) (Shepperd, J. Guidance and Control 1, 1978: the largest component
+    first)."""
+    r, trace = rotation, float(np.trace(rotation))
+    squares = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
+    k = int(np.argmax(squares))
+    if k == 0:
+        found = np.array([1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    else:
+        i, j, m = ((0, 1, 2), (1, 2, 0), (2, 0, 1))[k - 1]
+        found = np.empty(4)
+        found[0] = r[m, j] - r[j, m]
+        found[1 + i] = 1 + 2 * r[i, i] - trace
+        found[1 + j] = r[j, i] + r[i, j]
+        found[1 + m] = r[m, i] + r[i, m]
+    return np.asarray(found / np.linalg.norm(found))
+
+
+def small_rotation(vector: Array) -> Array:
+    """The rotation matrix (3, 3) of a rotation vector [rad] (3,) (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    skew = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
+    if angle == 0:
+        return np.eye(3)
+    return np.asarray(np.eye(3) + math.sin(angle) / angle * skew + 2 * (math.sin(angle / 2) / angle) ** 2 * skew @ skew)
+
+
+def angles(rotation: Array) -> Array:
+    """Heading (0 … 2π), pitch and roll [rad], shape (3,)."""
+    heading = math.atan2(rotation[0, 1], rotation[1, 1]) % (2 * math.pi)
+    pitch = math.atan2(rotation[2, 1], math.hypot(rotation[2, 0], rotation[2, 2]))
+    roll = math.atan2(-rotation[2, 0], rotation[2, 2])
+    return np.array([heading, pitch, roll])
+
+
+def angle_sensitivities(rotation: Array) -> Array:
+    """∂(heading, pitch, roll)/∂φ (3, 3) for an attitude that is turned by a small φ [rad] in navigation axes: C → (1 + φ×)·C."""
+    step = 1e-6
+    columns = []
+    for axis in range(3):
+        vector = np.zeros(3)
+        vector[axis] = step
+        change = angles(small_rotation(vector) @ rotation) - angles(small_rotation(-vector) @ rotation)
+        columns.append((np.remainder(change + math.pi, 2 * math.pi) - math.pi) / (2 * step))
+    return np.column_stack(columns)

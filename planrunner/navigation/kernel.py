@@ -1,0 +1,191 @@
+"""The strapdown mechanisation, sample by sample, compiled by numba.
+
+Axes: body x, y, z; navigation East-North-Up on WGS-84. One step takes the increments of angle and velocity over the interval that ends at
+a sample (Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance, Control, and Dynamics 21, 1998; Titterton and
+Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
+
+    rotation vector   φ  = Δθ + Δθ₋×Δθ/12                                  (coning, from this and the last increment)
+    velocity, body    Δv = Δu + Δθ×Δu/2 + (Δθ₋×Δu + Δu₋×Δθ)/12             (rotation and sculling)
+    velocity          v  ← v + (1 − ω_in·dt/2 ×)·C·Δv + [γ − (2ω_ie + ω_en)×v_mid]·dt
+    attitude          q  ← q(−ω_in·dt) ∘ q ∘ q(φ)
+    position          trapezoid of v, with radii and latitude of the middle of the interval
+
+The Earth's and the transport rate are those of the middle of the interval, so that errors of a step are of third order in dt. What is
+carried from sample to sample is the state vector alone: how samples are cut into blocks changes no bit of the result.
+
+Everything is written in scalars: small arrays would cost more than the arithmetic. The compiler puts the pieces into one loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+from planrunner.compiled import compiled
+from planrunner.navigation.wgs84 import (
+    ECCENTRICITY_SQUARED,
+    FLATTENING,
+    GRAVITY_AT_EQUATOR,
+    ROTATION_RATIO,
+    SEMI_MAJOR_AXIS,
+    SOMIGLIANA,
+)
+
+# Where things stand in the state vector.
+ATTITUDE, VELOCITY, LATITUDE, LONGITUDE, HEIGHT, LOOP, LAST_ANGLE, LAST_VELOCITY, STEPS = 0, 4, 7, 8, 9, 10, 11, 14, 17
+STATE = 18
+KNOT = 10  # numbers kept at a knot: attitude, velocity, latitude, longitude, height
+
+_SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact to rounding
+
+
+@compiled()
+def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
+    """Rotation vector and velocity increment in body axes. t, u: angle and velocity increments of this interval; a, b: of the last."""
+    tx, ty, tz = t
+    ux, uy, uz = u
+    ax, ay, az = a
+    bx, by, bz = b
+    rotation = (
+        tx + (ay * tz - az * ty) / 12.0,
+        ty + (az * tx - ax * tz) / 12.0,
+        tz + (ax * ty - ay * tx) / 12.0,
+    )
+    velocity = (
+        ux + 0.5 * (ty * uz - tz * uy) + (ay * uz - az * uy + by * tz - bz * ty) / 12.0,
+        uy + 0.5 * (tz * ux - tx * uz) + (az * ux - ax * uz + bz * tx - bx * tz) / 12.0,
+        uz + 0.5 * (tx * uy - ty * ux) + (ax * uy - ay * ux + bx * ty - by * tx) / 12.0,
+    )
+    return rotation, velocity
+
+
+@compiled()
+def _turned(q, v):  # type: ignore[no-untyped-def]
+    """A body vector in navigation axes."""
+    w, x, y, z = q
+    dx, dy, dz = v
+    cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+    return (
+        dx + 2.0 * (w * cx + y * cz - z * cy),
+        dy + 2.0 * (w * cy + z * cx - x * cz),
+        dz + 2.0 * (w * cz + x * cy - y * cx),
+    )
+
+
+@compiled()
+def _earth_at(latitude, height, turn, rate, factor):  # type: ignore[no-untyped-def]
+    """At latitude + turn (a small angle): 1/(radius + height) in the meridian and in the prime vertical, cosine and tangent of the
+    latitude, gravity, and the Earth's rate north and up."""
+    sine, cosine = math.sin(latitude), math.cos(latitude)
+    sine, cosine = sine + turn * (cosine - 0.5 * turn * sine), cosine - turn * (sine + 0.5 * turn * cosine)
+    squared = sine * sine
+    w = 1.0 - ECCENTRICITY_SQUARED * squared
+    root = math.sqrt(w)
+    east = SEMI_MAJOR_AXIS / root
+    h = height / SEMI_MAJOR_AXIS
+    gravity = factor * GRAVITY_AT_EQUATOR * (1.0 + SOMIGLIANA * squared) / root
+    gravity *= 1.0 - 2.0 * (1.0 + FLATTENING + ROTATION_RATIO - 2.0 * FLATTENING * squared) * h + 3.0 * h * h
+    to_north = 1.0 / (east * (1.0 - ECCENTRICITY_SQUARED) / w + height)
+    return to_north, 1.0 / (east + height), cosine, sine / cosine, gravity, rate * cosine, rate * sine
+
+
+@compiled()
+def _half_angle(x):  # type: ignore[no-untyped-def]
+    """sin(φ/2)/φ and cos(φ/2) for φ² = x."""
+    if x < _SMALL:
+        return (
+            0.5 - x * (1.0 / 48.0 - x * (1.0 / 3840.0 - x / 645120.0)),
+            1.0 - x * (1.0 / 8.0 - x * (1.0 / 384.0 - x / 46080.0)),
+        )
+    angle = math.sqrt(x)
+    return math.sin(0.5 * angle) / angle, math.cos(0.5 * angle)
+
+
+@compiled()
+def _product(p, q):  # type: ignore[no-untyped-def]
+    """p ∘ q of two quaternions."""
+    p0, p1, p2, p3 = p
+    q0, q1, q2, q3 = q
+    return (
+        p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3,
+        p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2,
+        p0 * q2 + p2 * q0 + p3 * q1 - p1 * q3,
+        p0 * q3 + p3 * q0 + p1 * q2 - p2 * q1,
+    )
+
+
+@compiled()
+def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
+    """The attitude after the body's rotation vector and a rotation vector (e, n, u) of the navigation axes; of unit norm again."""
+    bx, by, bz = body
+    s, c = _half_angle(bx * bx + by * by + bz * bz)
+    turned = _product(q, (c, s * bx, s * by, s * bz))
+    s, c = _half_angle(e * e + n * n + u * u)
+    q0, q1, q2, q3 = _product((c, -s * e, -s * n, -s * u), turned)
+    norm = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    return norm * q0, norm * q1, norm * q2, norm * q3
+
+
+@compiled()
+def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
+    """Velocity after an interval, and the rate of the navigation axes in its middle. d: velocity increment in navigation axes at the
+    beginning; place: as `_earth_at` gives it."""
+    ve, vn, vu = v
+    de, dn, du = d
+    to_north, to_east, _, tangent, gravity, earth_n, earth_u = place
+    # to the middle, for the transport rate and the Coriolis acceleration there
+    e, n, u = -vn * to_north, 2.0 * earth_n + ve * to_east, 2.0 * earth_u + ve * to_east * tangent
+    me = ve + 0.5 * (de + dt * (u * vn - n * vu))
+    mn = vn + 0.5 * (dn + dt * (e * vu - u * ve))
+    mu = vu if held else vu + 0.5 * (du + dt * (n * ve - e * vn - gravity))
+    e, n, u = -mn * to_north, earth_n + me * to_east, earth_u + me * to_east * tangent
+    new_e = ve + de - 0.5 * dt * (n * du - u * dn) + dt * ((u + earth_u) * mn - (n + earth_n) * mu)
+    new_n = vn + dn - 0.5 * dt * (u * de - e * du) + dt * (e * mu - (u + earth_u) * me)
+    new_u = vu if held else vu + du - 0.5 * dt * (e * dn - n * de) + dt * ((n + earth_n) * me - e * mn - gravity)
+    return new_e, new_n, new_u, e, n, u
+
+
+@compiled()
+def advance(state, increments, interval, aiding, earth, gains, held, every, knots):  # type: ignore[no-untyped-def]
+    """Carries `state` (18,) over n samples, in place; returns how many knots were written.
+
+    increments: (6, n), angle [rad] and velocity [m/s] about and along body x, y, z. interval: (n,), s. aiding: (n,) reference height [m]
+    for the damped vertical channel, or (1,) for a constant one. earth: (rotation rate [rad/s], factor on normal gravity). gains: (3,) of
+    the third-order loop [1/s, 1/s², 1/s³], zeros for a free vertical channel. held: height and vertical velocity keep their values.
+    every: a knot is kept after each so many steps counted since the state was made. knots: (m, 10), written in order.
+    """
+    q = (state[0], state[1], state[2], state[3])
+    ve, vn, vu = state[4], state[5], state[6]
+    latitude, longitude, height, loop = state[7], state[8], state[9], state[10]
+    a, b = (state[11], state[12], state[13]), (state[14], state[15], state[16])
+    steps, written = int(state[17]), 0
+    for k in range(interval.size):
+        dt = interval[k]
+        t = (increments[0, k], increments[1, k], increments[2, k])
+        u = (increments[3, k], increments[4, k], increments[5, k])
+        rotation, d = _body_increments(t, u, a, b)
+        a, b = t, u
+        place = _earth_at(latitude, height + 0.5 * vu * dt, 0.5 * vn * dt / SEMI_MAJOR_AXIS, earth[0], earth[1])
+        new_e, new_n, new_u, e, n, up = _new_velocity((ve, vn, vu), _turned(q, d), place, dt, held)
+        if not held:
+            error = height - aiding[min(k, aiding.size - 1)]
+            height += dt * (0.5 * (vu + new_u) - gains[0] * error)
+            new_u -= dt * (gains[1] * error + loop)
+            loop += dt * gains[2] * error
+        latitude += dt * 0.5 * (vn + new_n) * place[0]
+        longitude += dt * 0.5 * (ve + new_e) * place[1] / place[2]
+        ve, vn, vu = new_e, new_n, new_u
+        q = _new_attitude(q, rotation, e * dt, n * dt, up * dt)
+        steps += 1
+        if steps % every == 0:
+            row = knots[written]
+            row[0], row[1], row[2], row[3] = q
+            row[4], row[5], row[6] = ve, vn, vu
+            row[7], row[8], row[9] = latitude, longitude, height
+            written += 1
+    state[0], state[1], state[2], state[3] = q
+    state[4], state[5], state[6] = ve, vn, vu
+    state[7], state[8], state[9], state[10] = latitude, longitude, height, loop
+    state[11], state[12], state[13] = a
+    state[14], state[15], state[16] = b
+    state[17] = float(steps)
+    return written

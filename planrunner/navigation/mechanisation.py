@@ -1,0 +1,120 @@
+"""A strapdown navigator: its state, and how blocks of increments carry it on. The arithmetic is in `kernel`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.navigation import attitude
+from planrunner.navigation.wgs84 import SEMI_MAJOR_AXIS, normal_gravity
+from planrunner.physics.earth import Site
+
+Array = NDArray[np.float64]
+
+VERTICAL = ("held", "damped", "free")
+LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
+
+
+@dataclass(frozen=True, slots=True)
+class Knots:
+    """What the navigator said at m moments. attitude: (m, 4), quaternions; velocity: (m, 3), m/s, east, north, up; latitude,
+    longitude: (m,), rad; height: (m,), m."""
+
+    attitude: Array
+    velocity: Array
+    latitude: Array
+    longitude: Array
+    height: Array
+
+
+def loop_gains(time: float = LOOP_TIME) -> Array:
+    """Gains of the third-order vertical loop with all three poles at 1/time (Widnall and Sinha, J. Guidance and Control 3, 1980), where
+    2·g/R makes up for the instability of the free channel."""
+    g = float(normal_gravity(0.0))
+    return np.array([3 / time, 3 / time**2 + 2 * g / SEMI_MAJOR_AXIS, 1 / time**3])
+
+
+class Navigator:
+    """Attitude, velocity and position, carried from increment to increment; memory and result do not depend on the blocks' size."""
+
+    def __init__(
+        self,
+        quaternion: Array,
+        velocity: Array,
+        position: tuple[float, float, float],
+        *,
+        vertical: str = "held",
+        gravity_factor: float = 1.0,
+        earth_rate: float = Site(0.0).earth_rate,
+        every: int = 1,
+        last: Array | None = None,
+    ):
+        """quaternion: body to East-North-Up, scalar first (4,). velocity: (3,), m/s. position: latitude, longitude [rad], height [m].
+        vertical: of `VERTICAL`; held keeps height and vertical velocity. gravity_factor: on normal gravity. every: steps from knot to
+        knot. last: (6,), the increments before the first, for coning and sculling; none: zeros."""
+        from planrunner.navigation import kernel
+
+        self._kernel = kernel
+        self.state = np.zeros(kernel.STATE)
+        self.state[:4] = quaternion
+        self.state[kernel.VELOCITY : kernel.VELOCITY + 3] = velocity
+        self.state[kernel.LATITUDE : kernel.HEIGHT + 1] = position
+        if last is not None:
+            self.state[kernel.LAST_ANGLE : kernel.STEPS] = last
+        self.every = every
+        self._held = vertical == "held"
+        self._gains = loop_gains() if vertical == "damped" else np.zeros(3)
+        self._earth = np.array([earth_rate, gravity_factor])
+        self._height = np.array([position[2]])
+
+    def advance(self, increments: Array, interval: Array, reference_height: Array | None = None) -> Knots:
+        """Takes n increments and returns the knots among them.
+
+        increments: (6, n), angle [rad] and velocity [m/s] on body x, y, z over the intervals (n,) [s]. reference_height: (n,) or (1,), m,
+        for the damped channel; without it the initial height.
+        """
+        knots = np.empty((interval.size // self.every + 1, self._kernel.KNOT))
+        aiding = self._height if reference_height is None else reference_height
+        made = self._kernel.advance(
+            self.state,
+            np.ascontiguousarray(increments),
+            np.ascontiguousarray(interval),
+            np.ascontiguousarray(aiding),
+            self._earth,
+            self._gains,
+            self._held,
+            self.every,
+            knots,
+        )
+        rows = knots[:made]
+        return Knots(rows[:, :4], rows[:, 4:7], rows[:, 7], rows[:, 8], rows[:, 9])
+
+    @property
+    def steps(self) -> int:
+        return int(self.state[self._kernel.STEPS])
+
+    @property
+    def quaternion(self) -> Array:
+        return self.state[:4].copy()
+
+    @property
+    def rotation(self) -> Array:
+        """The body axes as columns in East-North-Up, (3, 3)."""
+        return attitude.matrix(self.state[:4])
+
+    @property
+    def velocity(self) -> Array:
+        return self.state[self._kernel.VELOCITY : self._kernel.VELOCITY + 3].copy()
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """Latitude, longitude [rad], height [m]."""
+        latitude, longitude, height = self.state[self._kernel.LATITUDE : self._kernel.HEIGHT + 1].tolist()
+        return latitude, longitude, height
+
+    @property
+    def last(self) -> Array:
+        """The increments taken last, (6,)."""
+        return self.state[self._kernel.LAST_ANGLE : self._kernel.STEPS].copy()

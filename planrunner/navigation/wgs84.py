@@ -1,0 +1,46 @@
+"""The ellipsoid WGS-84: radii of curvature and normal gravity.
+
+Constants and formulas: NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above the ellipsoid is
+the second-order series there; it is taken along the ellipsoid's normal (its slant, 8·10⁻⁹ m/s² for each metre of height, is left out).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+SEMI_MAJOR_AXIS = 6378137.0  # m
+FLATTENING = 1 / 298.257223563
+ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
+GRAVITY_AT_EQUATOR = 9.7803253359  # m/s^2
+GRAVITY_AT_POLE = 9.8321849379  # m/s^2
+SOMIGLIANA = (1 - FLATTENING) * GRAVITY_AT_POLE / GRAVITY_AT_EQUATOR - 1
+ROTATION_RATIO = 0.00344978650684  # ω²·a²·b/GM
+
+
+def radii(latitude: ArrayLike) -> tuple[Array, Array]:
+    """Radii of curvature [m] at latitude [rad]: in the meridian (north) and in the prime vertical (east)."""
+    w = 1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
+    prime_vertical = SEMI_MAJOR_AXIS / np.sqrt(w)
+    return np.asarray(prime_vertical * (1 - ECCENTRICITY_SQUARED) / w), np.asarray(prime_vertical)
+
+
+def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
+    """Gravity [m/s^2] at latitude [rad] and height above the ellipsoid [m], positive down."""
+    s = np.sin(latitude) ** 2
+    h = np.asarray(height, dtype=float) / SEMI_MAJOR_AXIS
+    surface = GRAVITY_AT_EQUATOR * (1 + SOMIGLIANA * s) / np.sqrt(1 - ECCENTRICITY_SQUARED * s)
+    return np.asarray(surface * (1 - 2 * (1 + FLATTENING + ROTATION_RATIO - 2 * FLATTENING * s) * h + 3 * h * h))
+
+
+def displacement(latitude: ArrayLike, longitude: ArrayLike, origin: tuple[float, float, float]) -> tuple[Array, Array]:
+    """East and north distance [m] on the ellipsoid's level of `origin` (latitude, longitude [rad], height [m]) from there to other
+    positions: arcs of the parallel and of the meridian with the radii of the origin, right to first order."""
+    north, east = radii(origin[0])
+    difference = np.remainder(np.asarray(longitude) - origin[1] + np.pi, 2 * np.pi) - np.pi
+    return (
+        np.asarray((east + origin[2]) * np.cos(origin[0]) * difference),
+        np.asarray((north + origin[2]) * (np.asarray(latitude) - origin[0])),
+    )
