@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 
+from planrunner.bench.calibration import check_validity
 from planrunner.bench.inputs import stated_inputs
 from planrunner.bench.model import Bench, BenchModels, models, read_bench
 from planrunner.bench.scheduling import build_schedule
+from planrunner.certificates import check_certificate
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup
@@ -58,7 +61,7 @@ class Checked:
         """How the sensor is tested, as far as plan and bench say."""
         if self.plan is None or self.models is None or self.bench is None:
             return Setup()
-        return Setup(self.models.table, self.plan.mounting, stated_inputs(self.bench, self.plan.mounting))
+        return Setup(self.models.table, self.plan.mounting, stated_inputs(self.bench, self.models, self.plan.mounting))
 
     @property
     def ok(self) -> bool:
@@ -107,11 +110,13 @@ class Sound:
     bench_bytes: bytes
 
 
-def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = None) -> Checked:
+def check_plan(
+    path: Path, bench: str | None = None, bench_path: Path | None = None, today: date | None = None
+) -> Checked:
     """Everything that can be said of a plan before it runs. Never raises for what the files hold.
 
     bench: use this bench instead of the plan's own (a shipped name or a file relative to the working folder); bench_path: use exactly
-    this file.
+    this file. today: the day that calibrations must hold on, the present one without it.
     """
     checked = Checked(str(path), Findings())
     try:
@@ -129,6 +134,10 @@ def check_plan(path: Path, bench: str | None = None, bench_path: Path | None = N
     check_meaning(plan, stated, report_names(), log)
     if _find_bench(checked, plan, path, bench, bench_path):
         _check_physics(checked, plan, stated)
+        if checked.bench is not None:
+            check_certificate(plan, checked.bench, checked.schedule, checked.findings)
+            seconds = checked.schedule.total if checked.schedule else 0.0
+            check_validity(checked.bench.calibrations(), today or date.today(), seconds, log)
     return checked
 
 

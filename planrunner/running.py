@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from datetime import date, datetime
 from pathlib import Path
 
 from planrunner.archive.analyses import add_analysis
@@ -73,7 +74,7 @@ def resume(
 ) -> Outcome:
     """Go on with a run that was cut short, from its own plan and bench."""
     seed = RunReader.open(run).run["seed"]
-    sound = sound_run(run)
+    sound = sound_run(run, date.today())
     with _ready(sound, data_root, seed) as bench, RunWriter.reopen(run) as writer:
         return execute(sound.schedule, bench, writer, stop=stop, progress=progress, start_at=writer.next_segment)
 
@@ -101,9 +102,13 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
     return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
 
 
-def sound_run(run: Path) -> Sound:
-    """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass."""
-    return check_plan(run / "plan.yaml", bench_path=run / "bench.yaml").sound()
+def sound_run(run: Path, today: date | None = None) -> Sound:
+    """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass.
+
+    today: the day that calibrations must hold on; the one on which the run was made without it.
+    """
+    made = datetime.fromisoformat(RunReader.open(run).run["created"]).astimezone().date()
+    return check_plan(run / "plan.yaml", bench_path=run / "bench.yaml", today=today or made).sound()
 
 
 def analyse_run(run: Path) -> Analysis:

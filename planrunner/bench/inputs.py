@@ -1,44 +1,107 @@
-"""What bench and mounting state of uncertainty: the type B inputs of budgets, each with its source."""
+"""What bench and plan state of uncertainty: the type B inputs of budgets, each with its source and the date of its calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 
-from planrunner.bench.model import Bench
+from planrunner.bench.calibration import Calibration
+from planrunner.bench.model import Bench, BenchModels, InstrumentEntry, driver_of
+from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.plan.model import MountedAxis
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 
-def stated_inputs(bench: Bench, mounting: Mapping[str, MountedAxis]) -> Inputs:
+def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:
     """The quantities that are stated with an uncertainty, by the names that `Inputs` lists."""
-    found: list[InputQuantity] = []
+    found = [*_site(bench), *_mounting(bench, mounting)]
+    for name, entry in bench.instruments.items():
+        role, source, day = driver_of(entry).role, _source(name, entry), _day(entry.calibration)
+        if role == "table" and models.table is not None:
+            found += _table(models.table, source, day)
+        elif role == "chamber" and models.chamber is not None:
+            found += _chamber(models.chamber, source, day)
+        elif role == "sensor" and models.sensor is not None:
+            found += _resolutions(models.sensor, source, day)
+    return Inputs({item.name: item for item in found if item.standard_uncertainty > 0})
+
+
+def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
+    """A quantity as a file states it. si: the SI-coherent unit of its value."""
+    finite = math.isfinite(stated.degrees_of_freedom) and stated.distribution == "normal"
+    return InputQuantity(
+        name,
+        stated.value,
+        si,
+        stated.standard_uncertainty,
+        stated.degrees_of_freedom,
+        "t" if finite else stated.distribution,
+        source,
+        calibrated,
+        "" if stated.unit.offset else stated.unit.text,
+        stated.unit.factor,
+    )
+
+
+def _site(bench: Bench) -> Iterator[InputQuantity]:
     survey = bench.site.survey
-    where = f"bench site, {survey.certificate}" if survey else "bench site"
-    for name in ("latitude", "gravity", "azimuth"):
-        stated = getattr(bench.site, name)
-        if stated.standard_uncertainty:
-            unit = "m/s^2" if name == "gravity" else "rad"
-            found.append(
-                InputQuantity(
-                    name,
-                    stated.value,
-                    unit,
-                    stated.standard_uncertainty,
-                    stated.degrees_of_freedom,
-                    source=where,
-                    calibrated=survey.date if survey else "",
-                )
-            )
+    source = f"bench site, {survey.words}" if survey else "bench site"
+    for name, si in (("latitude", "rad"), ("gravity", "m/s^2"), ("azimuth", "rad")):
+        yield input_quantity(name, getattr(bench.site, name), si, source, _day(survey))
+
+
+def _mounting(bench: Bench, mounting: Mapping[str, MountedAxis]) -> Iterator[InputQuantity]:
+    fixture = bench.fixture
+    calibration = fixture.calibration if fixture else None
+    known = [f"asset {fixture.asset}"] if fixture and fixture.asset else []
+    known += [calibration.words] if calibration else []
     for axis, mounted in mounting.items():
-        if mounted.angle.standard_uncertainty:
-            found.append(
-                InputQuantity(
-                    f"fixture angle {axis}",
-                    mounted.angle.value,
-                    "rad",
-                    mounted.angle.standard_uncertainty,
-                    mounted.angle.degrees_of_freedom,
-                    source=f"plan mounting.{axis}",
-                )
-            )
-    return Inputs({item.name: item for item in found})
+        source = ", ".join([f"plan mounting.{axis}", *known])
+        yield input_quantity(f"fixture angle {axis}", mounted.angle, "rad", source, _day(calibration))
+        if mounted.azimuth is not None:
+            yield input_quantity(f"fixture azimuth {axis}", mounted.azimuth, "rad", source, _day(calibration))
+
+
+def _table(table: TableModel, source: str, day: str) -> Iterator[InputQuantity]:
+    arcsec = unit("arcsec").factor
+    for name, width in (("position", table.position_uncertainty), ("orthogonality", table.orthogonality)):
+        yield InputQuantity(
+            f"table {name}", 0.0, "rad", width, source=source, calibrated=day, shown="arcsec", shown_factor=arcsec
+        )
+    yield InputQuantity(
+        "table rate", 0.0, "1", table.rate_stability, source=source, calibrated=day, shown="ppm", shown_factor=1e-6
+    )
+
+
+def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuantity]:
+    """The air is anywhere within the tolerance, and its thermometer has an uncertainty of its own."""
+    width = math.hypot(chamber.tolerance / math.sqrt(3), chamber.temperature_uncertainty)
+    shape = "normal" if chamber.temperature_uncertainty else "rectangular"
+    yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)
+
+
+def _resolutions(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
+    """Half a count either way (JCGM 100:2008, F.2.2.1), in the output's own unit."""
+    for output in sensor.outputs:
+        yield InputQuantity(
+            f"resolution {output.name}",
+            0.0,
+            output.unit,
+            output.noise.resolution / math.sqrt(12),
+            distribution="rectangular",
+            source=source,
+            calibrated=day,
+        )
+
+
+def _source(name: str, entry: InstrumentEntry) -> str:
+    parts = [f"bench '{name}'"]
+    parts += [f"asset {entry.asset}"] if entry.asset else []
+    parts += [entry.calibration.words] if entry.calibration else []
+    return ", ".join(parts)
+
+
+def _day(calibration: Calibration | None) -> str:
+    return calibration.date if calibration else ""

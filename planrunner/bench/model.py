@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from planrunner import plugins
+from planrunner.bench.calibration import LINE, Calibration, check_dates
+from planrunner.bench.laboratory import Laboratory
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
@@ -23,26 +25,7 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.shipped import shipped
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
-LINE = r"[^\x00-\x1f]{1,200}"
 SINGLE_ROLES = ("table", "chamber", "sensor")
-
-
-class Calibration(Record):
-    """Where figures come from and how long they hold."""
-
-    certificate: str = key(Text(LINE, "a certificate"), "Certificate or report that says so.", "RT-0042 / 2026-117")
-    date: str = key(
-        Text(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date", "write for example 2026-03-01"),
-        "Day of the calibration or survey.",
-        "2026-03-01",
-    )
-    due: str | None = key(
-        Text(r"[0-9]{4}-[0-9]{2}-[0-9]{2}", "a date", "write for example 2027-03-01"),
-        "Last day on which it may be relied on.",
-        "2027-03-01",
-        None,
-    )
-    laboratory: str | None = key(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory", None)
 
 
 class SiteSpec(Record):
@@ -97,6 +80,18 @@ class InstrumentEntry(Record):
     parameters: Any = field(default=None)
 
 
+class FixtureSpec(Record):
+    """The fixture that the sensor is mounted in; its angles stand in a plan's `mounting`."""
+
+    asset: str | None = key(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007", None)
+    calibration: Calibration | None = key(
+        RecordOf(Calibration),
+        "Calibration that the stated uncertainties of the fixture's angles come from.",
+        {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20", "due": "2028-02-20"},
+        None,
+    )
+
+
 INSTRUMENT: Kind = Plugged(
     InstrumentEntry,
     "driver",
@@ -119,6 +114,12 @@ class Bench(Record):
         "virtual",
         None,
     )
+    laboratory: Laboratory | None = key(
+        RecordOf(Laboratory),
+        "The laboratory that the bench belongs to; needed for certificates.",
+        {"name": "Inertial calibration laboratory", "address": "1 Example Street, 00000 Example Town"},
+        None,
+    )
     site: SiteSpec = key(
         RecordOf(SiteSpec), "Where the bench stands.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
     )
@@ -131,12 +132,25 @@ class Bench(Record):
         "The instruments by name: at most one table, one chamber and one sensor, and any number of monitors.",
         {"chamber": {"driver": "virtual_chamber", "lowest": "-55 degC", "highest": "85 degC", "ramp": "3 K/min"}},
     )
+    fixture: FixtureSpec | None = key(
+        RecordOf(FixtureSpec),
+        "The fixture that the sensor is mounted in.",
+        {"asset": "FX-0007", "calibration": {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20"}},
+        None,
+    )
     safe_order: tuple[str, ...] = key(
         ListOf(Text(NAME, "an instrument's name"), minimum=1),
         "Order in which the instruments are made safe; without it the table, then the chamber, then the others.",
         ["table", "chamber", "gyro"],
         default_factory=tuple,
     )
+
+    def calibrations(self) -> tuple[tuple[str, Calibration], ...]:
+        """What is calibrated, in words, with its record."""
+        fixed = self.fixture.calibration if self.fixture else None
+        found = [("the site's survey", self.site.survey), ("the fixture", fixed)]
+        found += [(f"'{name}'", entry.calibration) for name, entry in self.instruments.items()]
+        return tuple((what, calibration) for what, calibration in found if calibration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,6 +280,8 @@ def _check(bench: Bench, log: Findings) -> None:
         if role in SINGLE_ROLES and holders.setdefault(role, name) != name:
             message = f"'{name}' is a second {role}, beside '{holders[role]}'"
             log.error("meaning-role", entry.origin.mark, message, f"a bench has at most one {role}")
+    for _, calibration in bench.calibrations():
+        check_dates(calibration, log)
     _check_safe_order(bench, log)
 
 

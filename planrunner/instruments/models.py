@@ -29,7 +29,8 @@ class TableModel:
 class ChamberModel:
     """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, where it is left.
 
-    lag: time constant [s] with which the air follows the ramp; tolerance: K, within which a temperature counts as reached.
+    lag: time constant [s] with which the air follows the ramp; tolerance: K, within which a temperature counts as reached;
+    temperature_uncertainty: standard, K, of the chamber's own thermometer.
     """
 
     lowest: float
@@ -38,6 +39,7 @@ class ChamberModel:
     ambient: float = 298.15
     lag: float = 0.0
     tolerance: float = 0.5
+    temperature_uncertainty: float = 0.0
 
     def seconds_to_change(self, kelvin: float) -> float:
         """Time until the air is within tolerance of a setpoint `kelvin` away.

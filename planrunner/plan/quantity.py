@@ -54,12 +54,14 @@ DISTRIBUTIONS = {"rectangular": math.sqrt(3), "triangular": math.sqrt(6), "u-sha
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written."""
+    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. distribution: of the
+    uncertainty, one of `DISTRIBUTIONS`."""
 
     value: float
     unit: Unit
     standard_uncertainty: float = 0.0
     degrees_of_freedom: float = math.inf
+    distribution: str = "normal"
 
     def __str__(self) -> str:
         text = f"{self.unit.from_si(self.value):.9g} {self.unit.text}"
@@ -265,7 +267,7 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
         log.error(
             "meaning-uncertainty", value_node.mark, "the uncertainty is stated twice", "leave out what follows ± here"
         )
-    width, divisor = _width(node, dimension, log)
+    width, shape = _width(node, dimension, log)
     degrees = _degrees(node, log)
     if value is None or len(log.errors) > before:
         return None
@@ -276,11 +278,12 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
         message = f"the uncertainty must be positive and of the dimension of {value.unit.text}"
         log.error("meaning-uncertainty", at.mark, message, f"give it in {value.unit.text}")
         return None
-    return Quantity(value.value, value.unit, (width.value - width.unit.offset) / divisor, degrees)
+    divisor = DISTRIBUTIONS[shape] if node.get("half_width") is not None else 1.0
+    return Quantity(value.value, value.unit, (width.value - width.unit.offset) / divisor, degrees, shape)
 
 
-def _width(node: Mapping, dimension: str | None, log: Findings) -> tuple[Quantity | None, float]:
-    """The stated width and what divides it into a standard uncertainty."""
+def _width(node: Mapping, dimension: str | None, log: Findings) -> tuple[Quantity | None, str]:
+    """The stated width and its distribution."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:
@@ -305,8 +308,8 @@ def _width(node: Mapping, dimension: str | None, log: Findings) -> tuple[Quantit
             "meaning-uncertainty", widths[1][1].mark, "both standard_uncertainty and half_width", "give one of them"
         )
     if not widths:
-        return None, 1.0
-    return widths[0][0], DISTRIBUTIONS.get(name, 1.0) if half is not None else 1.0
+        return None, "normal"
+    return widths[0][0], name if half is not None else "normal"
 
 
 def _degrees(node: Mapping, log: Findings) -> float:

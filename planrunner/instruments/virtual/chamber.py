@@ -38,6 +38,12 @@ class VirtualChamberParameters(Record):
         "0.5 K",
         parse_quantity("0.5 K"),
     )
+    temperature_uncertainty: Quantity = key(
+        QuantityOf("temperature", "not negative"),
+        "Declared standard uncertainty of the air's temperature, beside the tolerance.",
+        "0.1 K",
+        parse_quantity("0 K"),
+    )
 
 
 class VirtualChamber:
@@ -56,7 +62,13 @@ class VirtualChamber:
     def model(cls, parameters: VirtualChamberParameters) -> ChamberModel:
         p = parameters
         return ChamberModel(
-            p.lowest.value, p.highest.value, p.ramp.value, p.ambient.value, p.lag.value, p.tolerance.value
+            p.lowest.value,
+            p.highest.value,
+            p.ramp.value,
+            p.ambient.value,
+            p.lag.value,
+            p.tolerance.value,
+            p.temperature_uncertainty.value,
         )
 
     @classmethod

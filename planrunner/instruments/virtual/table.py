@@ -109,6 +109,12 @@ class VirtualTableParameters(Record):
         "2 arcsec",
         parse_quantity("0 arcsec"),
     )
+    orthogonality: Quantity = key(
+        QuantityOf("angle", "not negative"),
+        "Declared standard uncertainty of the right angles between neighbouring axes; nothing of it is simulated.",
+        "5 arcsec",
+        parse_quantity("0 arcsec"),
+    )
     rate_stability: Quantity = key(
         QuantityOf("ratio", "not negative"),
         "Declared relative standard uncertainty of a rate.",
@@ -139,7 +145,8 @@ class VirtualTable:
     @classmethod
     def model(cls, parameters: VirtualTableParameters) -> TableModel:
         axes = tuple(spec.axis() for spec in parameters.axes)
-        return TableModel(axes, parameters.position_uncertainty.value, parameters.rate_stability.value)
+        p = parameters
+        return TableModel(axes, p.position_uncertainty.value, p.rate_stability.value, p.orthogonality.value)
 
     @classmethod
     def connect(cls, parameters: VirtualTableParameters, surroundings: Surroundings) -> VirtualTable:

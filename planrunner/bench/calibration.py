@@ -1,0 +1,84 @@
+"""Calibrations of what a bench carries: the record, whether its dates make sense, and whether it holds on the day of a run.
+
+A laboratory that works to ISO/IEC 17025:2017 measures with equipment whose calibration is valid (6.4.4, 6.4.8): an expired one is an
+error. A run that is looked at again later is judged by the day on which it was made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from datetime import date, timedelta
+
+from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import Record, Text, key
+
+LINE = r"[^\x00-\x1f]{1,200}"
+_DATE = r"[0-9]{4}-[0-9]{2}-[0-9]{2}"
+SOON = timedelta(days=30)  # from here on `check` reminds of a calibration that will be due
+
+
+class Calibration(Record):
+    """Where figures come from and how long they hold."""
+
+    certificate: str = key(Text(LINE, "a certificate"), "Certificate or report that says so.", "RT-0042 / 2026-117")
+    date: str = key(
+        Text(_DATE, "a date", "write for example 2026-03-01"), "Day of the calibration or survey.", "2026-03-01"
+    )
+    due: str | None = key(
+        Text(_DATE, "a date", "write for example 2027-03-01"),
+        "Last day on which it may be relied on.",
+        "2027-03-01",
+        None,
+    )
+    laboratory: str | None = key(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory", None)
+
+    @property
+    def words(self) -> str:
+        """Certificate and laboratory, for the source of a stated uncertainty."""
+        return self.certificate + (f" ({self.laboratory})" if self.laboratory else "")
+
+
+def check_dates(calibration: Calibration, log: Findings) -> None:
+    """Errors for a date that the calendar does not have, and for a due date before the calibration."""
+    days = {name: _day(getattr(calibration, name)) for name in ("date", "due")}
+    for name, day in days.items():
+        if day is None and getattr(calibration, name) is not None:
+            message = f"'{getattr(calibration, name)}' is no day of the calendar"
+            log.error("meaning-date", calibration.at(name), message, "write year-month-day, such as 2026-03-01")
+    made, due = days["date"], days["due"]
+    if made is not None and due is not None and due < made:
+        message = f"the calibration is due on {due}, before it was made on {made}"
+        log.error("meaning-date", calibration.at("due"), message, "look both dates up in the certificate")
+
+
+def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date, seconds: float, log: Findings) -> None:
+    """Findings where a calibration does not hold on the day of a run, or will not for long.
+
+    calibrations: what is calibrated, in words, and its record; seconds: how long the run will last. Dates that are none are passed over:
+    `check_dates` names them.
+    """
+    ends = today + timedelta(days=math.ceil(seconds / 86400))
+    for what, calibration in calibrations:
+        made, due = _day(calibration.date), _day(calibration.due)
+        if made is not None and made > today:
+            message = f"the calibration of {what} is dated {made}, which is after {today}"
+            log.error("bench-calibration-future", calibration.at("date"), message, "correct the date, or wait for it")
+        if due is None:
+            continue
+        if due < today:
+            message = f"the calibration of {what} ({calibration.certificate}) expired on {due}; it is {today}"
+            log.error(
+                "bench-calibration-expired", calibration.at("due"), message, "have it calibrated before measuring"
+            )
+        elif due < ends or due - today <= SOON:
+            when = "expires during this run" if due < ends else "expires soon"
+            message = f"the calibration of {what} ({calibration.certificate}) {when}, on {due}"
+            log.warning("bench-calibration-due", calibration.at("due"), message, "arrange for its calibration")
+
+
+def _day(text: str | None) -> date | None:
+    try:
+        return date.fromisoformat(text) if text else None
+    except ValueError:
+        return None
