@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from planrunner.bench.scheduling import build_schedule
 from planrunner.checking import Checked, check_plan
-from planrunner.design import continuous, direction_cosines, exchange, optimal
+from planrunner.design import continuous, direction_cosines, exchange, optimal, worst_variance
 from planrunner.design import places as positions
 from planrunner.design.efficiency import Efficiency, Merit, efficiency, merit, region_moment
 from planrunner.design.places import Place, Sight
+from planrunner.estimators import rank
 from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Design, EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
@@ -31,6 +32,7 @@ from planrunner.plan.expand import expand
 from planrunner.plan.findings import Findings, InputError
 from planrunner.plan.orientation import Orientation, in_words
 from planrunner.plan.rewriting import (
+    DECIMALS,
     RewriteError,
     as_written,
     cardinal_orientations,
@@ -46,12 +48,13 @@ Progress = Callable[[str, float], None]
 
 SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
 _REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may do away with
-CRITERIA = ("D", "A", "I")
+CRITERIA = ("D", "A", "G", "I")
+_WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for; that of G is that of D
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """estimate, output: which to design for, the first that has a design without. criterion: D, A or I. orientations: which set goes
+    """estimate, output: which to design for, the first that has a design without. criterion: D, A, G or I. orientations: which set goes
     into the plan: free, cardinal or planned. time: s, the whole plan's; dwells are allotted within it."""
 
     estimate: str | None = None
@@ -158,13 +161,15 @@ class _Designer:
         spread = optimal.spread(bounds, SPREAD, self.options.seed)
         region = optimal.region(rows_of, np.concatenate([cardinal_settings, spread]), bounds)
         self.region_rows, cardinal_rows = region.rows, region.rows[: len(kept)]
+        self._require_rank()
         planned = [place.attitude for place in self.places]
         weighting = self._weighting(self.options.criterion)
         found: dict[str, list[Array]] = {"planned": planned}
         how = []
         if len(kept) and np.linalg.matrix_rank(cardinal_rows) == self.terms:
             chosen = self._cardinal(cardinal_rows, weighting)
-            found["cardinal"] = self._ordered([kept[index] for index in chosen.indices])
+            indices = self._flattened(cardinal_rows, chosen.indices)
+            found["cardinal"] = self._ordered([kept[index] for index in indices])
             tried = f"all {chosen.tried} choices" if chosen.exhaustive else f"exchange from {chosen.tried} starts"
             how.append(f"cardinal: {tried} of {self.count} out of {len(kept)} orientations")
         starts = [self._settings(planned)]
@@ -172,15 +177,18 @@ class _Designer:
             region, self.count, weighting, restarts=self.options.restarts, seed=self.options.seed, starts=starts,
             progress=lambda part: self.progress("free orientations", part),
         )  # fmt: skip
-        attitudes = positions.attitudes(self.axes, free.settings, self.azimuth)
-        found["free"] = self._ordered([as_written(attitude) for attitude in attitudes])
+        settings = free.settings
+        if self.options.criterion == "G":
+            settings = worst_variance.refine(region, settings, region.rows)
+        attitudes = positions.attitudes(self.axes, self._rounded(settings), self.azimuth)
+        found["free"] = self._ordered([as_written(attitude, self._decimals) for attitude in attitudes])
         how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
         if self.options.orientations not in found:
             raise EstimationError(
                 f"no {self.count} cardinal orientations tell all terms apart "
                 f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
             )
-        best, limits = self._references(region, cardinal_rows, free.settings, found)
+        best, limits = self._references(region, cardinal_rows, settings, found)
         sets = {name: self._set(name, attitudes, best, limits) for name, attitudes in found.items()}
         dwells, gain = self._dwells(sets[self.options.orientations])
         text = self._text(sets[self.options.orientations], dwells)
@@ -188,7 +196,30 @@ class _Designer:
             self.sight, self.places, self.options, sets, best, limits, "; ".join(how), dwells, gain, text, self.checked
         )
 
+    def _require_rank(self) -> None:
+        """Raises `EstimationError` where no orientation within the table's reach tells the terms apart."""
+        seen = rank.look(self.region_rows)
+        if seen.rank < self.terms:
+            blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
+            raise EstimationError(
+                f"no positions within this table's reach tell {blind} apart (rank {seen.rank} of {self.terms} over all of it): "
+                f"{rank.explain(seen.null, self.sight.terms)}; use a table with more axes or leave terms out"
+            )
+
     # -- searching ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _decimals(self) -> int:
+        """Of degrees, in orientations that are written: two where any attitude is reached; where axes are missing or limited, a rounded
+        one might not be, so more."""
+        anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
+        return DECIMALS if anywhere else 7
+
+    def _rounded(self, settings: Array) -> Array:
+        """Joint angles on whole hundredths of a degree within their limits, as an operator would set them."""
+        step = math.radians(10.0**-DECIMALS)
+        low, high = np.array([(axis.lowest, axis.highest) for axis in self.axes]).T
+        return np.clip(np.round(settings / step) * step, low, high)
 
     def _rows_of(self, settings: Array) -> Array:
         return self._quick_rows(positions.attitudes(self.axes, settings, self.azimuth))
@@ -197,7 +228,8 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        if criterion == "D":
+        """Of the linear criterion that is searched for; sets for G are improved from those for D."""
+        if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
 
@@ -208,6 +240,12 @@ class _Designer:
         if self.count > len(rows):
             return exchange.exchange(rows, self.count, weighting, seed=self.options.seed, repeats=True, progress=tell)
         return exchange.choose(rows, self.count, weighting, seed=self.options.seed, progress=tell)
+
+    def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
+        """For G, the choice with the worst variance lowered by exchanges; else the choice itself."""
+        if self.options.criterion != "G":
+            return indices
+        return worst_variance.exchange(rows, indices, self.region_rows, repeats=self.count > len(rows))
 
     def _ordered(self, attitudes: Sequence[Array]) -> list[Array]:
         try:
@@ -224,8 +262,8 @@ class _Designer:
         """Best found and bounds, over cardinal and over all reachable orientations, each criterion from a search of its own."""
         merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
         continuous_ones = {}
-        for number, criterion in enumerate(CRITERIA):
-            self.progress("bounds", number / len(CRITERIA))
+        for number, criterion in enumerate(_WITH_BOUND):
+            self.progress("bounds", number / len(_WITH_BOUND))
             weighting = self._weighting(criterion)
             settings = free
             if criterion != self.options.criterion:
@@ -234,6 +272,7 @@ class _Designer:
                 ).settings
                 merits.append(self._merit(region.rows_of(settings)))
             continuous_ones[criterion] = optimal.bound(region, settings, weighting)
+        merits.append(self._merit(region.rows_of(worst_variance.refine(region, free, region.rows))))
         best = {"free": _best([one for one in merits if one.sound])}
         limits = {"free": self._bounds(continuous_ones)}
         if "cardinal" in found:
@@ -242,12 +281,15 @@ class _Designer:
                     cardinal_rows, self.count, self._weighting(name), seed=self.options.seed,
                     repeats=self.count > len(cardinal_rows),
                 )
-                for name in CRITERIA
+                for name in _WITH_BOUND
             ]  # fmt: skip
-            own = [self._merit(cardinal_rows[one.indices]) for one in sets]
+            flattened = worst_variance.exchange(
+                cardinal_rows, sets[0].indices, self.region_rows, repeats=self.count > len(cardinal_rows)
+            )
+            own = [self._merit(cardinal_rows[chosen]) for chosen in (*(one.indices for one in sets), flattened)]
             best["cardinal"] = _best([self._merit(self.sight.rows(np.array(found["cardinal"]))), *own])
             limits["cardinal"] = self._bounds(
-                {name: continuous.solve(cardinal_rows, self._weighting(name)) for name in CRITERIA}
+                {name: continuous.solve(cardinal_rows, self._weighting(name)) for name in _WITH_BOUND}
             )
         self.progress("bounds", 1.0)
         return best, limits
@@ -267,7 +309,7 @@ class _Designer:
         own = self._merit(self.sight.rows(np.array(attitudes)))
         words = all(np.allclose(np.abs(one).max(axis=1), 1.0, atol=1e-12) for one in attitudes)
         texts = tuple(
-            place.segments[0].orientation if name == "planned" else orientation_text(one)
+            place.segments[0].orientation if name == "planned" else orientation_text(one, self._decimals)
             for place, one in zip(self.places, attitudes, strict=True)
         )
         schedule, designs = (self.schedule, self.checked.designs) if name == "planned" else self._scheduled(attitudes)

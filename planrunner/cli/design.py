@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bench", metavar="BENCH", help="design for this bench: a shipped name or a file")
     parser.add_argument("--estimate", metavar="NAME", help="design for this estimate (default: the first that can be)")
     parser.add_argument("--output", metavar="NAME", help="of this output, where the outputs see different things")
-    parser.add_argument("--criterion", choices=("D", "A", "I"), default="D", help="what to search for (default: D)")
+    parser.add_argument(
+        "--criterion", choices=("D", "A", "G", "I"), default="D", help="what to search for (default: D)"
+    )
     parser.add_argument(
         "--orientations",
         choices=("free", "cardinal", "planned"),

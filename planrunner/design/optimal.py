@@ -94,7 +94,7 @@ def refine(over: Region, start: Array, weighting: Array | None = None) -> Array:
     shape = start.shape
 
     def value(flat: Array) -> tuple[float, Array]:
-        rows, slopes = _with_slopes(over.rows_of, flat.reshape(shape))
+        rows, slopes = with_slopes(over.rows_of, flat.reshape(shape))
         matrix = rows.T @ rows + 1e-12 * np.eye(rows.shape[1])
         inverse = np.linalg.inv(matrix)
         if weighting is None:
@@ -102,8 +102,9 @@ def refine(over: Region, start: Array, weighting: Array | None = None) -> Array:
         middle = inverse @ weighting @ inverse
         return float(np.trace(weighting @ inverse)), -2.0 * np.einsum("nkp,np->nk", slopes, rows @ middle).ravel()
 
-    bounds = [_open(bound) for _ in range(shape[0]) for bound in over.bounds]
-    done = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300})
+    done = minimize(
+        value, start.ravel(), jac=True, method="L-BFGS-B", bounds=boxed(over, shape[0]), options={"maxiter": 300}
+    )
     return np.asarray(done.x).reshape(shape)
 
 
@@ -121,13 +122,17 @@ def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[
     start = over.settings[top]
 
     def value(flat: Array) -> tuple[float, Array]:
-        rows, slopes = _with_slopes(over.rows_of, flat.reshape(start.shape))
+        rows, slopes = with_slopes(over.rows_of, flat.reshape(start.shape))
         carried = rows @ middle
         return -float(np.sum(carried * rows)), -2.0 * np.einsum("nkp,np->nk", slopes, carried).ravel()
 
-    bounds = [_open(bound) for _ in range(len(start)) for bound in over.bounds]
     done = minimize(
-        value, start.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100, "ftol": 1e-12}
+        value,
+        start.ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=boxed(over, len(start)),
+        options={"maxiter": 100, "ftol": 1e-12},
     )
     rows = over.rows_of(np.asarray(done.x).reshape(start.shape))
     return rows, derivative(rows, matrix, weighting)
@@ -149,7 +154,7 @@ def allocate(rows: Array, weighting: Array | None = None, *, least_share: float 
     return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9).shares
 
 
-def _with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
+def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
     """Rows (n, p) and their derivatives (n, k, p) by central differences."""
     n, k = settings.shape
     steps = DIFFERENCE * np.eye(k)
@@ -159,5 +164,7 @@ def _with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
     return rows[:n], (pairs[:, 0] - pairs[:, 1]) / (2 * DIFFERENCE)
 
 
-def _open(bound: tuple[float, float]) -> tuple[float | None, float | None]:
-    return (None if math.isinf(bound[0]) else bound[0], None if math.isinf(bound[1]) else bound[1])
+def boxed(over: Region, count: int) -> list[tuple[float | None, float | None]]:
+    """The bounds of `count` settings one after the other, as scipy takes them."""
+    own = [(None if math.isinf(low) else low, None if math.isinf(high) else high) for low, high in over.bounds]
+    return own * count

@@ -38,7 +38,7 @@ def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
     """As a plan says it: words where the axes are cardinal, else the nearest words and turns about x, y and z in this order."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
-        f"{axis} {round(angle, decimals):.{decimals}f} deg"
+        f"{axis} {_degrees(angle, decimals)} deg"
         for axis, angle in zip(AXES, _turns(start, attitude), strict=True)
         if round(angle, decimals) != 0
     ]
@@ -65,6 +65,12 @@ def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
     x = math.atan2(-float(turned[1, 2]), float(turned[2, 2]))
     z = math.atan2(-float(turned[0, 1]), float(turned[0, 0]))
     return math.degrees(x), math.degrees(y), math.degrees(z)
+
+
+def _degrees(angle: float, decimals: int) -> str:
+    """With two decimals at least, more only where they say something."""
+    text = f"{round(angle, decimals):.{decimals}f}"
+    return text[: len(text) - decimals + DECIMALS] + text[len(text) - decimals + DECIMALS :].rstrip("0")
 
 
 def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) -> str:

@@ -1,0 +1,76 @@
+"""G-optimal sets: the worst variance of a predicted output over a region as small as can be.
+
+The worst variance has no slope where two places are equally bad, so a local search takes the k-norm of the variances instead, for rising
+k: its weighting of the region is that of a linear criterion tr(W·M⁻¹), and W moves to the worst places as k grows. For lists of
+candidates each position in turn gives way to whichever candidate makes the worst variance smallest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.design.optimal import Region, boxed, with_slopes
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+NORMS = (4.0, 16.0, 64.0, 256.0)
+
+
+def worst(rows: Array, region: Array) -> float:
+    """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite where M is singular."""
+    matrix = rows.T @ rows
+    if len(rows) < rows.shape[1] or np.linalg.cond(matrix) > 1e14:
+        return math.inf
+    return float(np.einsum("ij,ij->i", region @ np.linalg.inv(matrix), region).max())
+
+
+def refine(over: Region, start: Array, region: Array) -> Array:
+    """Settings (n, k) near `start` with a smaller worst variance over the rows of `region`; `start` itself where there are none."""
+    from scipy.optimize import minimize
+
+    shape, best, least = start.shape, start, worst(over.rows_of(start), region)
+    current = start
+    for norm in NORMS:
+
+        def value(flat: Array, norm: float = norm) -> tuple[float, Array]:
+            rows, slopes = with_slopes(over.rows_of, flat.reshape(shape))
+            inverse = np.linalg.inv(rows.T @ rows + 1e-12 * np.eye(rows.shape[1]))
+            variance = np.einsum("ij,ij->i", region @ inverse, region)
+            top = float(variance.max())
+            powers = (variance / top) ** norm
+            loss = top * float(np.mean(powers)) ** (1 / norm)
+            # ∂loss/∂variance, so that W = Σ w·x·xᵀ and the slope in a row x is −2·M⁻¹WM⁻¹x.
+            weights = loss * powers / variance / float(np.sum(powers))
+            middle = inverse @ ((region * weights[:, None]).T @ region) @ inverse
+            return loss, -2.0 * np.einsum("nkp,np->nk", slopes, rows @ middle).ravel()
+
+        done = minimize(
+            value, current.ravel(), jac=True, method="L-BFGS-B", bounds=boxed(over, shape[0]), options={"maxiter": 100}
+        )
+        current = np.asarray(done.x).reshape(shape)
+        reached = worst(over.rows_of(current), region)
+        if reached < least:
+            best, least = current, reached
+    return best
+
+
+def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False) -> Indices:
+    """Indices (n,) of the candidates `rows` (N, p), reached from `start` by exchanges that lower the worst variance, until none does."""
+    chosen = list(map(int, start))
+    least = worst(rows[chosen], region)
+    improved = True
+    while improved:
+        improved = False
+        for place in range(len(chosen)):
+            for candidate in range(len(rows)):
+                if candidate in chosen and not repeats:
+                    continue
+                tried = [*chosen[:place], candidate, *chosen[place + 1 :]]
+                reached = worst(rows[tried], region)
+                if reached < least * (1 - 1e-9):
+                    chosen, least, improved = tried, reached, True
+    return np.sort(np.array(chosen, dtype=np.intp))
