@@ -1,26 +1,137 @@
-"""What a cycle of turns and stops asks of the table axis that makes it."""
+"""What a cycle of turns and stops asks of the table axis that makes it, and what it leaves of a horizontal sensor error.
+
+A cycle that is to modulate constant errors away leaves nothing over its stops, nothing over its turns, and has a mean angle of zero. The
+figures are those of `planrunner.physics.rotation_cycle`.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-from planrunner.physics.kinematics import TableAxis
+import numpy as np
+
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import TableAxis, limits_in_words
+from planrunner.physics.modulation import MEAN_RADIUS, schuler_drive, schuler_rate
+from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Cycle
 
+Place = Callable[[str], Mark]
+"""The mark of one of the motion's keys."""
 
-def check_cycle(axis: TableAxis, motion: Cycle, mark: Mark, log: Findings) -> None:
-    """Findings at `mark` where the axis is too slow for the turns or the cycle winds up its cables."""
+NOTHING = 1e-6  # of a period: a part per million of an error that is known to some per cent is nothing
+_UPRIGHT = math.cos(math.radians(0.1))
+_DESIGN = "`planrunner design` finds cycles that leave nothing"
+
+
+def check_cycle(
+    axis: TableAxis, start: float, motion: Cycle, dwell: float | None, site: Site, at: Place, log: Findings
+) -> float:
+    """Findings about a cycle that begins with the joint at `start` [rad]; returns the joint's angle after the dwell [rad]."""
     if motion.rate > axis.max_rate:
         message = f"turns at {_deg(motion.rate)} deg/s; the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
-        log.error("physics-rate", mark, message, "lower turn_rate")
-    angle, low, high = 0.0, 0.0, 0.0
-    for move in motion.moves:
-        angle += move.turn
-        low, high = min(low, angle), max(high, angle)
+        log.error("physics-rate", at("turn_rate"), message, "lower turn_rate")
+        return start
+    cycle = RotationCycle.of(motion, axis.max_acceleration)
+    if not _within_limits(axis, start, cycle, at("moves"), log):
+        return start
+    if abs(axis.direction[2]) < _UPRIGHT:
+        message = (
+            f"the cycle turns the {axis.name} axis, which is not vertical: it modulates the errors across that axis"
+        )
+        log.warning("physics-cycle-axis", at("cycle"), message, "use a bench whose outermost axis points up")
+    stops, turns = cycle.integral()
+    _check_residual(cycle, stops, turns, at("moves"), log)
+    if abs(stops) > NOTHING * cycle.period:
+        _check_stops(motion, at("moves"), log)
+    if abs(cycle.mean_angle) > NOTHING * 2 * math.pi:
+        heading = 1e-5 * math.degrees(cycle.mean_angle) * 3600
+        message = (
+            f"the cycle stands at {_deg(cycle.mean_angle)} deg on average: 10 ppm of the azimuth gyro's scale factor bias heading by "
+            f"{heading:+.2g} arcsec"
+        )
+        log.warning("physics-cycle-angle", at("moves"), message, "let the cycle go as far to either side")
+    if dwell is None:
+        return start
+    _check_schuler(cycle, dwell, site, at("stop"), log)
+    _check_whole(cycle, dwell, at("moves"), log)
+    return start + float(cycle.angle(np.array([dwell]))[0])
+
+
+def _within_limits(axis: TableAxis, start: float, cycle: RotationCycle, mark: Mark, log: Findings) -> bool:
+    low, high = cycle.reach
     if high - low > axis.highest - axis.lowest:
         message = f"the cycle turns through {_deg(high - low)} deg; the {axis.name} axis allows {_deg(axis.highest - axis.lowest)} deg"
         log.error("physics-cable-wrap", mark, message, "choose turns that go back as they came")
+        return False
+    if start + low < axis.lowest or start + high > axis.highest:
+        message = (
+            f"the cycle reaches from {_deg(start + low)} to {_deg(start + high)} deg of the {axis.name} axis; "
+            f"{limits_in_words(axis)}"
+        )
+        log.error("physics-cable-wrap", mark, message, "begin the cycle at another position or choose other turns")
+        return False
+    return True
+
+
+def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: Mark, log: Findings) -> None:
+    share = abs(stops + turns) / cycle.period
+    if share <= NOTHING:
+        return
+    miles = 0.01 * math.radians(1) * share * MEAN_RADIUS / 1852
+    message = (
+        f"every cycle of {cycle.period:.1f} s leaves {seconds_of_error(stops)} of a constant horizontal error over its stops and "
+        f"{seconds_of_error(turns)} over its turns: {100 * share:.2g} % of the error is not modulated, so that a gyro drift of 0.01 deg/h "
+        f"acts like one of {0.01 * share:.2g} deg/h, {miles:.2g} nautical miles an hour"
+    )
+    log.warning("physics-cycle-residual", mark, message, _DESIGN)
+
+
+def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
+    """Names what is held longer than its opposite."""
+    angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
+    held: dict[float, float] = {}
+    for move in motion.moves:
+        held[angles[move.start]] = held.get(angles[move.start], 0.0) + motion.stop
+    unlike = []
+    for angle, seconds in held.items():
+        opposite = held.get(round((angle + 180) % 360, 6) % 360, 0.0)
+        if seconds > opposite:
+            unlike.append(f"{angle:g} deg for {seconds:g} s a cycle, the opposite side for {opposite:g} s")
+    message = f"the stops do not balance: {'; '.join(unlike)}"
+    log.warning("physics-cycle-stops", mark, message, "stop as long on opposite sides")
+
+
+def _check_schuler(cycle: RotationCycle, dwell: float, site: Site, mark: Mark, log: Findings) -> None:
+    drive = schuler_drive(cycle, dwell, site)
+    if drive < 1:
+        return
+    minutes = 2 * math.pi / schuler_rate(site) / 60
+    message = (
+        f"a cycle of {cycle.period / 60:.1f} min drives the Schuler oscillation of {minutes:.1f} min: within this dwell a constant "
+        f"horizontal gyro drift builds up {drive:.2g} times the oscillation that it makes without rotation"
+    )
+    log.warning("physics-cycle-schuler", mark, message, "stop for shorter, so that no harmonic of the cycle is near it")
+
+
+def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) -> None:
+    count = dwell / cycle.period
+    if abs(count - round(count)) * cycle.period < 1e-3:
+        return
+    message = (
+        f"the dwell holds {count:.2f} cycles of {cycle.period:.1f} s; the errors of the part left over are not balanced"
+    )
+    log.note("physics-cycle-part", mark, message, f"write dwell: {{cycles: {max(1, round(count))}}}")
+
+
+def seconds_of_error(left: complex) -> str:
+    """A residual in words: along the error and, where there is any, across it (positive to its left, seen from above)."""
+    across = f"{left.imag:+.2f} s across" if abs(left.imag) > 5e-3 else ""
+    if abs(left.real) <= 5e-3:
+        return across or "0 s"
+    return f"{left.real:+.2f} s along and {across}" if across else f"{left.real:+.2f} s"
 
 
 def _deg(radians: float) -> str:

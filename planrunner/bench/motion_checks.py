@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planrunner.bench.cycle_checks import check_cycle
+from planrunner.bench.cycle_checks import Place, check_cycle
 from planrunner.bench.model import BenchModels
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import (
@@ -43,11 +43,14 @@ def start_motion(
     orientation: Orientation,
     state: TableState,
     models: BenchModels,
-    mark: Mark,
+    at: Place,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Seconds until the table is in motion, and its state after the dwell. What it cannot do is a finding at `mark`."""
-    table = models.table
+    """Seconds until the table is in motion, and its state after the dwell. What it cannot do is a finding where the plan says so.
+
+    at: the mark of one of the motion's keys, or, for an empty one, of the motion.
+    """
+    table, mark = models.table, at("")
     if isinstance(motion, Rest):
         return 0.0, state
     if table is None:
@@ -58,8 +61,9 @@ def start_motion(
         return _spin(table, motion, dwell, orientation, state, models, mark, log)
     if isinstance(motion, Rock):
         return _rock(table, motion, mark, log), state
-    check_cycle(table.axes[0], motion, mark, log)
-    return 0.0, state
+    joints = state.joints.copy()
+    joints[0] = check_cycle(table.axes[0], float(joints[0]), motion, dwell, models.site, at, log)
+    return 0.0, TableState(joints)
 
 
 def no_table(what: str, mark: Mark, log: Findings) -> None:

@@ -14,13 +14,15 @@ import numpy as np
 from planrunner.bench.model import BenchModels
 from planrunner.bench.motion_checks import TableState, no_table, start_motion
 from planrunner.physics.kinematics import Array, Unreachable, joint_angles, transition_time
+from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.plan import model
 from planrunner.plan.expand import StatedSegment
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.schedule import Motion, Schedule, Segment, Spin
+from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
 
@@ -64,7 +66,7 @@ class _Planner:
         soak = _seconds(state, "soak") if kelvin is not None and kelvin != self._soaked else 0.0
         self._soaked = kelvin if kelvin is not None else self._soaked
         transition += self._move(orientation, mark_of("orientation") or item.mark)
-        transition += self._start(motion, dwell, orientation, marks, item.mark)
+        transition += self._start(motion, dwell, orientation, item)
         if ramp_to is not None:
             self._check_temperature(ramp_to, marks["temperature"])
         self._check_mode(item)
@@ -127,17 +129,28 @@ class _Planner:
         return None
 
     def _turns(self, item: StatedSegment, dwell: Turns) -> float | None:
-        log = Findings()
-        motion = motion_of(item.state, item.marks, None, log)
-        if not isinstance(motion, Spin):
-            hint = "give a rate, or a dwell as a time"
-            self._once("meaning-turns", item.marks["dwell"], f"'{item.label}' dwells in turns, but does not spin", hint)
+        """A dwell in whole turns of a spin or whole cycles of turns and stops."""
+        if (dwell.turns is None) == (dwell.cycles is None):
+            message = f"the dwell of '{item.label}' says {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
+            self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")
             return None
-        period = 2 * math.pi / abs(motion.rate)
-        turns = dwell.turns
+        motion = motion_of(item.state, item.marks, None, Findings())
+        stated = dwell.turns or dwell.cycles or 1
+        if dwell.turns and isinstance(motion, Spin):
+            period = 2 * math.pi / abs(motion.rate)
+        elif dwell.cycles and isinstance(motion, Cycle):
+            axes = self.models.table.axes if self.models.table else ()
+            period = RotationCycle.of(motion, axes[0].max_acceleration if axes else math.inf).period
+        else:
+            asked = "turns" if dwell.turns else "cycles"
+            does = "spin" if dwell.turns else "go through a cycle"
+            message = f"'{item.label}' dwells in {asked}, but does not {does}"
+            hint = "dwell in turns where the motion is a rate, in cycles where it is a cycle, or for a time"
+            self._once("meaning-turns", item.marks["dwell"], message, hint)
+            return None
         if dwell.at_least is not None:
-            turns = max(turns, math.ceil(dwell.at_least.value / period - 1e-9))
-        return turns * period
+            stated = max(stated, math.ceil(dwell.at_least.value / period - 1e-9))
+        return stated * period
 
     def _temperature(self, item: StatedSegment) -> tuple[float | None, float | None]:
         stated = item.state.get("temperature")
@@ -212,10 +225,13 @@ class _Planner:
         self.state = TableState(target)
         return seconds
 
-    def _start(
-        self, motion: Motion, dwell: float | None, orientation: Orientation, marks: Mapping[str, Mark], mark: Mark
-    ) -> float:
-        at = marks.get("motion") or marks.get("rate") or mark
+    def _start(self, motion: Motion, dwell: float | None, orientation: Orientation, item: StatedSegment) -> float:
+        stated = item.state.get("motion")
+        whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
+
+        def at(key: str) -> Mark:
+            return stated.at(key) if key and isinstance(stated, model.Motion) else whole
+
         seconds, self.state = start_motion(motion, dwell, orientation, self.state, self.models, at, self.log)
         return seconds
 

@@ -126,8 +126,11 @@ class State(Record):
         QuantityOf("time", "not negative"), "Wait after the motion is steady, before recording.", "30 s", None
     )
     dwell: Quantity | Turns | str | None = key(
-        WordOr(("recorded",), ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time or {turns: …}")),
-        "How long to record: a time, whole turns, or 'recorded' for as long as a played-back segment lasts.",
+        WordOr(
+            ("recorded",),
+            ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time, {turns: …} or {cycles: …}"),
+        ),
+        "How long to record: a time, whole turns or cycles, or 'recorded' for as long as a played-back segment lasts.",
         "2 min",
         None,
     )
@@ -350,7 +353,7 @@ class Plan(Record):
     )
     report: tuple[str, ...] = key(
         ListOf(Text(FILE_NAME, "a file name")),
-        "Reports to write: names of templates, without their .j2 ending.",
+        "Reports to write: names of templates, without their .j2 ending; certificate.zh.html is certificate.html in Chinese.",
         ["report.html", "summary.md"],
         ("report.html", "summary.md"),
     )

@@ -56,7 +56,9 @@ class Motion(Record):
     turn_rate: Quantity | None = key(
         QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", None
     )
-    stop: Quantity | None = key(QuantityOf("time", "positive"), "Time at each stop.", "5 min", None)
+    stop: Quantity | None = key(
+        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min", None
+    )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
         "Which way positive angles turn, seen against the rotation axis.",
@@ -66,9 +68,10 @@ class Motion(Record):
 
 
 class Turns(Record):
-    """A dwell counted in whole turns of the table."""
+    """A dwell counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
 
-    turns: int = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
+    turns: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1, None)
+    cycles: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34, None)
     at_least: Quantity | None = key(
-        QuantityOf("time", "positive"), "Add whole turns until the dwell lasts this long.", "30 s", None
+        QuantityOf("time", "positive"), "Add whole turns or cycles until the dwell lasts this long.", "30 s", None
     )

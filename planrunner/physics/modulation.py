@@ -1,0 +1,67 @@
+"""What a sensor error that a rotation cycle modulates does to a navigation: the Schuler loop driven by its harmonics.
+
+With velocity v and attitude error ψ written as complex numbers (east + i·north), a gyro error ε(t) and an accelerometer error b(t) in the
+navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd ed., 12.3),
+so v″ + ω_s²·v = −i·g·ε + b′ with ω_s² = g/R. The Earth's rotation turns the free oscillation by Ω·sin φ, as in Foucault's pendulum.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planrunner.physics.earth import Site
+from planrunner.physics.rotation_cycle import RotationCycle
+
+MEAN_RADIUS = 6_371_009.0  # m, of the Earth (IUGG)
+
+
+def schuler_rate(site: Site) -> float:
+    """ω_s [rad/s]; its period is 84.4 min."""
+    return math.sqrt(site.gravity / (MEAN_RADIUS + site.height))
+
+
+def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
+    """The largest free Schuler oscillation that a harmonic of the cycle builds up of a constant gyro drift within `seconds`, over the one
+    that the same drift makes without rotation; 0 where the cycle is too short for a harmonic to be near the Schuler rate.
+
+    A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each free rate ω; without rotation that is |ε|/ω_s. Over n cycles the
+    integral is that of one cycle times |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
+    """
+    natural = schuler_rate(site)
+    turning = site.earth_rate * math.sin(site.latitude)
+    most = max(1, int(seconds / cycle.period))
+    largest = 0.0
+    for rate in (natural - turning, -natural - turning):
+        if round(rate * cycle.period / (2 * math.pi)) == 0:
+            continue
+        half = math.remainder(rate * cycle.period, 2 * math.pi) / 2
+        # |sin(nx)| peaks at n = π/2|x|; before that it grows.
+        count = min(most, max(1, round(math.pi / 2 / abs(half)))) if half else most
+        growth = abs(math.sin(count * half) / math.sin(half)) if half else float(count)
+        largest = max(largest, abs(sum(cycle.integral(rate))) * growth)
+    return largest * natural
+
+
+def forced_velocity(
+    cycle: RotationCycle, gyro: complex, accelerometer: complex, site: Site, harmonic: int
+) -> tuple[complex, complex]:
+    """The velocity error [m/s] forced at plus and minus `harmonic` times the cycle's frequency, east + i·north.
+
+    gyro [rad/s], accelerometer [m/s^2]: constant sensor errors as oriented at the first position. A harmonic of exp(iθ) with
+    coefficient c at rate ω forces c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is the mean velocity that the residual leaves.
+    """
+    natural = schuler_rate(site)
+    forced = []
+    for sign in (1, -1):
+        rate = sign * harmonic * 2 * math.pi / cycle.period
+        share = sum(cycle.integral(rate)) / cycle.period
+        drive = -1j * site.gravity * gyro + 1j * rate * accelerometer
+        forced.append(complex(share * drive / (natural**2 - rate**2)))
+    return forced[0], forced[1]
+
+
+def amplitude(forward: complex, backward: complex) -> float:
+    """The semi-major axis of the ellipse forward·exp(iωt) + backward·exp(−iωt)."""
+    return float(np.abs(forward) + np.abs(backward))

@@ -1,0 +1,148 @@
+"""A cycle of stops and turns of one table axis, and what it leaves of an error that turns with the sensor.
+
+A horizontal error of the sensor (a constant gyro drift or accelerometer bias, written as a complex number) stands in the navigation
+frame as e·exp(iθ(t)), θ the axis's angle from the first position. Its integral over one cycle, in seconds, is what the cycle leaves of
+it: zero for a cycle that modulates the error away. Real and imaginary part turn the whole error vector as oriented at the first position.
+
+Turns have trapezoidal rate profiles, triangular where they are too short to reach the rate. Everything is integrated piece by piece:
+stops and steady turning in closed form, ramps by Gauss–Legendre quadrature on panels in which the phase turns by at most 1 rad, where ten
+nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical Integration, 1984, section 2.7).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.plan.schedule import Cycle
+
+Array = NDArray[np.float64]
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
+ROUNDING = 1e-9  # of a period or of a turn; what is left below it is left by rounding
+
+
+@dataclass(frozen=True)
+class RotationCycle:
+    """turns: rad, one a move, positive about the axis; before each the axis stands still for `stop` s. rate: rad/s, above zero;
+    acceleration: rad/s^2, infinite for turns without ramps. Raises `ValueError` for a cycle that takes no time."""
+
+    turns: tuple[float, ...]
+    stop: float
+    rate: float
+    acceleration: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.period > 0:
+            raise ValueError("the cycle takes no time: it neither stops nor turns")
+
+    @classmethod
+    def of(cls, cycle: Cycle, acceleration: float) -> RotationCycle:
+        """The cycle of a schedule on an axis that accelerates at `acceleration` [rad/s^2]."""
+        return cls(tuple(move.turn for move in cycle.moves), cycle.stop, cycle.rate, acceleration)
+
+    # -- where the axis is -------------------------------------------------------------------------------------------
+
+    @cached_property
+    def stops(self) -> Array:
+        """Angle of every stop from the first [rad], shape (n,), cables counted."""
+        return np.concatenate(([0.0], np.cumsum(self.turns)[:-1]))
+
+    @property
+    def period(self) -> float:
+        """Seconds of one cycle."""
+        return float(self._pieces[1].sum())
+
+    @property
+    def net_turn(self) -> float:
+        """What the cables wind up in one cycle [rad]."""
+        return math.fsum(self.turns)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Lowest and highest angle from the first position [rad]."""
+        reached = np.append(self.stops, self.net_turn)
+        return float(reached.min()), float(reached.max())
+
+    def angle(self, times: Array) -> Array:
+        """Angle from the first position [rad] at `times` [s since a cycle began], shape (n,)."""
+        begins, lasting, angles, rates, slopes, _ = self._pieces
+        cycles, within = np.divmod(np.asarray(times, dtype=float), self.period)
+        index = np.clip(np.searchsorted(begins, within, side="right") - 1, 0, len(begins) - 1)
+        elapsed = np.minimum(within - begins[index], lasting[index])
+        turned = angles[index] + (rates[index] + 0.5 * slopes[index] * elapsed) * elapsed
+        return np.asarray(cycles * self.net_turn + turned)
+
+    @property
+    def mean_angle(self) -> float:
+        """Time mean of the angle from the first position [rad]: times a scale factor error, the mean error of heading."""
+        _, lasting, angles, rates, slopes, _ = self._pieces
+        integral = angles * lasting + rates * lasting**2 / 2 + slopes * lasting**3 / 6
+        return math.fsum(integral) / self.period
+
+    # -- what it leaves ----------------------------------------------------------------------------------------------
+
+    def integral(self, frequency: float = 0.0) -> tuple[complex, complex]:
+        """∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], ω = `frequency` in rad/s.
+
+        At ω = 0 the residual of the cycle; at a multiple k of 2π/period, divided by the period, the k-th Fourier coefficient.
+        """
+        begins, lasting, angles, rates, slopes, turning = self._pieces
+        beat = rates - frequency
+        steady = lasting * np.exp(1j * beat * lasting / 2) * np.sinc(beat * lasting / (2 * math.pi))
+        parts = np.exp(1j * (angles - frequency * begins)) * steady
+        ramps = slopes != 0
+        parts[ramps] = _ramps(begins[ramps], lasting[ramps], angles[ramps], rates[ramps], slopes[ramps], frequency)
+        return complex(parts[~turning].sum()), complex(parts[turning].sum())
+
+    @cached_property
+    def residual(self) -> complex:
+        """What one cycle leaves, stops and turns together [s]."""
+        stops, turns = self.integral()
+        return stops + turns
+
+    @property
+    def balanced(self) -> bool:
+        """Whether nothing is left but rounding."""
+        return abs(self.residual) <= ROUNDING * self.period
+
+    # -- pieces in which the rate is constant or changes evenly --------------------------------------------------------
+
+    @cached_property
+    def _pieces(self) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]:
+        """begin [s], length [s], angle [rad] and rate [rad/s] at the begin, slope [rad/s^2], whether turning; each of shape (4·n,): a stop
+        and the three parts of a turn, of no length where a turn lacks one."""
+        turns = np.array(self.turns)
+        size, sign = np.abs(turns), np.sign(turns)
+        peak = np.where(size > 0, self.rate, 0.0)
+        if math.isfinite(self.acceleration):
+            peak = np.minimum(peak, np.sqrt(size * self.acceleration))
+        ramp = peak / self.acceleration
+        steady = np.maximum(0.0, np.divide(size, peak, out=np.zeros_like(size), where=peak > 0) - ramp)
+        rising = 0.5 * peak * ramp
+        still = np.zeros_like(size)
+        lasting = np.stack([np.full_like(size, self.stop), ramp, steady, ramp], axis=1).ravel()
+        rates = np.stack([still, still, sign * peak, sign * peak], axis=1).ravel()
+        slope = sign * self.acceleration if math.isfinite(self.acceleration) else still
+        slopes = np.stack([still, slope, still, -slope], axis=1).ravel()
+        begun = np.concatenate(([0.0], np.cumsum(turns)[:-1]))
+        angles = np.stack([begun, begun, begun + sign * rising, begun + turns - sign * rising], axis=1).ravel()
+        turning = np.tile([False, True, True, True], len(turns))
+        return np.concatenate(([0.0], np.cumsum(lasting)[:-1])), lasting, angles, rates, slopes, turning
+
+
+def _ramps(begins: Array, lasting: Array, angles: Array, rates: Array, slopes: Array, frequency: float) -> Array:
+    """∫ exp(i(θ − ωt)) dt over each of n pieces [s], shape (n,), by quadrature on panels."""
+    span = (np.maximum(np.abs(rates), np.abs(rates + slopes * lasting)) + abs(frequency)) * lasting
+    panels = np.maximum(1, np.ceil(span)).astype(int)
+    owner = np.repeat(np.arange(len(lasting)), panels)
+    first = np.repeat(np.cumsum(panels) - panels, panels)
+    width = (lasting / panels)[owner]
+    elapsed = width[:, None] * ((np.arange(len(owner)) - first)[:, None] + (NODES + 1) / 2)
+    angle = angles[owner, None] + (rates[owner, None] + 0.5 * slopes[owner, None] * elapsed) * elapsed
+    panel = np.exp(1j * (angle - frequency * (begins[owner, None] + elapsed))) @ WEIGHTS * width / 2
+    return np.bincount(owner, panel.real, len(lasting)) + 1j * np.bincount(owner, panel.imag, len(lasting))
