@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from planrunner.plan import source
@@ -16,6 +16,28 @@ COMMAND_LINE = Mark("<command line>")
 def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:
     """Everything given, `--set name=value` before the file. Raises `InputError` for what is missing, unknown or unreadable."""
     log = Findings()
+    given = _read(settings, file, log)
+    _check(plan.record, "add it under record: in the plan", given, log)
+    for name, item in plan.record.items():
+        if item.required and name not in given:
+            hint = f"give --set {name}=… or put it in a file for --info"
+            log.error("run-info-missing", item.mark, f"the plan requires '{name}'", hint)
+    if log.errors:
+        raise InputError(log)
+    return {name: given[name][0] for name in plan.record if name in given}
+
+
+def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
+    """What is told when a report is issued, after the run; `names` are those that may be told. Raises `InputError`."""
+    log = Findings()
+    given = _read(settings, file, log)
+    _check(names, "docs/certificates.md lists what a certificate knows", given, log)
+    if log.errors:
+        raise InputError(log)
+    return {name: value for name, (value, _) in given.items()}
+
+
+def _read(settings: Sequence[str], file: Path | None, log: Findings) -> dict[str, tuple[str, Mark]]:
     given: dict[str, tuple[str, Mark]] = {}
     if file is not None:
         for key, node in source.load(file).entries:
@@ -34,22 +56,13 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
             )
         else:
             given[name.strip()] = (value.strip(), COMMAND_LINE)
-    _check(plan, given, log)
-    if log.errors:
-        raise InputError(log)
-    return {name: given[name][0] for name in plan.record if name in given}
+    return given
 
 
-def _check(plan: Plan, given: Mapping[str, tuple[str, Mark]], log: Findings) -> None:
+def _check(names: Collection[str], hint: str, given: Mapping[str, tuple[str, Mark]], log: Findings) -> None:
     for name, (value, mark) in given.items():
-        if name not in plan.record:
-            message = f"the plan does not ask for '{name[:40]}'"
-            log.error(
-                "run-info-unknown", mark, message, closest(name, plan.record) or "add it under record: in the plan"
-            )
+        if name not in names:
+            message = f"'{name[:40]}' is not asked for"
+            log.error("run-info-unknown", mark, message, closest(name, names) or hint)
         elif len(value) > 500 or re.search(r"[\x00-\x1f\x7f]", value):
             log.error("run-info-value", mark, f"'{name}' must be one line of at most 500 characters", "shorten it")
-    for name, item in plan.record.items():
-        if item.required and name not in given:
-            hint = f"give --set {name}=… or put it in a file for --info"
-            log.error("run-info-missing", item.mark, f"the plan requires '{name}'", hint)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
 from planrunner.bench.opening import OpenBench, open_bench
+from planrunner.certificates import is_certificate
+from planrunner.certifying import another_item, facts, obstacles, recorded_information
 from planrunner.checking import Sound, check_plan
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute
@@ -25,7 +27,8 @@ from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import Foresees, InstrumentError
-from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.findings import Finding, InputError, Mark
+from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.from_run import report_context
 from planrunner.reporting.report import render_report
@@ -33,11 +36,22 @@ from planrunner.reporting.report import render_report
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: where it was written and what it found."""
+    """An analysis of a run: where it was written and what it found. withheld: why certificates that the plan asks for were not written."""
 
     folder: Path
     results: Results
     reports: tuple[Path, ...]
+    withheld: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Issue:
+    """What is asked for when reports are written after a run: which, run information told only now, and the run folder of the same item
+    before it was adjusted."""
+
+    reports: tuple[str, ...] = ()
+    given: Mapping[str, str] = field(default_factory=dict)
+    before: Path | None = None
 
 
 def start(
@@ -111,27 +125,61 @@ def sound_run(run: Path, today: date | None = None) -> Sound:
     return check_plan(run / "plan.yaml", bench_path=run / "bench.yaml", today=today or made).sound()
 
 
-def analyse_run(run: Path) -> Analysis:
-    """Estimate from a run's recording alone; write results and reports as a new analysis."""
-    context, results, reports = _analyse(run)
-    files = {"results.json": to_bytes(results.to_json())}
+def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
+    """Estimate from a run's recording alone; write results and reports as a new analysis.
+
+    issue: which reports and what is told for them; without it, the plan's. A certificate that the plan asks for and that cannot be issued
+    is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
+    """
+    issue = issue or Issue()
+    made = _analyse(run, issue)
+    reports = issue.reports or made.sound.plan.report
+    withheld: tuple[Finding, ...] = ()
+    if any(is_certificate(name) for name in reports):
+        withheld = tuple(_obstacles(made, issue))
+        if withheld and issue.reports:
+            raise InputError(withheld)
+        reports = tuple(name for name in reports if not withheld or not is_certificate(name))
+    files = {"results.json": to_bytes(made.results.to_json())}
     for report in reports:
-        files[report] = render_report(context, report).encode()
+        files[report] = render_report(made.context, report).encode()
     folder = add_analysis(run, files)
-    return Analysis(folder, results, tuple(folder / name for name in reports))
+    return Analysis(folder, made.results, tuple(folder / name for name in reports), withheld)
 
 
-def report_through(run: Path, template: Path) -> str:
+def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
     """A run's results through a template of one's own; nothing is written into the run folder."""
-    context, _, _ = _analyse(run)
-    return render_report(context, template.name.removesuffix(".j2"), template.parent)
+    made = _analyse(run, issue or Issue())
+    return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
 
 
-def _analyse(run: Path) -> tuple[ReportContext, Results, tuple[str, ...]]:
+@dataclass(frozen=True, slots=True)
+class _Made:
+    reader: RunReader
+    sound: Sound
+    results: Results
+    context: ReportContext
+    shown: CertificateFacts
+
+
+def _analyse(run: Path, issue: Issue) -> _Made:
     reader = RunReader.open(run)
     sound = sound_run(run)
     recording = reader.recording(sound.schedule)
-    told = {name: str(value) for name, value in reader.run["info"].items()}
-    setup = replace(sound.setup, information=told)
+    setup = replace(sound.setup, information=recorded_information(reader))
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
-    return report_context(reader, sound, recording, results), results, sound.plan.report
+    before = None if issue.before is None else _analyse(issue.before, Issue())
+    shown = facts(
+        reader,
+        sound,
+        recording,
+        issue.given,
+        None if before is None else before.results.estimates,
+        "" if before is None else before.reader.run["run"],
+    )
+    return _Made(reader, sound, results, report_context(reader, sound, recording, results, certificate=shown), shown)
+
+
+def _obstacles(made: _Made, issue: Issue) -> list[Finding]:
+    found = obstacles(made.reader, made.sound, made.results, made.shown)
+    return found if issue.before is None else [*found, *another_item(made.shown, RunReader.open(issue.before))]

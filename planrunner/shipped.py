@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def shipped(folder: str) -> Path:
-    """The folder `plans`, `schemas` or `templates` that this installation carries. Raises FileNotFoundError when it
+    """The folder `plans`, `schemas`, `templates` or `locales` that this installation carries. Raises FileNotFoundError when it
     has none.
     """
     package = Path(__file__).resolve().parent

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner import cli
-from planrunner.cli.printing import print_json
+from planrunner.cli.printing import print_findings, print_json
 from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def conclude(analysis: Analysis, *, as_json: bool) -> int:
         print_results(analysis.results)
         for path in reversed(analysis.reports or (analysis.folder,)):
             print(path)
+    print_findings(analysis.withheld)
     return code_of(analysis.results)
 
 

@@ -11,6 +11,7 @@ from planrunner.estimators.interface import Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
+from planrunner.reporting.certificate import CertificateFacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class ReportContext:
     bench: facts about the bench (name, description …); instruments: role → identity as the instrument gave it.
     failures: what could not be estimated → why.
     provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
-    probability: coverage probability of the expanded uncertainties.
+    probability: coverage probability of the expanded uncertainties. certificate: what a certificate shows beside all this.
     """
 
     title: str
@@ -53,6 +54,7 @@ class ReportContext:
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
     probability: float = 0.95
+    certificate: CertificateFacts | None = None
 
     @property
     def failed(self) -> tuple[LimitVerdict, ...]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
+from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext, SegmentSummary
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def report_context(
     *,
     analysis: str = "",
     analysed: str | None = None,
+    certificate: CertificateFacts | None = None,
 ) -> ReportContext:
     """Everything that a report shows of one analysis.
 
@@ -48,6 +50,7 @@ def report_context(
         failures=results.failures,
         warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
         provenance=provenance(reader, analysis, moment),
+        certificate=certificate,
     )
 
 

@@ -45,6 +45,13 @@ def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Round
     return Rounded(_fixed(number, exponent, last), _fixed(spread, exponent, last), exponent)
 
 
+def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
+    """Both as text with the same last decimal and power of ten, the uncertainty in two significant digits."""
+    pair = rounded(value, uncertainty)
+    power = f"e{pair.exponent}" if pair.exponent else ""
+    return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
+
+
 def _decimal(number: float) -> Decimal:
     """As people read it: 0.1 is 0.1, not its nearest binary fraction."""
     return Decimal(repr(float(number)))

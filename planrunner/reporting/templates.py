@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planrunner.reporting.language import ENGLISH, languages, spoken
 from planrunner.shipped import shipped
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ ENDING = ".j2"
 MAX_OUTPUT = 50_000_000  # characters
 MAX_TEMPLATE = 1_000_000  # bytes
 MAX_OPERAND = 1_000_000
+TRANSLATED = ("certificate.html",)  # templates whose texts the catalogues hold
 _TEXT_METHODS = frozenset(
     ("upper", "lower", "title", "capitalize", "strip", "lstrip", "rstrip", "split", "startswith", "endswith", "join")
 )
@@ -34,20 +36,36 @@ class ReportError(Exception):
 
 
 def available(folder: Path | None = None) -> tuple[str, ...]:
-    """Names of the reports that can be asked for: templates at the top of the folders, without their ending."""
+    """Names of the reports that can be asked for: templates at the top of the folders, without their ending, and `name.LANGUAGE.html`
+    of those that are translated."""
     found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
+    for name in TRANSLATED:
+        stem, _, ending = name.partition(".")
+        found |= {f"{stem}.{language}.{ending}" for language in languages()}
     return tuple(sorted(found))
+
+
+def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
+    """The template's file and the language of a report: `certificate.zh.html` is `certificate.html` in Chinese, unless there is a
+    template of that very name."""
+    full = name if name.endswith(ENDING) else name + ENDING
+    parts = full.split(".")
+    if len(parts) == 4 and parts[1] in languages() and not any((root / full).is_file() for root in roots):
+        return ".".join((parts[0], *parts[2:])), parts[1]
+    return full, ENGLISH
 
 
 def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> str:
     """The text that the template `name` (with or without `.j2`) makes of `given`, which must be plain data.
 
-    folder: a user's template folder, searched before the shipped one. Raises `ReportError`.
+    A language may stand before the ending: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one.
+    Raises `ReportError`.
     """
     import jinja2
 
-    full = name if name.endswith(ENDING) else name + ENDING
-    environment = _environment(_roots(folder), escaping=not full.endswith((".md" + ENDING, ".txt" + ENDING)))
+    roots = _roots(folder)
+    full, language = _template_of(name, roots)
+    environment = _environment(roots, not full.endswith((".md" + ENDING, ".txt" + ENDING)), language)
     pieces: list[str] = []
     size = 0
     try:
@@ -95,7 +113,7 @@ def _roots(folder: Path | None) -> tuple[Path, ...]:
 
 
 @lru_cache(maxsize=8)
-def _environment(roots: tuple[Path, ...], escaping: bool) -> Environment:
+def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Environment:
     import jinja2
     from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
     from markupsafe import Markup
@@ -146,10 +164,15 @@ def _environment(roots: tuple[Path, ...], escaping: bool) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        extensions=("jinja2.ext.i18n",),
     )
     for removed in _REMOVED_FILTERS:
         environment.filters.pop(removed)
     environment.globals = {"range": environment.globals["range"], "namespace": environment.globals["namespace"]}
+    environment.globals |= {"language": language, **spoken(language)}
+    # Placeholders are filled by our functions, not by formatting in the template.
+    environment.newstyle_gettext = True  # type: ignore[attr-defined]
+    environment.policies["ext.i18n.trimmed"] = True
     return environment
 
 

@@ -17,6 +17,7 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
       plots, correlation              {title, svg}
       budgets                         as `budgets.budget_views` gives them
     segments                          like a table
+    certificate                       as `certificate.certificate_view` gives it
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
 In tables a column titled `u …` or `U …` holds uncertainties and is shown in two digits; numbers to the left of it are
@@ -34,8 +35,9 @@ from planrunner.estimators.interface import Coefficient, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
+from planrunner.reporting.certificate import certificate_view
 from planrunner.reporting.context import ReportContext, SegmentSummary, site_facts
-from planrunner.reporting.rounding import rounded
+from planrunner.reporting.rounding import format_pair
 from planrunner.uncertainty.decision import coverage_factor
 
 if TYPE_CHECKING:
@@ -73,6 +75,7 @@ def report_view(context: ReportContext) -> dict[str, Any]:
         "warnings": list(context.warnings),
         "notes": list(context.notes),
         "provenance": named(context.provenance),
+        "certificate": certificate_view(context),
     }
 
 
@@ -152,13 +155,6 @@ def coefficient_row(item: Coefficient, probability: float = 0.95) -> dict[str, s
     }
 
 
-def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
-    """Both as text with the same last decimal and power of ten, the uncertainty in two significant digits."""
-    pair = rounded(value, uncertainty)
-    power = f"e{pair.exponent}" if pair.exponent else ""
-    return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
-
-
 def limit_row(limit: LimitVerdict) -> dict[str, str]:
     value, width = format_pair(limit.value, limit.expanded_uncertainty)
     return {
@@ -171,17 +167,9 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "expanded": width,
         "unit": shown_unit(limit.unit),
         "factor": f"{limit.coverage_factor:.2f}",
-        "probability": _percent(limit.probability),
+        "probability": words.probability(limit.probability),
         "reason": "" if limit.verdict == "pass" else limit.reason,
     }
-
-
-def _percent(probability: float) -> str:
-    if math.isnan(probability):
-        return "–"
-    if probability > 0.9995:
-        return "> 99.9 %"
-    return "< 0.1 %" if probability < 0.0005 else f"{100 * probability:.1f} %"
 
 
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:

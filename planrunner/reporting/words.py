@@ -27,6 +27,15 @@ def number(value: float, digits: int = 6) -> str:
     return "0" if text == "-0" else text
 
 
+def probability(value: float) -> str:
+    """In percent, saying no more than is known at the ends."""
+    if math.isnan(value):
+        return "–"
+    if value > 0.9995:
+        return "> 99.9 %"
+    return "< 0.1 %" if value < 0.0005 else f"{100 * value:.1f} %"
+
+
 def duration(seconds: float | None) -> str:
     """`95 s` → `1 min 35 s`; tenths below ten seconds; hours and days above."""
     if seconds is None:

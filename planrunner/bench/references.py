@@ -1,0 +1,34 @@
+"""What the results of a bench are traceable through: its instruments and its site, with their calibrations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from planrunner.bench.model import Bench, Calibration, driver_of, models, runs_on_virtual_clock
+
+SIMULATED = "planrunner.instruments.virtual"
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """An instrument of the bench, or its site, and the calibration that stands behind it, if one is stated."""
+
+    name: str
+    asset: str = ""
+    calibration: Calibration | None = None
+
+
+def references(bench: Bench) -> tuple[Reference, ...]:
+    """Site and instruments in the file's order, without the sensor, which is what is calibrated."""
+    instruments = [
+        Reference(name, entry.asset or "", entry.calibration)
+        for name, entry in bench.instruments.items()
+        if driver_of(entry).role != "sensor"
+    ]
+    return (Reference("site", "", bench.site.survey), *instruments)
+
+
+def simulated(bench: Bench) -> bool:
+    """Whether no real item can have been measured: instruments are simulated, or time is and nothing is played back."""
+    virtual = any(driver_of(entry).__module__.startswith(SIMULATED) for entry in bench.instruments.values())
+    return virtual or (runs_on_virtual_clock(bench) and not models(bench).replays)

@@ -1,0 +1,198 @@
+"""Issuing a calibration certificate of a run: what it shows, and what stands against issuing it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from datetime import UTC, date, datetime
+from typing import Any
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.run_reader import RunReader
+from planrunner.bench.references import Reference, references, simulated
+from planrunner.certificates import ASKED, DATES, is_certificate, lacks_of_bench, lacks_of_information
+from planrunner.checking import Sound
+from planrunner.estimators.interface import Estimate
+from planrunner.estimators.results import Results
+from planrunner.plan.findings import Finding, Findings, Mark, closest
+from planrunner.plan.units import ZERO_CELSIUS
+from planrunner.reporting.certificate import CertificateFacts, Traced, named_in
+
+ROOM = ("temperature", "pressure", "humidity")
+
+
+def facts(
+    reader: RunReader,
+    sound: Sound,
+    recording: Iterable[RecordedSegment],
+    given: Mapping[str, str],
+    before: Mapping[str, Estimate] | None = None,
+    before_run: str = "",
+) -> CertificateFacts:
+    """What a certificate of this run shows. given: run information told at the issue, which goes before that of the run."""
+    recorded = recorded_information(reader)
+    bench = sound.bench
+    laboratory = bench.laboratory
+    stated = {} if laboratory is None else {name: getattr(laboratory, name) for name in _SHOWN}
+    told = recorded | dict(given)
+    return CertificateFacts(
+        run=reader.run["run"],
+        laboratory={name: text for name, text in stated.items() if text},
+        told=told,
+        corrected={name: text for name, text in recorded.items() if told[name] != text},
+        references=tuple(_traced(item, reader.instruments.get(item.name, {})) for item in references(bench)),
+        conditions=tuple(_conditions(sound, tuple(recording), told)),
+        events=tuple(_events(reader)),
+        performed=(_day(reader.run["created"]), _day(reader.seal["sealed"]) if reader.seal else ""),
+        issued=told.get("date_issued") or datetime.now(UTC).date().isoformat(),
+        plan_digest=str(reader.state.created["files"]["plan.yaml"]),
+        before=dict(before or {}),
+        before_run=before_run,
+        simulated=simulated(bench),
+        replayed=sound.models.replays,
+    )
+
+
+_SHOWN = ("name", "address", "location", "contact", "accreditation", "traceability")
+
+
+def recorded_information(reader: RunReader) -> dict[str, str]:
+    """Run information as the run folder holds it."""
+    return {name: str(value) for name, value in reader.run["info"].items()}
+
+
+def _day(moment: Any) -> str:
+    return str(moment)[:10]
+
+
+def _traced(item: Reference, said: Mapping[str, str]) -> Traced:
+    identity = ", ".join(text for text in (*said.values(), item.asset) if text)
+    found = item.calibration
+    if found is None:
+        return Traced(item.name, identity)
+    return Traced(item.name, identity, found.certificate, found.date, found.due or "", found.laboratory or "")
+
+
+def _conditions(
+    sound: Sound, recording: tuple[RecordedSegment, ...], told: Mapping[str, str]
+) -> Iterable[tuple[str, str]]:
+    room = sound.bench.ambient
+    for name in ROOM:
+        value = told.get(f"ambient_{name}") or (room and getattr(room, name))
+        if value:
+            yield f"ambient {name}", str(value)
+    for name, text in told.items():
+        if name.startswith("ambient_") and name.removeprefix("ambient_") not in ROOM:
+            yield name.replace("_", " "), text
+    held = [item.segment.temperature for item in recording if item.segment.temperature is not None]
+    if held:
+        yield "chamber temperature", _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")
+    for name in {name: None for item in recording for name in item.readings}:
+        yield name, _range([item.readings[name] for item in recording if name in item.readings], "")
+
+
+def _range(values: list[float], unit: str) -> str:
+    low, high = f"{round(min(values), 3):g}", f"{round(max(values), 3):g}"
+    return f"{low}{unit}" if low == high else f"{low}{unit} … {high}{unit}"
+
+
+def _events(reader: RunReader) -> Iterable[tuple[str, str, str]]:
+    for text in reader.state.failures:
+        yield "fault", "", text
+    for item in reader.acknowledged():
+        if item.truncated:
+            yield "truncated", item.label, item.reason or ""
+    for other in reader.rejected():
+        yield "rejected", other.label, other.reason or ""
+
+
+def obstacles(reader: RunReader, sound: Sound, results: Results, shown: CertificateFacts) -> list[Finding]:
+    """What stands against issuing a certificate of this run, all of it."""
+    log = Findings()
+    mark = Mark(str(reader.path))
+    told = {name for name, text in shown.told.items() if text}
+    held = any(segment.temperature is not None for segment in sound.schedule.segments)
+    lacks = lacks_of_information(told, "give --set {name}=… or put it in a file for --info")
+    for lack in [*lacks_of_bench(sound.bench, told, held), *lacks]:
+        log.error("report-certificate-missing", mark, str(lack), lack.remedy)
+    _check_dates(shown, mark, log)
+    _check_who(sound, shown, mark, log)
+    _check_estimates(sound, shown, mark, log)
+    _check_amendment(reader, shown, mark, log)
+    if not reader.sealed or len(reader.acknowledged()) < len(sound.schedule.segments):
+        message = "the run is not finished and sealed, so its results may still change"
+        log.error("report-certificate-incomplete", mark, message, "finish it with planrunner resume")
+    for name, why in results.failures.items():
+        message = f"'{name}' could not be made: {why}"
+        log.error("report-certificate-incomplete", mark, message, "take it out of the plan and run again, or mend it")
+    return list(log)
+
+
+def _check_dates(shown: CertificateFacts, mark: Mark, log: Findings) -> None:
+    days = {name: shown.told[name] for name in DATES if shown.told.get(name)}
+    for name, text in days.items():
+        try:
+            day = date.fromisoformat(text)
+        except ValueError:
+            day = None
+        if day is None or day.isoformat() != text:
+            log.error("report-certificate-date", mark, f"'{name}' is '{text[:40]}'", "write it as 2026-03-01")
+            return
+    first, last = shown.performed
+    if days.get("date_received", first) > first:
+        message = f"the item was received on {days['date_received']}, after the calibration began on {first}"
+        log.error("report-certificate-date", mark, message, "correct date_received")
+    if shown.issued < (last or first):
+        message = f"it would be issued on {shown.issued}, before the calibration ended on {last or first}"
+        log.error("report-certificate-date", mark, message, "correct date_issued")
+
+
+def _check_who(sound: Sound, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
+    may = sound.bench.laboratory.authorised if sound.bench.laboratory else ()
+    who = shown.told.get("issued_by", "")
+    if may and who and not any(one in who for one in may):
+        message = f"'{who[:80]}' may not authorise certificates of this laboratory"
+        log.error("report-certificate-authority", mark, message, f"issued_by names one of: {', '.join(may)}")
+
+
+def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
+    for name in ("certified_estimates", "external_estimates"):
+        for unknown in sorted(named_in(shown.told, name) - set(sound.plan.estimates)):
+            message = f"{name} names '{unknown[:40]}', which is no estimate of this plan"
+            log.error("report-certificate-estimates", mark, message, closest(unknown, sound.plan.estimates))
+    if bool(shown.told.get("external_estimates")) != bool(shown.told.get("external_provider")):
+        message = "results from an external provider need both external_estimates and external_provider"
+        log.error("report-certificate-estimates", mark, message, "give both, or neither")
+
+
+def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
+    """7.8.8: a certificate that was issued is replaced by one of its own number that says which it replaces, and why."""
+    told = shown.told
+    issued = [
+        folder.name for folder in reader.analyses() if any(is_certificate(path.name) for path in folder.iterdir())
+    ]
+    if issued and not told.get("amends"):
+        message = f"a certificate of this run was issued already, in analysis {', '.join(issued)}"
+        hint = "for another one give amends (its number), amendment_reason and a new certificate_number"
+        log.error("report-certificate-amendment", mark, message, hint)
+    elif told.get("amends") and not told.get("amendment_reason"):
+        log.error("report-certificate-amendment", mark, "an amendment gives its reason", "give amendment_reason")
+    elif told.get("amends") and told["amends"] == told.get("certificate_number"):
+        message = f"the amendment has the number of what it amends, '{told['amends'][:40]}'"
+        log.error("report-certificate-amendment", mark, message, "give a new certificate_number")
+
+
+def another_item(shown: CertificateFacts, reader: RunReader) -> list[Finding]:
+    """Whether the run before an adjustment was made on another item than the one that is certified."""
+    earlier = recorded_information(reader)
+    for name in ("device_serial", "item_identification"):
+        now = shown.told.get(name)
+        if now and earlier.get(name) and earlier[name] != now:
+            message = f"its {name} is '{earlier[name][:40]}', that of this run '{now[:40]}'"
+            hint = "give the run of the same item before its adjustment"
+            return [Finding(Mark(str(reader.path)), "report-certificate-before", "error", message, hint)]
+    return []
+
+
+def names() -> list[str]:
+    """The run information that a certificate knows."""
+    return [item.name for item in ASKED]

@@ -1,0 +1,181 @@
+"""What a certificate's template is given beside the report's: plain text in parts, each part in words that a catalogue translates.
+
+The template words the page; here stand names, figures and dates. A missing figure is an empty text, which the page shows as not stated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from planrunner.estimators.interface import Estimate
+from planrunner.estimators.limits import LimitVerdict
+from planrunner.reporting import words
+from planrunner.reporting.budgets import freedom, shown_unit
+from planrunner.reporting.rounding import format_pair
+from planrunner.uncertainty.decision import coverage_factor
+
+if TYPE_CHECKING:
+    from planrunner.reporting.context import ReportContext
+
+
+@dataclass(frozen=True, slots=True)
+class Traced:
+    """A reference of the calibration: the site or an instrument, what it says of itself, and the calibration that is stated."""
+
+    name: str
+    identity: str = ""
+    certificate: str = ""
+    date: str = ""
+    due: str = ""
+    laboratory: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateFacts:
+    """What a certificate shows and no other report does. Dates are ISO 8601.
+
+    laboratory: the bench file's `laboratory`. told: run information, of the run and of the issue; corrected: names told otherwise at the
+    issue → as recorded with the run. performed: first and last day of the run. conditions: (name, text). events: what happened that the
+    method does not foresee, as (kind, segment, reason) with the kinds truncated, rejected, fault. before: estimates of the run before the
+    adjustment, by name. simulated: no real item was measured; replayed: a recording was played back.
+    """
+
+    run: str
+    laboratory: Mapping[str, str] = field(default_factory=dict)
+    told: Mapping[str, str] = field(default_factory=dict)
+    corrected: Mapping[str, str] = field(default_factory=dict)
+    references: tuple[Traced, ...] = ()
+    conditions: tuple[tuple[str, str], ...] = ()
+    events: tuple[tuple[str, str, str], ...] = ()
+    performed: tuple[str, str] = ("", "")
+    issued: str = ""
+    plan_digest: str = ""
+    before: Mapping[str, Estimate] = field(default_factory=dict)
+    before_run: str = ""
+    simulated: bool = False
+    replayed: bool = False
+
+
+def certificate_view(context: ReportContext) -> dict[str, Any]:
+    """Keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events, performed, issued, plan_digest,
+    run, before_run, simulated, replayed, results, has_before, conformity, warnings."""
+    facts = context.certificate
+    if facts is None:
+        facts = CertificateFacts("")
+    external, certified = (named_in(facts.told, name) for name in ("external_estimates", "certified_estimates"))
+    shown = [item for item in context.estimates if item.coefficients and (not certified or item.name in certified)]
+    limits = [item for item in context.limits if not certified or item.quantity.partition(".")[0] in certified]
+    results = [
+        _results(item, facts.before.get(item.name), context.probability) | {"external": item.name in external}
+        for item in shown
+    ]
+    number = facts.told.get("certificate_number", "")
+    return {
+        "number": number,
+        "number_css": css_string(number),
+        "laboratory": {name: facts.laboratory.get(name, "") for name in _LABORATORY},
+        "told": _Told(facts.told),
+        "corrected": list(facts.corrected.items()),
+        "references": [
+            {name: getattr(item, name) for name in Traced.__dataclass_fields__} for item in facts.references
+        ],
+        "conditions": [list(item) for item in facts.conditions],
+        "events": [list(item) for item in facts.events],
+        "performed": _span(*facts.performed),
+        "issued": facts.issued,
+        "plan_digest": facts.plan_digest,
+        "run": facts.run,
+        "before_run": facts.before_run,
+        "simulated": facts.simulated,
+        "replayed": facts.replayed,
+        "results": results,
+        "has_before": any(row["before"] for one in results for row in one["rows"]),
+        "conformity": [_conformity(limit) for limit in limits],
+        "warnings": [f"{one.name}: {text}" for one in shown for text in one.warnings],
+    }
+
+
+def named_in(told: Mapping[str, str], name: str) -> set[str]:
+    """The names that run information lists, such as `drift, residual`."""
+    return {part.strip() for part in told.get(name, "").split(",")} - {""}
+
+
+_LABORATORY = ("name", "address", "location", "contact", "accreditation", "traceability")
+
+
+class _Told(dict[str, str]):
+    """Run information by name; what was not told is empty."""
+
+    def __missing__(self, name: str) -> str:
+        return ""
+
+
+def _span(first: str, last: str) -> str:
+    return first if first == last or not last else f"{first} – {last}"
+
+
+def _results(estimate: Estimate, before: Estimate | None, probability: float) -> dict[str, Any]:
+    found = {} if before is None else {item.name: item for item in before.coefficients}
+    headline = set(estimate.headline)
+    ordered = sorted(estimate.coefficients, key=lambda item: bool(headline) and item.name not in headline)
+    rows = []
+    for item in ordered:
+        earlier = found.get(item.name)
+        factor = coverage_factor(item.degrees_of_freedom, probability)
+        expanded = factor * item.standard_uncertainty
+        value, width = format_pair(item.value, expanded)
+        same = earlier is not None and earlier.unit == item.unit
+        older = (
+            format_pair(
+                earlier.value, coverage_factor(earlier.degrees_of_freedom, probability) * earlier.standard_uncertainty
+            )
+            if earlier is not None and same
+            else ("", "")
+        )
+        subject, said = _split(item.name, item.description)
+        rows.append(
+            {
+                "name": item.name,
+                "subject": subject,
+                "said": said,
+                "value": value,
+                "expanded": width,
+                "unit": shown_unit(item.unit),
+                "factor": f"{factor:.2f}" if math.isfinite(factor) else "–",
+                "freedom": freedom(item.degrees_of_freedom),
+                "before": older[0],
+                "before_expanded": older[1],
+            }
+        )
+    return {"name": estimate.name, "estimator": estimate.estimator, "rows": rows, "segments": list(estimate.segments)}
+
+
+def _split(name: str, description: str) -> tuple[str, str]:
+    """`gyro_x: scale factor …` of K_gyro_x as subject and words, so that the words can be translated."""
+    subject, colon, rest = description.partition(": ")
+    return (subject, rest) if colon and name.endswith(subject) else ("", description)
+
+
+def _conformity(limit: LimitVerdict) -> dict[str, str]:
+    value, width = format_pair(limit.value, limit.expanded_uncertainty)
+    return {
+        "quantity": limit.quantity,
+        "lower": "" if math.isinf(limit.lower) else words.number(limit.lower),
+        "upper": "" if math.isinf(limit.upper) else words.number(limit.upper),
+        "value": value,
+        "expanded": width,
+        "unit": shown_unit(limit.unit),
+        "rule": limit.rule,
+        "guard": width if limit.rule == "guarded" else "0",
+        "verdict": limit.verdict,
+        "probability": words.probability(limit.probability),
+        "false_acceptance": words.probability(1 - limit.probability) if limit.verdict == "pass" else "",
+    }
+
+
+def css_string(text: str) -> str:
+    """Text as a CSS string that nothing can break out of: everything but letters and digits as an escape."""
+    return "".join(char if char.isascii() and char.isalnum() else f"\\{ord(char):06x}" for char in text)
