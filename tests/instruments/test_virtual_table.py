@@ -22,7 +22,7 @@ from planrunner.instruments.virtual.chamber import VirtualChamber, VirtualChambe
 from planrunner.instruments.virtual.courses import trapezoid
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.instruments.virtual.thermal import Command, Lags, temperatures
-from planrunner.physics.earth import Site
+from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
@@ -245,3 +245,14 @@ def test_temperature_does_not_depend_on_how_often_it_is_asked():
         asked.read()
     other.set(clock.now())
     assert asked.read() == quiet.read()
+
+
+def test_words_mean_true_directions_wherever_the_table_looks():
+    # The table's reference direction lies 20 deg east of north; x east, y north, z up still feel (0, cos 30°, sin 30°) of the Earth's
+    # rate.
+    surroundings = Surroundings(VirtualClock(), Site(30 * DEG, azimuth=20 * DEG))
+    text = f"{{axes: {AXES}}}".replace("LIMIT", "100")
+    turned = VirtualTable.connect(read(VirtualTableParameters, text), surroundings)
+    surroundings.clock.sleep(turned.orient(LEVEL))
+    rate, _ = turned.world.stimulus(np.array([surroundings.clock.now()]))
+    assert np.array(rate) / EARTH_RATE == pytest.approx([0.0, math.sqrt(0.75), 0.5], abs=1e-12)

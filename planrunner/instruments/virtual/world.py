@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planrunner.instruments.interfaces import Clock, Surroundings
 from planrunner.instruments.virtual import courses, thermal
 from planrunner.instruments.virtual.courses import Course, Standing, Stretch, Value
+from planrunner.instruments.virtual.track import Track
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis
 
@@ -30,7 +31,7 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 class World:
     """axes: of the table, outermost first, none without a table. skew: (3, 3) small rotation from the platform to the
     sensor's axes, the pointing error at the commanded orientation. steady_at: s, when the commanded motion is
-    reached."""
+    reached. track: of the carrier that moves the bench over the Earth; None where the bench stands."""
 
     clock: Clock
     site: Site
@@ -42,6 +43,7 @@ class World:
     skew: Array = field(default_factory=lambda: np.eye(3))
     lags: thermal.Lags = field(default_factory=lambda: thermal.Lags(1.0, _SHORT, _SHORT))
     command: thermal.Command = field(default_factory=lambda: thermal.Command.resting(ROOM))
+    track: Track | None = None
 
     @classmethod
     def of(cls, surroundings: Surroundings) -> World:
@@ -64,7 +66,9 @@ class World:
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
         """The times between two, within which all that the sensor feels changes smoothly."""
-        return self.course.stretches(begin, end)
+        stretches = self.course.stretches(begin, end)
+        track = self.track
+        return stretches if track is None else [part for item in stretches for part in track.stretches(item)]
 
     def stimulus(self, times: Array) -> tuple[Components, Components]:
         """Inertial rate [rad/s] and specific force [m/s^2] along the sensor's axes at `times`; floats where nothing
@@ -72,8 +76,7 @@ class World:
 
         Site vectors are carried inwards axis by axis, v ← R(−q)·v, and each joint adds its own rate along its axis.
         """
-        rate = self._towards_the_table(self.site.earth_rate_enu)
-        force = self._towards_the_table(self.site.specific_force_enu)
+        rate, force = (self._towards_the_table(vector) for vector in self._of_the_bench(times))
         for axis, (angle, turning) in zip(self.axes, self.course.follow(times), strict=True):
             force = _turned(axis.direction, angle, force)
             x, y, z = _turned(axis.direction, angle, rate)
@@ -81,8 +84,15 @@ class World:
             rate = (x + a * turning, y + b * turning, z + c * turning)
         return self._skewed(rate), self._skewed(force)
 
-    def _towards_the_table(self, v: Array) -> Components:
-        return _turned((0.0, 0.0, 1.0), self.site.azimuth, (float(v[0]), float(v[1]), float(v[2])))
+    def _of_the_bench(self, times: Array) -> tuple[Components, Components]:
+        """Inertial rate and specific force of the bench itself in its East-North-Up axes."""
+        if self.track is not None:
+            return self.track.felt(times, self.site.earth_rate)
+        (a, b, c), (x, y, z) = self.site.earth_rate_enu.tolist(), self.site.specific_force_enu.tolist()
+        return (a, b, c), (x, y, z)
+
+    def _towards_the_table(self, v: Components) -> Components:
+        return _turned((0.0, 0.0, 1.0), -self.site.azimuth, v)
 
     def _skewed(self, v: Components) -> Components:
         e = self.skew
@@ -93,7 +103,10 @@ class World:
 
     def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
         """Latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats where the bench stands."""
-        return self.site.latitude, self.site.longitude, self.site.height, 0.0, 0.0
+        if self.track is None:
+            return self.site.latitude, self.site.longitude, self.site.height, 0.0, 0.0
+        place = self.track.place(times)
+        return place.latitude, place.longitude, self.track.height, *self.track.velocity(place)
 
     # -- temperature -----------------------------------------------------------------------------------------------
 

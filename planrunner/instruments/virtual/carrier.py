@@ -1,0 +1,114 @@
+"""The virtual carrier: moves the whole bench over the Earth, as a ship or vehicle does, while everything on it goes on as it stands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.parameters import QuantityLike
+from planrunner.instruments.virtual.track import POLAR, Progress, Track
+from planrunner.instruments.virtual.world import World
+from planrunner.plan.kinds import Choice, QuantityOf, Record, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+SPEED_UP = 60.0  # s
+
+
+class VirtualCarrierParameters(Record):
+    """A simulated carrier: from the site, at its height, along a track with a speed."""
+
+    speed: Quantity = key(
+        QuantityLike("m/s", "not negative"),
+        "Speed along the track, or amplitude of a sinusoidal velocity; at zero the bench stands as if there were no carrier.",
+        "10 m/s",
+    )
+    heading: Quantity = key(
+        QuantityOf("angle"), "Heading at the start, clockwise from true north.", "45 deg", parse_quantity("0 deg")
+    )
+    track: str = key(
+        Choice(("constant-heading", "great-circle")),
+        "What the track keeps: its heading, or its direction.",
+        "great-circle",
+        "constant-heading",
+    )
+    period: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Period of a sinusoidal velocity forth and back; without it the speed is constant.",
+        "120 s",
+        None,
+    )
+    start: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "Time since the run began until which it stands.",
+        "20 min",
+        parse_quantity("0 s"),
+    )
+    speed_up: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Time in which it reaches a constant speed, at constant acceleration; 1 min without it.",
+        "1 min",
+        None,
+    )
+    bench: str = key(
+        Choice(("north-aligned", "heading-aligned")),
+        "Whether the bench stays aligned with north or turns with the heading; directions of a plan are then those of the bench.",
+        "heading-aligned",
+        "north-aligned",
+    )
+
+
+class VirtualCarrier:
+    """A simulated carrier under the virtual bench."""
+
+    role = "carrier"
+    Parameters = VirtualCarrierParameters
+
+    def __init__(self, world: World):
+        self.world = world
+
+    @classmethod
+    def connect(cls, parameters: VirtualCarrierParameters, surroundings: Surroundings) -> VirtualCarrier:
+        p = parameters
+        world = World.of(surroundings)
+        if world.track is not None:
+            raise InstrumentError("the bench stands on another carrier already: keep one of them")
+        if p.period is not None and p.speed_up is not None:
+            raise InstrumentError("a sinusoidal velocity needs no time to speed up: remove period or speed_up")
+        site = world.site
+        if abs(site.latitude) > POLAR:
+            limit = f"{math.degrees(POLAR):g} deg"
+            raise InstrumentError(f"a carrier cannot start beyond {limit} of latitude, where north turns too fast")
+        if p.speed.value > 0:
+            speed_up = SPEED_UP if p.speed_up is None else p.speed_up.value
+            period = None if p.period is None else p.period.value
+            progress = Progress(p.speed.value, p.start.value, speed_up, period)
+            great_circle, aligned = p.track == "great-circle", p.bench == "heading-aligned"
+            world.track = Track(
+                site.latitude, site.longitude, site.height, p.heading.value, progress, great_circle, aligned
+            )
+        return cls(world)
+
+    def read(self) -> Mapping[str, float]:
+        """True position and velocity now."""
+        latitude, longitude, height, east, north = (
+            float(np.ravel(value)[0]) for value in self.world.position(np.array([self.world.now()]))
+        )
+        return {
+            "latitude_deg": math.degrees(latitude),
+            "longitude_deg": math.degrees(longitude),
+            "height_m": height,
+            "velocity_east_m/s": east,
+            "velocity_north_m/s": north,
+        }
+
+    def identify(self) -> Mapping[str, str]:
+        return {"manufacturer": "planrunner", "model": "virtual carrier"}
+
+    def make_safe(self) -> None:
+        """A simulated carrier does nothing dangerous."""
+
+    def close(self) -> None:
+        """Nothing is held open."""

@@ -1,0 +1,77 @@
+"""The Earth that a simulated carrier moves over: the WGS 84 ellipsoid and its normal gravity (NIMA TR8350.2, 2000).
+
+Lengths of meridian follow Helmert's series in the third flattening n; what is left out is of the order n⁵, 0.4 µm. Written for the
+simulator alone: navigation has formulas of its own, against which these stand.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Latitude = Any  # float or Array, rad
+
+SEMI_MAJOR = 6378137.0  # m
+FLATTENING = 1 / 298.257223563
+ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
+MEAN_RADIUS = 6371008.7714  # m, (2a + b)/3
+_GRAVITY_EQUATOR, _GRAVITY_POLE = 9.7803253359, 9.8321849378  # m/s^2
+_SOMIGLIANA = (1 - FLATTENING) * _GRAVITY_POLE / _GRAVITY_EQUATOR - 1
+_CENTRIFUGAL = 0.00344978650684  # ω²a²b/GM
+
+_N = FLATTENING / (2 - FLATTENING)
+_ARC = SEMI_MAJOR / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64)  # m/rad of rectifying latitude
+_FORWARD = (-3 / 2 * _N + 9 / 16 * _N**3, 15 / 16 * _N**2 - 15 / 32 * _N**4, -35 / 48 * _N**3, 315 / 512 * _N**4)
+_INVERSE = (
+    3 / 2 * _N - 27 / 32 * _N**3,
+    21 / 16 * _N**2 - 55 / 32 * _N**4,
+    151 / 96 * _N**3,
+    1097 / 512 * _N**4,
+)
+
+
+def meridian_radius(latitude: Latitude) -> Any:
+    """M, radius of curvature [m] in the meridian."""
+    return SEMI_MAJOR * (1 - ECCENTRICITY_SQUARED) / (1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2) ** 1.5
+
+
+def meridian_radius_slope(latitude: Latitude) -> Any:
+    """dM/dφ [m/rad]."""
+    sine = np.sin(latitude)
+    slope = 3 * ECCENTRICITY_SQUARED * sine * np.cos(latitude) / (1 - ECCENTRICITY_SQUARED * sine**2)
+    return meridian_radius(latitude) * slope
+
+
+def normal_radius(latitude: Latitude) -> Any:
+    """N, radius of curvature [m] in the prime vertical."""
+    return SEMI_MAJOR / np.sqrt(1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
+
+
+def meridian_arc(latitude: Latitude) -> Any:
+    """Length of meridian [m] from the equator."""
+    return _ARC * (latitude + sum(c * np.sin(2 * k * latitude) for k, c in enumerate(_FORWARD, start=1)))
+
+
+def latitude_at_arc(arc: Any) -> Any:
+    """The latitude [rad] that lies `arc` m of meridian from the equator."""
+    rectifying = arc / _ARC
+    return rectifying + sum(c * np.sin(2 * k * rectifying) for k, c in enumerate(_INVERSE, start=1))
+
+
+def isometric_latitude(latitude: Latitude) -> Any:
+    """ψ with dψ = M/(N·cos φ)·dφ: along a line of constant heading χ, longitude grows by tan χ·dψ."""
+    eccentricity = np.sqrt(ECCENTRICITY_SQUARED)
+    sine = np.sin(latitude)
+    return np.arctanh(sine) - eccentricity * np.arctanh(eccentricity * sine)
+
+
+def normal_gravity(latitude: Latitude, height: float) -> Any:
+    """Normal gravity [m/s^2] at `height` m above the ellipsoid, along its normal: Somigliana's formula and TR8350.2 (4-3). Its
+    component to the north, 8·10⁻⁹ m/s² a metre of height, is left out."""
+    squared = np.sin(latitude) ** 2
+    surface = _GRAVITY_EQUATOR * (1 + _SOMIGLIANA * squared) / np.sqrt(1 - ECCENTRICITY_SQUARED * squared)
+    first = 1 + FLATTENING + _CENTRIFUGAL - 2 * FLATTENING * squared
+    return surface * (1 - 2 * first * height / SEMI_MAJOR + 3 * (height / SEMI_MAJOR) ** 2)

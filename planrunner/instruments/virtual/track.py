@@ -1,0 +1,213 @@
+"""Tracks: where a simulated carrier is on the Earth, how it moves, and what a level bench on it feels.
+
+The carrier keeps its height. Its track is exact in either of two senses: a line of constant heading over the ellipsoid, with the
+distance measured along the ellipsoid; or a great circle of the ellipsoid's normals, turned through at the rate that gives the distance
+on a sphere of the Earth's mean radius. Velocity, acceleration, Earth and transport rate follow from latitude and longitude as functions
+of time by differentiation in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.virtual import ellipsoid
+from planrunner.instruments.virtual.courses import Stretch
+
+Array = NDArray[np.float64]
+Vector = tuple[Array, Array, Array]
+POLAR = math.radians(85)
+_ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its latitude
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Distance covered along a track: from `start` [s] on, up to `speed` [m/s] at constant acceleration within `speed_up` [s], or with
+    the velocity speed·sin(2π·t/period) where `period` [s] is given."""
+
+    speed: float
+    start: float = 0.0
+    speed_up: float = 60.0
+    period: float | None = None
+
+    def follow(self, times: Array) -> tuple[Array, Array, Array]:
+        """Distance [m], velocity [m/s] and acceleration [m/s^2] along the track at `times` [s]."""
+        elapsed = np.maximum(times - self.start, 0.0)
+        if self.period is not None:
+            circular = 2 * math.pi / self.period
+            sine, cosine = np.sin(circular * elapsed), np.cos(circular * elapsed)
+            acceleration = np.where(times < self.start, 0.0, self.speed * circular * cosine)
+            # 1 − cos x = 2·sin²(x/2) without cancellation
+            return 2 * self.speed / circular * np.sin(circular * elapsed / 2) ** 2, self.speed * sine, acceleration
+        gain = self.speed / self.speed_up
+        rising = np.minimum(elapsed, self.speed_up)
+        distance = 0.5 * gain * rising**2 + self.speed * (elapsed - rising)
+        acceleration = np.where((times >= self.start) & (elapsed < self.speed_up), gain, 0.0)
+        return distance, gain * rising, acceleration
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Times [s] at which the acceleration jumps."""
+        return (self.start,) if self.period is not None else (self.start, self.start + self.speed_up)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the carrier is: latitude and longitude [rad] with their first and second derivatives by time, and the bench's heading [rad
+    clockwise from north] with its first."""
+
+    latitude: Array
+    longitude: Array
+    latitude_rate: Array
+    longitude_rate: Array
+    latitude_acceleration: Array
+    longitude_acceleration: Array
+    heading: Any
+    heading_rate: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """latitude, longitude, heading: rad, at the start; height: m; aligned: whether the bench turns with the heading."""
+
+    latitude: float
+    longitude: float
+    height: float
+    heading: float
+    progress: Progress
+    great_circle: bool = False
+    aligned: bool = False
+
+    @property
+    def pace(self) -> float:
+        """rad/s, how fast the phases of what is felt change at most."""
+        turning = 2 * math.pi / self.progress.period if self.progress.period is not None else 0.0
+        return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
+
+    def stretches(self, stretch: Stretch) -> list[Stretch]:
+        """A smooth stretch of another motion, cut where the carrier's acceleration jumps."""
+        times = [stretch.begin, *(t for t in self.progress.breaks if stretch.begin < t < stretch.end), stretch.end]
+        return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
+
+    def place(self, times: Array) -> Place:
+        """Where it is at `times` [s]. Raises `InstrumentError` near a pole."""
+        place = self._on_great_circle(times) if self.great_circle else self._on_rhumb_line(times)
+        if float(np.max(np.abs(place.latitude))) > POLAR:
+            limit = f"{math.degrees(POLAR):g} deg"
+            raise InstrumentError(
+                f"the carrier has come beyond {limit} of latitude: shorten the run or turn its heading"
+            )
+        return place
+
+    def velocity(self, place: Place) -> tuple[Array, Array]:
+        """Velocity east and north [m/s]."""
+        meridian, parallel = self._radii(place.latitude)
+        return place.longitude_rate * parallel, place.latitude_rate * meridian
+
+    def felt(self, times: Array, earth_rate: float) -> tuple[Vector, Vector]:
+        """Inertial rate [rad/s] and specific force [m/s^2] of the bench along its own East-North-Up axes, whose north is its heading.
+
+        In true axes: f = v̇ + (2·Ω + ω_en) × v − g.
+        """
+        place = self.place(times)
+        sine, cosine = np.sin(place.latitude), np.cos(place.latitude)
+        meridian, parallel = self._radii(place.latitude)
+        east, north = place.longitude_rate * parallel, place.latitude_rate * meridian
+        east_rate = (
+            place.longitude_acceleration * parallel - place.longitude_rate * place.latitude_rate * meridian * sine
+        )
+        north_rate = place.latitude_acceleration * meridian + place.latitude_rate**2 * ellipsoid.meridian_radius_slope(
+            place.latitude
+        )
+        twice = 2 * earth_rate + place.longitude_rate
+        force = (
+            east_rate - twice * sine * north,
+            north_rate + twice * sine * east,
+            ellipsoid.normal_gravity(place.latitude, self.height) - place.latitude_rate * north - twice * cosine * east,
+        )
+        turning = earth_rate + place.longitude_rate
+        rate = (-place.latitude_rate, turning * cosine, turning * sine - place.heading_rate)
+        return _in_bench(rate, place.heading), _in_bench(force, place.heading)
+
+    def _radii(self, latitude: Array) -> tuple[Array, Array]:
+        """Metres a radian of latitude and of longitude, at the carrier's height."""
+        meridian: Array = ellipsoid.meridian_radius(latitude) + self.height
+        parallel: Array = (ellipsoid.normal_radius(latitude) + self.height) * np.cos(latitude)
+        return meridian, parallel
+
+    def _on_rhumb_line(self, times: Array) -> Place:
+        distance, speed, acceleration = self.progress.follow(times)
+        along, across = math.cos(self.heading), math.sin(self.heading)
+        if abs(along) < _ALONG_PARALLEL:
+            latitude = np.full(times.shape, self.latitude)
+            parallel = ellipsoid.normal_radius(self.latitude) * math.cos(self.latitude)
+            longitude, zero = self.longitude + distance * across / parallel, np.zeros(times.shape)
+            rates = (zero, speed * across / parallel, zero, acceleration * across / parallel)
+        else:
+            latitude = ellipsoid.latitude_at_arc(ellipsoid.meridian_arc(self.latitude) + distance * along)
+            gained = ellipsoid.isometric_latitude(latitude) - ellipsoid.isometric_latitude(self.latitude)
+            longitude = self.longitude + across / along * gained
+            rates = _rhumb_rates(latitude, speed, acceleration, along, across)
+        return Place(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
+
+    def _on_great_circle(self, times: Array) -> Place:
+        """With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n × ṅ)_z does not depend on the place."""
+        distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
+        normal, forward = self._great_circle_axes()
+        cosine, sine = np.cos(distance), np.sin(distance)
+        x, y, z = (n * cosine + d * sine for n, d in zip(normal, forward, strict=True))
+        climbing = forward[2] * cosine - normal[2] * sine  # dn_z/dσ
+        level = np.hypot(x, y)
+        latitude = np.arctan2(z, level)
+        momentum = normal[0] * forward[1] - normal[1] * forward[0]
+        latitude_rate, longitude_rate = climbing * speed / level, momentum * speed / level**2
+        lifted = climbing * acceleration - z * speed**2
+        latitude_acceleration = (lifted + z * latitude_rate**2) / level
+        longitude_acceleration = momentum * acceleration / level**2 + 2 * z / level * latitude_rate * longitude_rate
+        heading, heading_rate = (np.arctan2(momentum, climbing), longitude_rate * z) if self.aligned else (0.0, 0.0)
+        return Place(
+            latitude,
+            self.longitude + np.arctan2(y, x),
+            latitude_rate,
+            longitude_rate,
+            latitude_acceleration,
+            longitude_acceleration,
+            heading,
+            heading_rate,
+        )
+
+    def _great_circle_axes(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """The ellipsoid's normal at the start and the direction that it moves in; longitudes from the start."""
+        sine, cosine = math.sin(self.latitude), math.cos(self.latitude)
+        north, east = math.cos(self.heading), math.sin(self.heading)
+        return (cosine, 0.0, sine), (-sine * north, east, cosine * north)
+
+
+def _rhumb_rates(
+    latitude: Array, speed: Array, acceleration: Array, along: float, across: float
+) -> tuple[Array, Array, Array, Array]:
+    """Rates and accelerations of latitude and longitude on a line of constant heading (along: its cosine, across: its sine)."""
+    meridian = ellipsoid.meridian_radius(latitude)
+    parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
+    north, east = speed * along, speed * across
+    latitude_rate, longitude_rate = north / meridian, east / parallel
+    latitude_acceleration = (
+        acceleration * along - ellipsoid.meridian_radius_slope(latitude) * latitude_rate**2
+    ) / meridian
+    # d(N·cos φ)/dφ = −M·sin φ
+    longitude_acceleration = acceleration * across / parallel + longitude_rate * north * np.sin(latitude) / parallel
+    return latitude_rate, longitude_rate, latitude_acceleration, longitude_acceleration
+
+
+def _in_bench(v: tuple[Any, Any, Any], heading: Any) -> Vector:
+    """Components in axes that are turned by `heading` clockwise about up."""
+    if isinstance(heading, float) and heading == 0.0:
+        return v
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return cosine * v[0] - sine * v[1], sine * v[0] + cosine * v[1], v[2]
