@@ -13,6 +13,7 @@ from planrunner.estimators.observations import SIGNIFICANCE, observe
 from planrunner.estimators.still_detection import still_spans
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.decision import expanded_uncertainty
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
@@ -90,7 +91,18 @@ def estimate(request: EstimateRequest) -> Estimate:
         tuple(warnings),
         tuple(recorded.label for recorded in request.segments),
         {"root_mean_square": fit.root_mean_square, "poses": len(poses.labels), "condition": fit.condition},
+        _influences(fit, request),
     )
+
+
+def _influences(fit: GravityFit, request: EstimateRequest) -> tuple[Influence, ...]:
+    """Readings and biases are in m/s², so that scale factors alone follow the magnitude that they are held against: ∂s/∂g = −s/g."""
+    gravity = request.setup.inputs.get("gravity")
+    if gravity is None:
+        return ()
+    sensitivities = np.zeros((len(NAMES), 1))
+    sensitivities[3:6, 0] = -fit.values[3:6] / request.site.gravity
+    return (Influence(gravity, sensitivities),)
 
 
 def _found(request: EstimateRequest) -> _Poses:

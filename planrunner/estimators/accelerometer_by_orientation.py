@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Table
+from planrunner.estimators.linear_influences import linear_influences
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.estimators.planned import matrix_at_rest
@@ -61,6 +62,7 @@ def estimate(request: EstimateRequest) -> Estimate:
         Coefficient(name, value, text, float(u), float(dof), words)
         for (name, value, text, _, words), u, dof in zip(rows, spreads, freedom, strict=True)
     )
+    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
     notes, warnings = judge(fit, basis)
     left_out = [name for name in _TERMS if name not in model.names]
     if left_out:
@@ -86,6 +88,7 @@ def estimate(request: EstimateRequest) -> Estimate:
         tuple(warnings),
         observations.labels,
         {"root_mean_square": [float(np.sqrt(np.sum(one.residuals**2) / max(1, fit.freedom))) for one in fit.fits]},
+        tuple(one.through(gradients) for one in stated),
     )
 
 

@@ -21,6 +21,7 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
 )
+from planrunner.estimators.linear_influences import linear_influences
 from planrunner.estimators.observations import observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import matrix_at_rest, planned_blocks
@@ -122,6 +123,7 @@ class FlexureGyroStatic:
         spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
         freedom = fit.degrees_of_freedom(found.gradients, basis)
         coefficients = _coefficients(found, spreads, freedom)
+        stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
         notes, warnings = judge(fit, basis)
         scaled = matrix / magnitudes
         condition = float(np.linalg.cond(scaled))
@@ -144,6 +146,7 @@ class FlexureGyroStatic:
             tuple(warnings),
             observations.labels,
             _extra(fit, matrix, model, parameters.outputs),
+            tuple(one.through(found.gradients) for one in stated),
         )
 
 
@@ -200,7 +203,8 @@ def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[C
 
 
 def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock], scaled: Array) -> tuple[Coefficient, ...]:
-    """The coefficients at the sensor's declared values with the uncertainty that its declared noise gives."""
+    """The coefficients at the sensor's declared values with the uncertainty that its declared noise and the bench's stated
+    inputs give: noise as each dwell averages it, and the table's position errors beside it."""
     products = request.parameters.terms
     model = flexure_gyro.static_model(products)
     names = flexure_gyro.physical_names(products)
@@ -214,13 +218,15 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock], scaled: Ar
     except ValueError:
         return ()
     p = scaled.shape[1]
-    covariance = np.zeros((2 * p, 2 * p))
+    gains = np.zeros((2, p, len(scaled)))
+    covariance = np.zeros((2, p, 2, p))
     for k, block in enumerate(blocks):
-        root = np.linalg.pinv(scaled / block.sigma[:, None]) if np.all(block.sigma > 0) else np.zeros((p, len(scaled)))
-        covariance[k * p : (k + 1) * p, k * p : (k + 1) * p] = (
-            root @ root.T / np.outer(block.magnitudes, block.magnitudes)
-        )
-    variance = np.einsum("qi,ij,qj->q", found.gradients, covariance, found.gradients).clip(min=0.0)
+        if np.all(block.sigma > 0):
+            root = np.linalg.pinv(scaled / block.sigma[:, None]) / block.magnitudes[:, None]
+            gains[k], covariance[k, :, k] = root / block.sigma, root @ root.T
+    stated = linear_influences(request, model, request.parameters.outputs, outputs, gains, "within_segment")
+    whole = covariance.reshape(2 * p, 2 * p) + sum((one.covariance for one in stated), np.zeros((2 * p, 2 * p)))
+    variance = np.einsum("qi,ij,qj->q", found.gradients, whole, found.gradients).clip(min=0.0)
     return _coefficients(found, np.sqrt(variance), np.full(len(variance), math.inf))[: found.physical]
 
 

@@ -31,7 +31,8 @@ class OutputsFit:
     noises: what is known from within the segments, for each output. sigma: (m, n), the standard uncertainties that the observations were
     weighted by: the noises', or with a part between segments added (`between_segments`). between: (m,), that part. ratios: (m,), residual
     variance over that expected from the noise within the segments. pooled: whether one variance factor holds for all outputs, as it
-    does when their noise stays in the proportion that is seen within the segments. cofactors: by basis, (m, p, m, p), covariance of
+    does when their noise stays in the proportion that is seen within the segments. gains: (m, p, n), coefficients from observations.
+    cofactors: by basis, (m, p, m, p), covariance of
     the coefficients if the observations had `sigma` (residual) or the noises (within_segment) as their uncertainties and were fully
     correlated between outputs.
     """
@@ -44,6 +45,7 @@ class OutputsFit:
     ratios: Array
     cofactors: Mapping[str, Array]
     correlation: Array
+    gains: Array
     pooled: bool = False
 
     @property
@@ -132,8 +134,9 @@ def fit_outputs(
         roots = gains * spread[:, None, :]
         cofactors[name] = np.einsum("ain,bjn->aibj", roots, roots)
     pooled = pooled and all(noise.known for noise in noises) and not between.any()
+    correlation = observations.correlation
     return OutputsFit(
-        observations.channels, tuple(fits), noises, sigma, between, ratios, cofactors, observations.correlation, pooled
+        observations.channels, tuple(fits), noises, sigma, between, ratios, cofactors, correlation, gains, pooled
     )
 
 

@@ -25,11 +25,15 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.rate_influences import all_rates, each_rate
 from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.resolution_influences import resolution_influences
+from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
-from planrunner.plan.units import Unit, UnknownUnitError, unit
+from planrunner.plan.units import Unit
+from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]
 
@@ -86,15 +90,15 @@ class ScaleFactor:
             name, sigma = block.output, block.sigma
             output = request.sensor.output(name)
             assert output is not None  # each block is of an output that the sensor has
-            rate_unit, output_unit = _units(request.parameters, output.unit)
-            if np.unique(rates).size > 1 and np.all(sigma > 0):
-                spread = np.sqrt(
-                    np.diag(least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor)
-                )
-                shown = _slope_unit(rate_unit, output_unit)
-                nominal = request.sensor.nominal.get(f"K_{name}", math.nan)
-                if math.isfinite(nominal):
-                    predicted.append(Coefficient(f"K_{name}", nominal, shown[0], float(spread[1] * shown[1])))
+            rate_unit, output_unit = rate_and_output(request.parameters.rate_unit, output.unit)
+            nominal = request.sensor.nominal.get(f"K_{name}", math.nan)
+            if np.unique(rates).size > 1 and np.all(sigma > 0) and math.isfinite(nominal):
+                shown, factor = slope_unit(rate_unit, output_unit)
+                cofactor = least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor
+                gains = cofactor @ (matrix / sigma[:, None] ** 2).T
+                stated = _influences(request, gains[1:, None], np.array([nominal / factor]), rates)
+                variance = cofactor[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
+                predicted.append(Coefficient(f"K_{name}", nominal, shown, math.sqrt(variance) * factor))
         return Design(blocks, tuple(predicted))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
@@ -132,60 +136,34 @@ def _rates(segments: Sequence[Segment]) -> Array:
     return np.array([segment.rate for segment in segments], dtype=float)
 
 
-def _units(parameters: ScaleFactorParameters, output_unit: str) -> tuple[Unit, Unit]:
-    try:
-        rate, own = unit(parameters.rate_unit), unit(output_unit)
-    except UnknownUnitError as error:
-        raise EstimationError(str(error)) from None
-    if rate.dimension != unit("rad/s").dimension:
-        raise EstimationError(
-            f"rate_unit is '{parameters.rate_unit}', which is no unit of angular rate; write for example 'deg/s'"
-        )
-    return rate, own
-
-
-def _slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
-    """The unit of K and the factor from (output unit)/(rad/s); an output that is a rate itself gives a plain ratio."""
-    if own.dimension == rate.dimension:
-        return "1", own.factor
-    return f"({own.text})/({rate.text})", rate.factor
-
-
 def _assemble(request: EstimateRequest, observations: Observations, rates: Array, fit: OutputsFit) -> Estimate:
     parameters: ScaleFactorParameters = request.parameters
     basis = parameters.uncertainty
-    relative = parameters.rate_uncertainty.value if parameters.rate_uncertainty else 0.0
     m = len(observations.channels)
-    scale, coefficients, metrics = np.ones(2 * m), [], []
-    units = [_units(parameters, text) for text in observations.units]
-    slopes = [_slope_unit(*pair) for pair in units]
+    scale, coefficients = np.ones(2 * m), []
+    units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
+    slopes = [slope_unit(*pair) for pair in units]
     scale[1::2] = [factor for _, factor in slopes]
     covariance = fit.covariance(basis) * np.outer(scale, scale)
-    slope_values = np.array([one.coefficients[1] * factor for one, (_, factor) in zip(fit.fits, slopes, strict=True)])
-    covariance[1::2, 1::2] += relative**2 * np.outer(slope_values, slope_values)
     freedom = fit.degrees_of_freedom(np.eye(2 * m), basis)
+    spreads = np.sqrt(np.diag(covariance))
+    metrics: list[tuple[Coefficient, int, Array]] = []
     for k, name in enumerate(observations.channels):
-        u_offset, u_slope = np.sqrt(np.diag(covariance)[2 * k : 2 * k + 2])
-        fitted = u_slope**2 - (relative * slope_values[k]) ** 2
-        dof = float(freedom[2 * k + 1]) * (u_slope**2 / fitted) ** 2 if fitted > 0 else math.inf
         words = f"{name}: offset at zero rate", f"{name}: scale factor against the table's rate"
-        coefficients.append(
-            Coefficient(
-                f"F0_{name}",
-                float(fit.coefficients[k, 0]),
-                units[k][1].text,
-                float(u_offset),
-                float(freedom[2 * k]),
-                words[0],
-            )
-        )
-        coefficients.append(
-            Coefficient(f"K_{name}", float(slope_values[k]), slopes[k][0], float(u_slope), dof, words[1])
-        )
-        metrics += _metrics(name, rates, observations, k, fit, basis)
+        for j, (letter, its_unit) in enumerate((("F0", units[k][1].text), ("K", slopes[k][0]))):
+            at = 2 * k + j
+            value, u, dof = float(fit.coefficients[k, j] * scale[at]), float(spreads[at]), float(freedom[at])
+            coefficients.append(Coefficient(f"{letter}_{name}", value, its_unit, u, dof, words[j]))
+        metrics += [(item, k, answers) for item, answers in _metrics(name, rates, observations, k, fit, basis)]
+    functionals = np.zeros((2 * m + len(metrics), m, len(rates)))
+    for k in range(m):
+        functionals[2 * k : 2 * k + 2, k] = fit.gains[k] * scale[2 * k : 2 * k + 2, None]
+    for row, (_, k, answers) in enumerate(metrics, start=2 * m):
+        functionals[row, k] = answers
+    coefficients += [item for item, _, _ in metrics]
     full = np.zeros((2 * m + len(metrics), 2 * m + len(metrics)))
     full[: 2 * m, : 2 * m] = covariance
-    full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item in metrics]
+    full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item, _, _ in metrics]
     rate = units[0][0]
     shown = tuple(float(value / rate.factor) for value in rates)
     notes, warnings = judge(fit, basis)
@@ -193,29 +171,55 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
         notes.append(
             "All rates have one sign, so asymmetry cannot be told, and an offset that depends on the sense of rotation is in F0."
         )
-    if relative == 0:
+    stated = _influences(request, functionals, fit.coefficients[:, 1], rates)
+    if not stated:
         notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
+    recorded = resolution_influences(request.setup.inputs, observations.channels, request.segments, functionals)
     return Estimate(
         request.name,
         "scale_factor",
-        (*coefficients, *metrics),
+        tuple(coefficients),
         full,
-        tuple(item.name for item in (*coefficients, *metrics)),
-        {"uncertainty": basis, "weights": parameters.weights, "rate_uncertainty": relative},
+        tuple(item.name for item in coefficients),
+        {
+            "uncertainty": basis,
+            "weights": parameters.weights,
+            "rate_uncertainty": parameters.rate_uncertainty.value if parameters.rate_uncertainty else 0.0,
+        },
         (_table(observations, shown, fit, rate),),
         (residual_plot(observations, fit, "Residuals from the straight line", f"rate [{rate.text}]", shown),),
         tuple(notes),
         tuple(warnings),
         observations.labels,
+        influences=(*stated, *recorded),
     )
+
+
+def _influences(
+    request: EstimateRequest | DesignRequest, functionals: Array, slopes: Array, rates: Array
+) -> tuple[Influence, ...]:
+    """Of the table's rate: what the bench states of each rate, and what the plan states of all of them."""
+    found = []
+    if held := request.setup.inputs.get("table rate"):
+        found.append(each_rate(held, functionals, slopes, rates))
+    common = request.parameters.rate_uncertainty
+    if common is not None and common.value > 0:
+        source = f"plan estimates.{request.name}.rate_uncertainty"
+        quantity = InputQuantity(
+            "table rate, common", 0.0, "1", common.value, source=source, shown="ppm", shown_factor=1e-6
+        )
+        found.append(all_rates(quantity, functionals, slopes, rates))
+    return tuple(found)
 
 
 def _metrics(
     name: str, rates: Array, observations: Observations, k: int, fit: OutputsFit, basis: str
-) -> list[Coefficient]:
-    """Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
+) -> list[tuple[Coefficient, Array]]:
+    """Each with how it answers to the means of the output, (n,).
+
+    Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
     at zero rate; it needs both signs and three different rates."""
-    one, sigma = fit.fits[k], fit.sigma[k]
+    one, sigma, matrix = fit.fits[k], fit.sigma[k], np.column_stack([np.ones(len(rates)), rates])
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
     full_scale = float(np.abs(observations.mean[:, k]).max())
@@ -224,11 +228,10 @@ def _metrics(
     if full_scale > 0 and fit.freedom:
         u = math.sqrt(factor) * float(sigma[worst]) / full_scale * 1e6
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
-        found.append(
-            Coefficient(
-                f"nonlinearity_{name}", value, "ppm", u, freedom, f"{name}: largest residual over the largest output"
-            )
-        )
+        words = f"{name}: largest residual over the largest output"
+        residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
+        answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
+        found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words), answers))
     if np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
         halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
         half = least_squares.fit(
@@ -240,11 +243,9 @@ def _metrics(
         own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
         u = math.sqrt(max(0.0, gradient @ half.cofactor @ gradient * left))
         value = float(2e6 * (plus - minus) / (plus + minus))
-        found.append(
-            Coefficient(
-                f"asymmetry_{name}", value, "ppm", u, own, f"{name}: difference of forward and backward scale factors"
-            )
-        )
+        words = f"{name}: difference of forward and backward scale factors"
+        answers = gradient @ half.cofactor @ (halves / sigma[:, None] ** 2).T
+        found.append((Coefficient(f"asymmetry_{name}", value, "ppm", u, own, words), answers))
     return found
 
 

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from recorded import from_means, segment, sensor
 
-from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.analysis import combined
+from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Rock, Spin
+from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 SITE = Site(math.radians(40.0))
 DEG = math.pi / 180
+NOTHING = Setup()
 
 # NIST StRD "Norris": reference and instrument readings; certified line and standard deviations.
 NORRIS = """0.2 0.1 337.4 338.8 118.2 118.1 884.6 888.0 10.1 9.2 226.5 228.1 666.3 668.5 996.3 998.5 448.6 449.1 777.0 778.9
@@ -25,14 +28,22 @@ NORRIS = """0.2 0.1 337.4 338.8 118.2 118.1 884.6 888.0 10.1 9.2 226.5 228.1 666
 448.9 449.2 0.5 0.2"""
 
 
-def line(rates: np.ndarray, outputs: np.ndarray, unit: str = "deg/s", error: object = 0.01, **keys: object) -> Estimate:
+def line(
+    rates: np.ndarray,
+    outputs: np.ndarray,
+    unit: str = "deg/s",
+    error: object = 0.01,
+    setup: Setup = NOTHING,
+    **keys: object,
+) -> Estimate:
     errors = np.broadcast_to(np.asarray(error, dtype=float), rates.shape)
     recorded = tuple(
         from_means(segment(f"R{n}", motion=Spin(rate * DEG)), {"gyro": value}, unit, [own])
         for n, (rate, value, own) in enumerate(zip(rates, outputs, errors, strict=True))
     )
     parameters = ScaleFactorParameters(outputs=("gyro",), **keys)  # type: ignore[arg-type]
-    return ScaleFactor().estimate(EstimateRequest("scale", recorded, parameters, SITE, sensor("gyro", unit=unit)))
+    request = EstimateRequest("scale", recorded, parameters, SITE, sensor("gyro", unit=unit), setup=setup)
+    return combined(ScaleFactor().estimate(request))
 
 
 def test_certified_line() -> None:
@@ -133,3 +144,60 @@ def test_design_is_sound_only_with_two_rates() -> None:
     assert poor.unidentifiable == ("offset", "rate")
     predicted = designed([-100, 0, 100]).predicted[0]  # type: ignore[attr-defined]
     assert predicted.standard_uncertainty == pytest.approx(0.1 / math.sqrt(120) / (100 * math.sqrt(2)), rel=1e-9)
+
+
+HELD = Setup(inputs=Inputs({"table rate": InputQuantity("table rate", 0.0, "1", 1e-5)}))
+RATES = np.array([300.0, -300, 60, -60, 1, -1])
+
+
+def course(rates: np.ndarray) -> np.ndarray:
+    """An output with an offset, a cubic part and an asymmetry, so that no metric is zero."""
+    return 2 + 500 * rates + 1e-5 * rates**3 + 0.02 * np.abs(rates)
+
+
+@pytest.mark.parametrize("basis", ["residual", "within_segment"])
+def test_each_rates_own_error_by_brute_force(basis: str) -> None:
+    """One commanded rate is really 1e-7 more: all four figures move as the budget says, on either basis."""
+    stated = line(RATES, course(RATES), setup=HELD, uncertainty=basis)
+    item = next(one for one in stated.influences if one.quantity.name == "table rate")
+    assert item.parts == tuple(f"{rate:g} deg/s" for rate in sorted(RATES))
+    assert not item.in_scatter
+    nominal = np.array([one.value for one in stated.coefficients])
+    for k, rate in enumerate(sorted(RATES)):
+        really = np.where(rate == RATES, RATES * (1 + 1e-7), RATES)
+        # Only the linear part moves in the budget's linear model: the cubic and asymmetric ones are kept as they are.
+        found = line(RATES, course(RATES) + 500 * (really - RATES), uncertainty=basis)
+        change = (np.array([one.value for one in found.coefficients]) - nominal) / 1e-7
+        assert -item.sensitivities[:, k] == pytest.approx(change, rel=5e-3, abs=1.0)
+
+
+def test_budget_of_a_scale_factor_by_hand() -> None:
+    """Equal noise s = 0.02 at ω = ±1 and 0: u(K) = s/√2 from the data; errors of two rates give K·u/√2, a common one K·u."""
+    rates = np.array([-1.0, 0, 1])
+    keys = {"error": 0.02, "uncertainty": "within_segment", "setup": HELD}
+    found = line(rates, 500 * rates, rate_uncertainty=parse_quantity("20 ppm"), **keys)
+    budget = next(one for one in found.budgets if one.coefficient == "K_gyro")
+    shown = {one.quantity: one.contribution for one in budget.lines}
+    assert shown == pytest.approx(
+        {"data": 0.02 / math.sqrt(2), "table rate": 500e-5 / math.sqrt(2), "table rate, common": 500 * 2e-5}
+    )
+    assert {one.quantity: (one.source, one.unit) for one in budget.lines}["table rate, common"] == (
+        "plan estimates.scale.rate_uncertainty",
+        "ppm",
+    )
+    assert not any("taken as exact" in note for note in found.notes)
+
+
+def test_check_foresees_the_rates_errors() -> None:
+    rates = np.array([-1.0, 0, 1]) * DEG
+    model = SensorModel(
+        "gyro",
+        (OutputModel("gyro", "pulse/s", noise=NoiseModel(white=0.02 * math.sqrt(120))),),
+        100.0,
+        {"K_gyro": 500.0},
+    )
+    segments = tuple(segment(f"R{n}", motion=Spin(rate)) for n, rate in enumerate(rates))
+    parameters = ScaleFactorParameters(outputs=("gyro",), rate_uncertainty=parse_quantity("20 ppm"))
+    (predicted,) = ScaleFactor().design(DesignRequest("s", segments, parameters, SITE, model, setup=HELD)).predicted
+    expected = math.sqrt(0.02**2 / 2 + (500 * 1e-5) ** 2 / 2 + (500 * 2e-5) ** 2)
+    assert predicted.standard_uncertainty == pytest.approx(expected, rel=1e-6)

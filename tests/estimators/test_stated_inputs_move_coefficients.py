@@ -1,0 +1,281 @@
+"""Sensitivities to what a bench states, against brute force: the world is changed, the recording made again and fitted as if it were not.
+
+The generator shares nothing with planrunner: the rotor's balance is solved for the torquers' currents, in deg/h, g and radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import from_means, segment, sensor
+from scipy.spatial.transform import Rotation
+from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude
+
+from planrunner.estimators.accelerometer_multi_position import (
+    AccelerometerMultiPosition,
+    AccelerometerMultiPositionParameters,
+)
+from planrunner.estimators.analysis import combined
+from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, Setup
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
+from planrunner.physics.kinematics import TableAxis, joint_angles
+from planrunner.uncertainty.influences import Influence, InputQuantity, Inputs
+
+AXES = (
+    TableAxis("outer", (0.0, 0.0, 1.0), 7.0, 3.5),
+    TableAxis("middle", (1.0, 0.0, 0.0), 3.5, 1.7),
+    TableAxis("inner", (0.0, 1.0, 0.0), 7.0, 3.5),
+)
+WIDTHS = {
+    "latitude": 5e-6,
+    "gravity": 2e-5,
+    "azimuth": 5e-5,
+    "table position": 1.5e-5,
+    "table orthogonality": 1e-5,
+    "resolution torquer_x": 1 / math.sqrt(12),
+}
+SETUP = Setup(
+    TableModel(AXES), inputs=Inputs({name: InputQuantity(name, 0.0, "rad", width) for name, width in WIDTHS.items()})
+)
+STEP = 1e-4
+NOTHING = Setup()
+
+
+def turn(about: np.ndarray, angle: float) -> np.ndarray:
+    return np.asarray(Rotation.from_rotvec(np.asarray(about, dtype=float) * angle).as_matrix())
+
+
+def currents(axes: np.ndarray, latitude: float = SITE.latitude, gravity: float = SITE.gravity) -> np.ndarray:
+    """Torquer currents (2,), pulse/s: those whose precession balances what the rotor feels."""
+    rate = axes @ np.array([0.0, math.cos(latitude), math.sin(latitude)]) * 15.041067
+    force = np.append(1.0, axes[:, 2] * gravity / 9.80665)
+    felt = [
+        rate[1] + force @ [TRUTH[f"D_X_{k}"] for k in "FXYZ"],
+        rate[0] + force @ [TRUTH[f"D_Y_{k}"] for k in "FXYZ"],
+    ]
+    e, s = math.radians(TRUTH["epsilon"] / 60), math.radians((TRUTH["epsilon"] + TRUTH["xi"]) / 60)
+    torquers = np.array([[math.cos(e), -math.sin(s)], [math.sin(e), math.cos(s)]]) * [TRUTH["SF_Y"], TRUTH["SF_X"]]
+    return np.linalg.solve(torquers, felt)
+
+
+def fitted(
+    world: dict[str, np.ndarray], setup: Setup = NOTHING, basis: str = "within_segment", **keys: float
+) -> Estimate:
+    """A recording made with the attitudes of `world`, fitted at the planned ones."""
+    recorded = tuple(
+        from_means(
+            replace(segment(label, attitude(words)), orientation=words),
+            dict(zip(CHANNELS, currents(world[label], **keys), strict=True)),
+            "pulse/s",
+            0.01,
+        )
+        for label, words in OPTIMAL.items()
+    )
+    parameters = FlexureGyroStaticParameters(uncertainty=basis)
+    return FlexureGyroStatic().estimate(
+        EstimateRequest("drift", recorded, parameters, SITE, sensor(*CHANNELS), setup=setup)
+    )
+
+
+PLANNED = {label: attitude(words) for label, words in OPTIMAL.items()}
+
+
+def values(estimate: Estimate) -> np.ndarray:
+    return np.array([item.value for item in estimate.coefficients])
+
+
+def influence(estimate: Estimate, name: str) -> Influence:
+    return next(item for item in estimate.influences if item.quantity.name == name)
+
+
+def same_but_for_sign(found: np.ndarray, expected: np.ndarray) -> bool:
+    size = np.abs(expected).max(axis=0) + 1e-12
+    return min(np.abs((found - sign * expected) / size).max() for sign in (1, -1)) < 2e-3
+
+
+def brute(world: dict[str, np.ndarray], step: float = STEP, **keys: float) -> np.ndarray:
+    """Change of all coefficients per unit of the change."""
+    nominal = values(fitted(PLANNED))
+    scale = np.maximum(np.abs(nominal), 1.0)
+    return (values(fitted(world, **keys)) - nominal) / step / scale
+
+
+def relative(column: np.ndarray) -> np.ndarray:
+    return column / np.maximum(np.abs(values(fitted(PLANNED))), 1.0)
+
+
+def test_latitude_gravity_and_azimuth() -> None:
+    found = fitted(PLANNED, SETUP)
+    north = {label: axes @ turn(np.array([0, 0, 1.0]), STEP) for label, axes in PLANNED.items()}
+    expected = {
+        "latitude": brute(PLANNED, latitude=SITE.latitude + STEP),
+        "gravity": brute(PLANNED, gravity=SITE.gravity + STEP),
+        "azimuth": brute(north),
+    }
+    for name, change in expected.items():
+        column = influence(found, name).sensitivities
+        assert column.shape[1] == 1
+        assert same_but_for_sign(relative(column[:, 0]), change), name
+
+
+def test_every_position_on_its_own() -> None:
+    """One position turned about each site axis: the sums of squares over the three agree, whichever axes are taken."""
+    item = influence(fitted(PLANNED, SETUP), "table position")
+    assert item.sensitivities.shape[1] == 3 * len(OPTIMAL)
+    assert not item.in_scatter
+    for label, words in OPTIMAL.items():
+        changes = np.column_stack([brute(PLANNED | {label: PLANNED[label] @ turn(axis, STEP)}) for axis in np.eye(3)])
+        mine = [k for k, part in enumerate(item.parts) if part.startswith(words)]
+        ours = np.column_stack([relative(item.sensitivities[:, k]) for k in mine])
+        assert np.sum(ours**2, axis=1) == pytest.approx(np.sum(changes**2, axis=1), rel=5e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("pair", [0, 1])
+def test_axes_that_are_not_at_right_angles(pair: int) -> None:
+    """The inner axis of a pair leans out of its right angle; attitudes of the leaning table at the same joint angles."""
+    near, leaning = np.zeros(3), {}
+    directions = [np.array(axis.direction) for axis in AXES]
+    directions[pair + 1] = turn(np.cross(directions[pair], directions[pair + 1]), STEP) @ directions[pair + 1]
+    for label, axes in PLANNED.items():
+        near = joint_angles(AXES, axes, near)
+        platform = np.eye(3)
+        for direction, angle in zip(directions, near, strict=True):
+            platform = platform @ turn(direction, angle)
+        leaning[label] = platform.T
+    item = influence(fitted(PLANNED, SETUP), "table orthogonality")
+    assert item.parts == ("outer and middle", "middle and inner")
+    assert same_but_for_sign(relative(item.sensitivities[:, pair]), brute(leaning))
+
+
+def test_resolution_is_listed_by_the_share_that_noise_leaves_of_it() -> None:
+    """Noise of 0.01·√1200 = 0.35 pulse/s a sample is below half a count and dithers nothing: each mean may be off by a count's rounding."""
+    item = influence(fitted(PLANNED, SETUP), "resolution torquer_x")
+    assert item.in_scatter
+    one = fitted(PLANNED, SETUP)
+    moved = np.zeros((len(one.coefficients), len(OPTIMAL)))
+    for n, label in enumerate(OPTIMAL):
+        recorded = [
+            from_means(
+                replace(segment(other, attitude(words)), orientation=words),
+                dict(zip(CHANNELS, np.add(currents(PLANNED[other]), [STEP * (other == label), 0.0]), strict=True)),
+                "pulse/s",
+                0.01,
+            )
+            for other, words in OPTIMAL.items()
+        ]
+        request = EstimateRequest(
+            "d", tuple(recorded), FlexureGyroStaticParameters(uncertainty="within_segment"), SITE, sensor(*CHANNELS)
+        )
+        moved[:, n] = (values(FlexureGyroStatic().estimate(request)) - values(one)) / STEP
+    assert item.sensitivities == pytest.approx(moved, rel=1e-3, abs=1e-6)
+
+
+def test_positions_are_in_the_scatter_unless_an_orientation_comes_twice() -> None:
+    assert influence(fitted(PLANNED, SETUP, "residual"), "table position").in_scatter
+    assert not influence(fitted(PLANNED, SETUP, "residual"), "latitude").in_scatter
+    recorded = tuple(
+        from_means(
+            replace(segment(f"{label}{turn_}", attitude(words)), orientation=words),
+            dict(zip(CHANNELS, currents(PLANNED[label]), strict=True)),
+            "pulse/s",
+            0.01,
+        )
+        for turn_ in (1, 2)
+        for label, words in OPTIMAL.items()
+    )
+    twice = FlexureGyroStatic().estimate(
+        EstimateRequest("d", recorded, FlexureGyroStaticParameters(), SITE, sensor(*CHANNELS), setup=SETUP)
+    )
+    item = influence(twice, "table position")
+    assert not item.in_scatter
+    assert item.sensitivities.shape[1] == 3 * len(OPTIMAL)
+    once = influence(fitted(PLANNED, SETUP), "table position")
+    assert item.covariance == pytest.approx(once.covariance, rel=1e-6)
+
+
+def test_monte_carlo_of_all_of_them_has_the_combined_covariance() -> None:
+    """400 worlds with every input drawn at once, refitted; standard deviations within 4 standard errors (14 %)."""
+    rng = np.random.default_rng(4)
+    budget = combined(
+        fitted(
+            PLANNED,
+            replace(
+                SETUP,
+                inputs=Inputs(
+                    {
+                        k: v
+                        for k, v in SETUP.inputs.quantities.items()
+                        if k[:5] != "resol" and k != "table orthogonality"
+                    }
+                ),
+            ),
+        )
+    )
+    predicted = np.sqrt(np.diag(budget.covariance - budget.data_covariance))
+    drawn = []
+    for _ in range(400):
+        lat, grav, azimuth = (WIDTHS[name] * rng.normal() for name in ("latitude", "gravity", "azimuth"))
+        world = {
+            label: axes @ turn(np.array([0, 0, 1.0]), azimuth) @ turn(rng.normal(size=3), WIDTHS["table position"])
+            for label, axes in PLANNED.items()
+        }
+        drawn.append(values(fitted(world, latitude=SITE.latitude + lat, gravity=SITE.gravity + grav)))
+    assert np.std(drawn, axis=0, ddof=1) == pytest.approx(predicted, rel=0.15)
+
+
+def test_check_foresees_what_the_estimate_will_state() -> None:
+    """Predicted u² is that of the declared noise plus that of the stated inputs, as brute force gave them."""
+    noise = NoiseModel(white=0.9)
+    outputs = tuple(OutputModel(name, "pulse/s", noise=noise) for name in CHANNELS)
+    nominal = {name: value * scale for (name, value), scale in zip(TRUTH.items(), SCALES, strict=True)}
+    model = SensorModel("flexure-gyro", outputs, 100.0, nominal)
+    segments = tuple(replace(segment(label, attitude(words)), orientation=words) for label, words in OPTIMAL.items())
+    parameters = FlexureGyroStaticParameters()
+    plain = FlexureGyroStatic().design(DesignRequest("d", segments, parameters, SITE, model))
+    stated = FlexureGyroStatic().design(DesignRequest("d", segments, parameters, SITE, model, setup=SETUP))
+    added = combined(fitted(PLANNED, SETUP))
+    for k, (before, after) in enumerate(zip(plain.predicted, stated.predicted, strict=True)):
+        extra = added.covariance[k, k] - added.data_covariance[k, k]
+        assert after.standard_uncertainty**2 - before.standard_uncertainty**2 == pytest.approx(extra, rel=1e-3)
+
+
+DEG_H = math.pi / 180 / 3600
+SCALES = [DEG_H, DEG_H, math.pi / 10800, math.pi / 10800, *[DEG_H, *[DEG_H / 9.80665] * 3] * 2]
+
+
+@pytest.mark.parametrize("reference", ["orientation", "gravity_magnitude"])
+def test_accelerometers_held_against_gravity(reference: str) -> None:
+    """a = b + S·f with |f| = g: with g stated 1e-3 too small, scale factors are 1e-3 too large and biases stay."""
+    channels = ("accel_x", "accel_y", "accel_z")
+    rng = np.random.default_rng(2)
+    attitudes = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(14)]
+    matrix, bias = np.array([[1.01, 0.002, -0.001], [0.003, 0.98, 0.004], [0.0, -0.002, 1.002]]), [0.02, -0.05, 0.03]
+
+    def fit(gravity: float) -> Estimate:
+        recorded = tuple(
+            from_means(
+                replace(segment(f"P{n}", axes), orientation=f"pose {n}"),
+                dict(zip(channels, matrix @ axes @ [0, 0, gravity] + bias, strict=True)),
+                "m/s^2",
+                1e-4,
+            )
+            for n, axes in enumerate(attitudes)
+        )
+        parameters = AccelerometerMultiPositionParameters(reference=reference, uncertainty="within_segment")
+        inputs = Inputs({"gravity": InputQuantity("gravity", 9.8, "m/s^2", 1e-3)})
+        request = EstimateRequest(
+            "a", recorded, parameters, SITE, sensor(*channels, unit="m/s^2"), setup=Setup(inputs=inputs)
+        )
+        return AccelerometerMultiPosition().estimate(request)
+
+    nominal = fit(SITE.gravity)
+    change = (values(fit(SITE.gravity * (1 + 1e-6))) - values(nominal)) / (SITE.gravity * 1e-6)
+    assert influence(nominal, "gravity").sensitivities[:, 0] == pytest.approx(-change, rel=1e-4, abs=1e-6)
+    scales = [k for k, item in enumerate(nominal.coefficients) if item.name.startswith("scale")]
+    for k in scales:
+        u = combined(nominal).coefficients[k].standard_uncertainty
+        assert u >= 1e-3 / SITE.gravity * nominal.coefficients[k].value
