@@ -1,0 +1,144 @@
+"""Attitudes and tilts of a stabilised element: how gravity shows a tilt, and what an inertially fixed element does at a turning site.
+
+All matrices take components to components (v_element = C @ v_site, site axes East-North-Up) and R_k(a) is the turn of a frame by `a`
+about its own axis k, so that R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+UP = np.array([0.0, 0.0, 1.0])
+UPRIGHT = 1e-6  # by which an axis may stand off the vertical and still count as vertical
+# The axis whose tilt is an arc sine, by the axis that is vertical: R_x·R_z·R_y with y up, R_z·R_y·R_x with x up, R_x·R_y·R_z with z up.
+_SINE = {"xzy": (1, 2, 1), "zxy": (2, 0, 0)}
+
+
+def turned(axis: int, angle: Array | float) -> Array:
+    """R_axis(angle): shape (3, 3), or (n, 3, 3) for angles (n,)."""
+    angle = np.asarray(angle, dtype=float)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.zeros((*angle.shape, 3, 3))
+    matrix[..., axis, axis] = 1.0
+    matrix[..., first, first] = matrix[..., second, second] = np.cos(angle)
+    matrix[..., first, second] = np.sin(angle)
+    matrix[..., second, first] = -np.sin(angle)
+    return matrix
+
+
+def earth_turn(earth: Array, seconds: Array) -> Array:
+    """R(Ω_ie·t): site components at time t after zero to site components at zero, shape (n, 3, 3), for seconds (n,).
+
+    earth: (3,) rad/s, Earth rate in site axes. C(0)·R(Ω_ie·t) is the attitude of an element that is fixed in inertial space.
+    """
+    rate = float(np.linalg.norm(earth))
+    a, b, c = earth / rate
+    cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+    angle = (rate * np.asarray(seconds, dtype=float))[..., None, None]
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross))
+
+
+def rotation_vector(between: Array) -> Array:
+    """θ of the frame turn exp(−[θ×]) = `between`, shape (n, 3) for (n, 3, 3); for turns well below 180°."""
+    m = between
+    vector = 0.5 * np.stack(
+        [m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1
+    )
+    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    cosine = 0.5 * (np.trace(m, axis1=-2, axis2=-1)[..., None] - 1)
+    angle = np.arctan2(sine, cosine)
+    return np.asarray(vector * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0))
+
+
+def turned_by(vector: Array) -> Array:
+    """exp(−[θ×]), the frame turn by a rotation vector, shape (n, 3, 3) for (n, 3): the inverse of `rotation_vector`."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    small = np.maximum(angle, 1e-12)
+    return np.asarray(np.eye(3) - np.sin(small) / small * cross + (1 - np.cos(small)) / small**2 * (cross @ cross))
+
+
+def encoder_attitude(
+    rings: Sequence[Array],
+    directions: Sequence[Sequence[float]],
+    azimuth: float,
+    gimbals: Sequence[Array],
+    axes: Sequence[int],
+) -> Array:
+    """The element's attitude from ring and gimbal angles, shape (n, 3, 3).
+
+    rings, gimbals: (n,) each, outermost first. directions: where each ring's axis points with all rings at zero, before the table's
+    `azimuth` is applied. axes: of the carrying part about which each gimbal turns.
+    """
+    found = np.broadcast_to(turned(2, -azimuth), (len(rings[0]), 3, 3))
+    for angle, direction in zip(rings, directions, strict=True):
+        found = turned_by(np.asarray(angle)[:, None] * np.asarray(direction, dtype=float)) @ found
+    for angle, axis in zip(gimbals, axes, strict=True):
+        found = turned(axis, angle) @ found
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class LevelState:
+    """A state in which two axes are level.
+
+    nominal: (3, 3), the planned attitude. vertical: the axis along the vertical, `sign` +1 where it points up. sine: the axis whose tilt
+    is an arc sine, turned second to last; other: the other level axis, turned last: C = R_other·R_sine·R_vertical·nominal.
+    """
+
+    nominal: Array
+    vertical: int
+    sign: float
+    sine: int
+    other: int
+
+    @property
+    def level(self) -> tuple[int, int]:
+        """The two level axes in the order x, y, z."""
+        return (self.sine, self.other) if self.sine < self.other else (self.other, self.sine)
+
+    @property
+    def hand(self) -> float:
+        """+1 where (vertical, sine, other) follow each other as x, y, z do."""
+        return 1.0 if self.sine == (self.vertical + 1) % 3 else -1.0
+
+    def tilts(self, force: Array, gravity: float) -> Array:
+        """Tilts about the level axes, shape (n, 2), from the specific force in element axes (n, 3) [m/s^2].
+
+        With y up: d_z = asin(f_x/g), d_x = −atan2(f_z, f_y) for C = R_x·R_z·R_y; d_z = atan2(f_x, f_y), d_x = −asin(f_z/g) for R_z·R_x·R_y.
+        """
+        force = self.sign * force
+        about_sine = np.arcsin(np.clip(self.hand * force[..., self.other] / gravity, -1.0, 1.0))
+        about_other = np.arctan2(-self.hand * force[..., self.sine], force[..., self.vertical])
+        pair = (about_sine, about_other) if self.sine < self.other else (about_other, about_sine)
+        return np.stack(pair, axis=-1)
+
+    def attitude(self, tilts: Array, heading: float) -> Array:
+        """C (3, 3) for tilts (2,) about the level axes and a turn `heading` about the vertical one."""
+        about = dict(zip(self.level, tilts, strict=True))
+        turns = (
+            turned(self.other, about[self.other]) @ turned(self.sine, about[self.sine]) @ turned(self.vertical, heading)
+        )
+        return np.asarray(turns @ self.nominal)
+
+    def heading(self, attitude: Array) -> float:
+        """The turn about the vertical axis in `attitude` (3, 3)."""
+        turns = attitude @ self.nominal.T
+        return float(np.arctan2(-self.hand * turns[self.other, self.sine], turns[self.other, self.other]))
+
+
+def level_state(nominal: Array, order: str) -> LevelState | None:
+    """The state of a planned attitude, None where no axis is vertical. order: `xzy` or `zxy`, as with y up."""
+    cosines = nominal @ UP
+    vertical = int(np.argmax(np.abs(cosines)))
+    if abs(cosines[vertical]) < 1 - UPRIGHT:
+        return None
+    sine = _SINE[order][vertical]
+    return LevelState(nominal, vertical, float(np.sign(cosines[vertical])), sine, 3 - vertical - sine)

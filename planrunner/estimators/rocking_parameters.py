@@ -1,0 +1,119 @@
+"""Keys of the estimator rocking_drift."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+Array = NDArray[np.float64]
+INSTALLATION = ("xz", "xy", "yz", "yx", "zy", "zx")
+
+
+def _angle(description: str, example: str) -> Any:
+    return key(QuantityOf("angle"), description, example, parse_quantity("0 arcsec"))
+
+
+class Installation(Record):
+    """Installation angles of the accelerometers: how an input axis has turned about another axis of the element, right-handed."""
+
+    xz: Quantity = _angle("Q_xz, x accelerometer about z.", "12 arcsec ± 2 arcsec")
+    xy: Quantity = _angle("Q_xy, x accelerometer about y.", "-8 arcsec ± 2 arcsec")
+    yz: Quantity = _angle("Q_yz, y accelerometer about z.", "5 arcsec ± 2 arcsec")
+    yx: Quantity = _angle("Q_yx, y accelerometer about x.", "9 arcsec ± 2 arcsec")
+    zy: Quantity = _angle("Q_zy, z accelerometer about y.", "-3 arcsec ± 2 arcsec")
+    zx: Quantity = _angle("Q_zx, z accelerometer about x.", "14 arcsec ± 2 arcsec")
+
+    def angles(self) -> Array:
+        """In the order of INSTALLATION, rad."""
+        return np.array([getattr(self, name).value for name in INSTALLATION])
+
+
+def _channels(description: str, names: tuple[str, ...], least: int) -> Any:
+    kind = ListOf(Text("", "a channel's name"), minimum=least, maximum=3)
+    return key(kind, description, list(names), names)
+
+
+class RockingDriftParameters(Record):
+    """Keys of the estimator rocking_drift."""
+
+    release: Quantity = key(
+        QuantityOf("time", "positive"),
+        "t0, when the first window begins after the record has begun; the element has left the levelling dead region by then.",
+        "60 s",
+        parse_quantity("60 s"),
+    )
+    window: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Length Δt of both windows; the second one ends with the record.",
+        "2 s",
+        parse_quantity("2 s"),
+    )
+    cutoff: Quantity = key(
+        QuantityOf("frequency", "positive"),
+        "Corner of the zero-phase low-pass filter; it lies below the rocking frequency.",
+        "0.05 Hz",
+        parse_quantity("0.05 Hz"),
+    )
+    installation_angles: Installation = key(
+        RecordOf(Installation),
+        "Installation angles of the accelerometers, as measured optically.",
+        {"xz": "12 arcsec", "xy": "-8 arcsec"},
+        default_factory=Installation,
+    )
+    rotation_order: str = key(
+        Choice(("xzy", "zxy")),
+        "Order of the turns from site to element with y up: R_x·R_z·R_y or R_z·R_x·R_y; docs/platform-rocking.md has the other states.",
+        "xzy",
+        "xzy",
+    )
+    azimuth: str = key(
+        Choice(("encoders", "nominal")),
+        "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation turned on by the Earth.",
+        "encoders",
+        "encoders",
+    )
+    azimuth_uncertainty: Quantity | None = key(
+        QuantityOf("angle", "not negative"),
+        "Standard uncertainty of that azimuth in one run; without it, the table's position uncertainty where encoders are used.",
+        "7 arcsec",
+        None,
+    )
+    accelerometer_stability: Quantity | None = key(
+        QuantityOf("acceleration", "not negative"),
+        "Standard uncertainty of an accelerometer's bias from the first window to the second.",
+        "10 ug",
+        None,
+    )
+    smallest_drift: Quantity = key(
+        QuantityOf("angular rate", "positive"),
+        "Drift that is to be resolved; the check tells how long one count of an accelerometer takes at it.",
+        "0.003 deg/h",
+        parse_quantity("0.003 deg/h"),
+    )
+    accelerometers: tuple[str, ...] = _channels(
+        "Channels of the accelerometers along x, y, z.", ("accel_x", "accel_y", "accel_z"), 3
+    )
+    gimbals: tuple[str, ...] = _channels(
+        "Channels of the gimbal angles, outermost first.", ("gimbal_outer", "gimbal_middle", "gimbal_inner"), 3
+    )
+    gimbal_axes: tuple[str, ...] = key(
+        ListOf(Choice(("x", "y", "z")), minimum=3, maximum=3),
+        "Axis of the carrying part about which each gimbal turns, outermost first.",
+        ["x", "y", "z"],
+        ("x", "y", "z"),
+    )
+    rings: tuple[str, ...] = _channels(
+        "Channels of the table's ring angles, outermost first.", ("table_outer", "table_middle", "table_inner"), 1
+    )
+    pairings: int = key(
+        Number(1, 100_000, integer=True),
+        "Pairs of a static and a dynamic run that are compared in each state: all where there are no more than these, else so many drawn.",
+        200,
+        200,
+    )
+    pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of that draw.", 1, 1)

@@ -1,0 +1,127 @@
+"""A recorded run reduced to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
+
+Only what lies within some filter lengths of a window is read into memory, so that long runs cost no more than short ones. The filter is a
+Butterworth low-pass of fourth order, run forwards and backwards; before it, a parabola is taken from each piece, and after it given back,
+so that the slow turn of the element against gravity does not press on the ends of the piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import EstimationError
+from planrunner.plan.units import UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+ORDER = 4
+REACH = 3.0  # filter lengths 1/cutoff on either side of a window: what lies beyond counts for less than 1e-5
+LONGEST_GAP = 0.5  # s, filled on a straight line
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Where the windows lie, s from the beginning of a record."""
+
+    first: float
+    second: float
+    length: float
+    cutoff: float
+
+    @property
+    def pieces(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The times that are read around each window."""
+        reach = REACH / self.cutoff
+        end = self.second + self.length
+        first = (max(0.0, self.first - reach), min(end, self.first + self.length + reach))
+        return first, (max(0.0, self.second - reach), end)
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Evenly spaced samples of a part of a record: time (n,) s from its beginning, values (n, k) in SI units."""
+
+    time: Array
+    values: Array
+
+
+def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> tuple[Piece, Piece]:
+    """Both pieces of a run, with the channels as columns. Raises `EstimationError` for data that cannot serve."""
+    scales = [_scale(recorded, name) for name in channels]
+    times: tuple[list[Array], list[Array]] = ([], [])
+    values: tuple[list[Array], list[Array]] = ([], [])
+    for block in recorded.blocks(channels):
+        since = block.time - recorded.statistics.start
+        for k, (begin, end) in enumerate(windows.pieces):
+            inside = (since >= begin) & (since < end)
+            if inside.any():
+                times[k].append(since[inside])
+                values[k].append(np.column_stack([block.channels[name][inside] for name in channels]) * scales)
+    made = []
+    for k, (begin, end) in enumerate(windows.pieces):
+        if not times[k]:
+            raise EstimationError(
+                f"'{recorded.label}' has no samples from {begin:g} to {end:g} s: its run was cut short"
+            )
+        made.append(_even(recorded.label, np.concatenate(times[k]), np.concatenate(values[k]), begin, end))
+    return made[0], made[1]
+
+
+def low_pass(piece: Piece, cutoff: float) -> Array:
+    """The values (n, k) without what changes faster than `cutoff` [Hz], without delay. Raises `EstimationError`."""
+    from scipy.signal import butter, sosfiltfilt
+
+    rate = 1 / float(piece.time[1] - piece.time[0])
+    if cutoff >= rate / 2:
+        raise EstimationError(
+            f"the cutoff of {cutoff:g} Hz needs more than {2 * cutoff:g} samples a second; there are {rate:g}"
+        )
+    middle = piece.time - piece.time.mean()
+    trend = np.vander(middle / max(float(np.abs(middle).max()), 1e-12), 3)
+    slow = trend @ np.linalg.lstsq(trend, piece.values, rcond=None)[0]
+    padding = min(len(middle) - 1, round(REACH / cutoff * rate))
+    sections = butter(ORDER, cutoff, fs=rate, output="sos")
+    filtered = sosfiltfilt(sections, piece.values - slow, axis=0, padtype="even", padlen=padding)
+    return np.asarray(slow + filtered)
+
+
+def passed(frequency: float, cutoff: float) -> float:
+    """The share of a sine's amplitude that the filter lets through, forwards and backwards."""
+    return 1 / (1 + (frequency / cutoff) ** (2 * ORDER))
+
+
+def within(piece: Piece, begin: float, length: float) -> NDArray[np.bool_]:
+    """Which samples of a piece lie in a window, (n,)."""
+    return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
+
+
+def _scale(recorded: RecordedSegment, name: str) -> float:
+    try:
+        return unit(recorded.units[name]).factor
+    except KeyError:
+        raise EstimationError(f"the recording has no channel '{name}'") from None
+    except UnknownUnitError:
+        raise EstimationError(f"the unit '{recorded.units[name]}' of channel '{name}' is not known") from None
+
+
+def _even(label: str, time: Array, values: Array, begin: float, end: float) -> Piece:
+    """Samples that are missing or no number are filled on a straight line where the gap is short."""
+    sound = np.isfinite(values).all(axis=1)
+    time, values = time[sound], values[sound]
+    if time.size < 16:
+        raise EstimationError(f"'{label}' has too few samples from {begin:g} to {end:g} s")
+    intervals = np.diff(time)
+    step = float(np.median(intervals))
+    longest = float(max(intervals.max(), time[0] - begin, end - step - time[-1]))
+    if longest > max(LONGEST_GAP, 1.5 * step):
+        raise EstimationError(
+            f"'{label}' misses {longest:.3g} s of samples between {begin:g} and {end:g} s: repeat the run"
+        )
+    grid = time[0] + step * np.arange(round((time[-1] - time[0]) / step) + 1)
+    if grid.size == time.size and np.abs(grid - time).max() < 1e-3 * step:
+        return Piece(grid, values)
+    return Piece(grid, np.column_stack([np.interp(grid, time, column) for column in values.T]))

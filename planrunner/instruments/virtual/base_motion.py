@@ -1,0 +1,62 @@
+"""The base of a virtual platform: how the table's inner ring stands and how it shakes what is mounted away from its centre."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.virtual.world import World
+
+Array = NDArray[np.float64]
+STEP = 2e-3  # s, of the second difference; its error is a tenth of a ppm at 1 Hz
+
+
+def base_axes(world: World, times: Array) -> Array:
+    """The base's x, y, z axes as rows in East-North-Up at `times`, shape (n, 3, 3).
+
+    Every axis vector is carried outwards from ring to ring; the table's pointing error is the innermost rotation.
+    """
+    joints = list(zip(world.axes, world.course.follow(times), strict=True))
+    rows = []
+    for own in world.skew:
+        carried = np.broadcast_to(own, (times.size, 3))
+        for axis, (angle, _) in reversed(joints):
+            carried = turn(carried, np.asarray(axis.direction), np.broadcast_to(np.asarray(angle, float), times.shape))
+        rows.append(turn(carried, np.array([0.0, 0.0, 1.0]), np.full(times.size, -world.site.azimuth)))
+    return np.stack(rows, axis=1)
+
+
+def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
+    """Acceleration [m/s^2] in East-North-Up of a point at `lever_arm` [m, base axes] from the centre of the rings, shape (n, 3).
+
+    The second difference of where the point is: tangential and centripetal parts in one.
+    """
+    if world.course.still(float(times[0])) or not any(lever_arm):
+        return np.zeros((times.size, 3))
+    arm = np.asarray(lever_arm, dtype=float)
+    before, now, after = (np.einsum("nij,i->nj", base_axes(world, times + shift), arm) for shift in (-STEP, 0.0, STEP))
+    return np.asarray((before - 2 * now + after) / STEP**2)
+
+
+def mean_square_rate(world: World, times: Array) -> Array:
+    """The square of the base's angular rate [(rad/s)^2] at `times`, shape (n,)."""
+    squares = sum(np.square(part) for part in world.stimulus(times)[0])
+    return np.array(np.broadcast_to(np.asarray(squares, dtype=float), times.shape))
+
+
+def turn(vectors: Array, axis: Array, angles: Array) -> Array:
+    """`vectors` (n, 3) turned actively by `angles` (n,) [rad], right-handed about the unit vector `axis` (3,) or (n, 3)."""
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    along = np.sum(vectors * axis, axis=1, keepdims=True)
+    return np.asarray(vectors * cosine + np.cross(axis, vectors) * sine + axis * (along * (1 - cosine)))
+
+
+def turn_by(vectors: Array, rotation: Array) -> Array:
+    """`vectors` (n, 3) turned actively by rotation vectors (n, 3) [rad], or one (3,) for all."""
+    rotation = np.broadcast_to(rotation, vectors.shape)
+    size = np.linalg.norm(rotation, axis=1)
+    axis = rotation / np.maximum(size, math.ulp(0.0))[:, None]
+    return turn(vectors, np.where(size[:, None] > 0, axis, np.array([0.0, 0.0, 1.0])), size)

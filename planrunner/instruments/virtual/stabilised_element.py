@@ -1,0 +1,112 @@
+"""The stabilised element of a virtual platform: caged to the base, then released and fixed in inertial space apart from its drift.
+
+In element axes the drift angle grows with a constant rate, with a rate that rocking causes, with a random walk, and with what caging
+leaves: for its first minute the element still leaves the dead region of the levelling loops. Rocking drifts through rectification:
+the servos let a share of the base's motion through about every axis, and two such shares with a phase between them turn into a steady
+rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1). It is taken as proportional to the
+square of the base's angular rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.virtual.base_motion import base_axes, mean_square_rate, turn, turn_by
+from planrunner.instruments.virtual.world import World
+
+Array = NDArray[np.float64]
+CATCH_UP = 100.0  # Hz, with which the time between two recordings is followed
+
+
+@dataclass(frozen=True, slots=True)
+class DriftLaw:
+    """constant: rad/s. rectified: s, drift rate per squared angular rate of the base. random_walk: rad/√s. leaving: s, time constant
+    with which the element leaves the levelling dead region after it was released."""
+
+    constant: Array
+    rectified: Array
+    random_walk: float
+    leaving: float
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """The element since it was caged or released.
+
+    caged: rotation vector (3,) [rad] from the base to the element, in base axes. released: s, None while caged. axes: (3, 3), rows in
+    East-North-Up when released. left: (3,) rad, what it turns by as it leaves the dead region. drifted: (3,) rad by the time `at` [s].
+    """
+
+    caged: Array
+    released: float | None = None
+    axes: Array | None = None
+    left: Array | None = None
+    drifted: Array | None = None
+    at: float = 0.0
+
+    def release(self, world: World, left: Array) -> Element:
+        """From now on it is fixed in inertial space. left: what it turns by as it leaves the dead region."""
+        if self.released is not None:
+            return self
+        now = world.now()
+        axes = self._held(base_axes(world, np.array([now])))[0]
+        return Element(self.caged, now, axes, left, np.zeros(3), now)
+
+    def _held(self, base: Array) -> Array:
+        """Its axes (n, 3, 3) while caged: those of the base (n, 3, 3), turned by `caged`."""
+        return np.stack([turn_by(base[:, :, k], -self.caged) for k in range(3)], axis=2)
+
+    def advance(self, world: World, time: float, law: DriftLaw, draw: np.random.Generator) -> Element:
+        """The element at a later time [s], when a recording begins."""
+        walk = draw.standard_normal(3)
+        if self.released is None or self.drifted is None or time <= self.at:
+            return self
+        count = max(1, round((time - self.at) * CATCH_UP))
+        step = (time - self.at) / count
+        square = float(np.sum(mean_square_rate(world, self.at + step * (np.arange(count) + 0.5)))) * step
+        drifted = self.drifted + law.constant * (time - self.at) + law.rectified * square
+        return replace(self, drifted=drifted + law.random_walk * np.sqrt(time - self.at) * walk, at=time)
+
+    def follow(
+        self, world: World, times: Array, step: float, base: Array, law: DriftLaw, draw: np.random.Generator
+    ) -> tuple[Array, Element]:
+        """Its axes as rows in East-North-Up at `times`, `step` s apart from `at` on, shape (n, 3, 3), and the element after them.
+
+        base: (n, 3, 3), the base's axes at the same times.
+        """
+        if self.released is None or self.axes is None or self.left is None or self.drifted is None:
+            return self._held(base), self
+        rates = law.constant + law.rectified * mean_square_rate(world, times)[:, None]
+        steps = rates * step + law.random_walk * np.sqrt(step) * draw.standard_normal((times.size, 3))
+        grown = self.drifted + np.cumsum(steps, axis=0)
+        since = times - self.released
+        leaving = -np.expm1(-since / law.leaving)[:, None] * self.left
+        angle = np.vstack([self.drifted, grown[:-1]]) + leaving
+        earth = world.site.earth_rate_enu
+        size = float(np.linalg.norm(earth))
+        columns = []
+        for site_axis in np.eye(3):
+            # The site turns with the Earth, so that a site axis turns forwards as seen from inertial space.
+            carried = turn(np.broadcast_to(site_axis, (times.size, 3)), earth / size, size * since)
+            columns.append(turn_by(carried @ self.axes.T, -angle))
+        return np.stack(columns, axis=2), replace(self, drifted=grown[-1], at=float(times[-1]) + step)
+
+    def to_json(self) -> dict[str, Any]:
+        arrays = {name: getattr(self, name) for name in ("caged", "axes", "left", "drifted")}
+        plain = {name: None if value is None else value.tolist() for name, value in arrays.items()}
+        return {**plain, "released": self.released, "at": self.at}
+
+    @classmethod
+    def from_json(cls, state: Mapping[str, Any]) -> Element:
+        arrays = {name: None if (value := state[name]) is None else np.array(value, float) for name in _ARRAYS}
+        caged = arrays.pop("caged")
+        assert caged is not None
+        return cls(caged, state["released"], at=float(state["at"]), **arrays)
+
+
+_ARRAYS = ("caged", "axes", "left", "drifted")
