@@ -107,12 +107,13 @@ def within_segment_noise(observations: Observations, channel: int) -> Noise:
         return Noise(np.ones(n), False, "equal", 0.0)
     spread = error**2 * observations.seconds
     pooled = float(np.sum(degrees[usable] * spread[usable]) / np.sum(degrees[usable]))
-    if usable.all() and n > 1 and _differ(spread, degrees, pooled):
+    if usable.all() and n > 1 and variances_differ(spread, degrees, pooled):
         return Noise(error.copy(), True, "individual", float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees)))
     return Noise(np.sqrt(pooled / observations.seconds), True, "pooled", float(np.sum(degrees[usable])))
 
 
-def _differ(variances: Array, degrees: Array, pooled: float) -> bool:
+def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
+    """Bartlett's test of g positive variances (g,) with their degrees of freedom (g,) against their pooled one."""
     from scipy.special import chdtrc
 
     total, groups = float(degrees.sum()), len(degrees)
@@ -121,11 +122,16 @@ def _differ(variances: Array, degrees: Array, pooled: float) -> bool:
     return bool(chdtrc(groups - 1, statistic) < SIGNIFICANCE)
 
 
+def dithered(sensor: SensorModel, channel: str, variance: float) -> bool:
+    """Whether noise of this variance [unit²] between samples carries their mean past the counts that they are rounded to."""
+    output = sensor.output(channel)
+    return variance > ((output.noise.resolution if output else 0.0) / 2) ** 2
+
+
 def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:
     """What rounding to counts adds to the uncertainty of a mean: resolution/√12 where the noise is too small to dither it."""
     output = sensor.output(channel)
-    resolution = output.noise.resolution if output else 0.0
-    return resolution / np.sqrt(12) if variance <= (resolution / 2) ** 2 else 0.0
+    return output.noise.resolution / np.sqrt(12) if output and not dithered(sensor, channel, variance) else 0.0
 
 
 def _unit(segments: Sequence[RecordedSegment], channel: str) -> str:

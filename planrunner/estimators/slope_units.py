@@ -1,0 +1,26 @@
+"""Units of a scale factor: an output over a rate."""
+
+from __future__ import annotations
+
+from planrunner.estimators.interface import EstimationError
+from planrunner.plan.units import Unit, UnknownUnitError, unit
+
+
+def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
+    """Raises `EstimationError` for texts that are no units, and for a `rate_unit` that is none of angular rate."""
+    try:
+        rate, own = unit(rate_unit), unit(output_unit)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None
+    if rate.dimension != unit("rad/s").dimension:
+        raise EstimationError(
+            f"rate_unit is '{rate_unit}', which is no unit of angular rate; write for example 'deg/s'"
+        )
+    return rate, own
+
+
+def slope_unit(rate: Unit, own: Unit) -> tuple[str, float]:
+    """The unit of K and the factor from (output unit)/(rad/s); an output that is a rate itself gives a plain ratio."""
+    if own.dimension == rate.dimension:
+        return "1", own.factor
+    return f"({own.text})/({rate.text})", rate.factor
