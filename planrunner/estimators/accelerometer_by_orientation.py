@@ -13,26 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.error_model import error_model
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Table
 from planrunner.estimators.linear_influences import linear_influences
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.triad import scale_and_misalignments
 from planrunner.physics.earth import Site
-from planrunner.physics.terms import ACCEL_X, ACCEL_Y, ACCEL_Z, BIAS, ErrorModel
+from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit
 
 Array = NDArray[np.float64]
 
-_TERMS = {term.name: term for term in (BIAS, ACCEL_X, ACCEL_Y, ACCEL_Z)}
+TERMS = ("bias", "accel_x", "accel_y", "accel_z")
 _AXES = ("x", "y", "z")
 
 
 def model_of(terms: Sequence[str]) -> ErrorModel:
     """The error model of one axis."""
-    return ErrorModel(tuple(_TERMS[name] for name in terms))
+    return error_model(terms)
 
 
 def matrix_of(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -64,7 +66,7 @@ def estimate(request: EstimateRequest) -> Estimate:
     )
     stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
     notes, warnings = judge(fit, basis)
-    left_out = [name for name in _TERMS if name not in model.names]
+    left_out = [name for name in TERMS if name not in model.names]
     if left_out:
         notes.append(f"Left out of the model as the plan says: {', '.join(left_out)}.")
     for axis, name in enumerate(observations.channels):
@@ -98,13 +100,13 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
     values = fit.coefficients[axis] * own.factor  # SI: m/s² and ratios
     letter = _AXES[axis]
     seen = [(k, _AXES.index(name[-1])) for k, name in enumerate(model.names) if name != "bias"]
-    own_seen = any(direction == axis for _, direction in seen)
-    # An axis that was never along gravity shows its response across, per unit of a nominal scale factor of one.
-    scale = float(np.sqrt(sum(values[k] ** 2 for k, _ in seen))) if own_seen else 1.0
-    if scale == 0:
+    places, directions = [k for k, _ in seen], [direction for _, direction in seen]
+    try:
+        found_values, jacobian = scale_and_misalignments(values[places], directions, axis)
+    except ValueError:
         raise EstimationError(
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
-        )
+        ) from None
 
     def gradient(changes: dict[int, float]) -> Array:
         full = np.zeros(3 * p)
@@ -119,21 +121,23 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
         found.append(
             (f"bias_{letter}", float(values[k] / mg), "mg", gradient({k: 1 / mg}), f"Bias of the {letter} axis")
         )
-    along = {k: float(values[k]) / scale if own_seen else 0.0 for k, _ in seen}
-    if own_seen:
-        words = f"Scale factor of the {letter} axis, along its own input direction"
-        found.append((f"scale_{letter}", scale, "1", gradient(along), words))
     mrad = unit("mrad").factor
-    for k, direction in seen:
-        if direction != axis:
-            ratio = float(values[k]) / scale
-            changes = {j: ((j == k) - ratio * along[j]) / scale / mrad for j, _ in seen}
+    for value, slopes, direction in zip(found_values, jacobian, directions, strict=True):
+        changes = dict(zip(places, map(float, slopes), strict=True))
+        if direction == axis:
+            words = f"Scale factor of the {letter} axis, along its own input direction"
+            found.append((f"scale_{letter}", float(value), "1", gradient(changes), words))
+        else:
             name = f"misalignment_{letter}_{_AXES[direction]}"
             words = f"Component of the {letter} axis's input direction along {_AXES[direction]}"
-            if not own_seen:
+            if (
+                axis not in directions
+            ):  # it was never along gravity: its response across, for a nominal scale factor of one
                 words += " times its scale factor"
-            found.append((name, ratio / mrad, "mrad", gradient(changes), words))
-    return found
+            found.append(
+                (name, float(value) / mrad, "mrad", gradient({k: v / mrad for k, v in changes.items()}), words)
+            )
+    return sorted(found, key=lambda row: row[0].startswith("misalignment"))
 
 
 def _units(observations: Observations) -> list[Unit]:

@@ -45,10 +45,10 @@ class AccelerometerMultiPositionParameters(Record):
         "orientation",
     )
     terms: tuple[str, ...] = key(
-        ListOf(Choice(("bias", "accel_x", "accel_y", "accel_z")), minimum=1),
+        ListOf(Choice(by_orientation.TERMS), minimum=1),
         "Terms of each axis for the reference 'orientation'; leave out what the attitudes cannot show.",
         ["bias", "accel_x", "accel_z"],
-        ("bias", "accel_x", "accel_y", "accel_z"),
+        by_orientation.TERMS,
     )
     uncertainty: str = key(
         Choice(BASES),

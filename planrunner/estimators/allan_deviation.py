@@ -250,7 +250,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         found = Coefficient(f"{term}_{result.name}", value * scale, text, spread * scale, description=WORDS[term])
         result.coefficients.append(found)
         if fit.squares[k] < _SIGNIFICANT * math.sqrt(fit.covariance[k, k]) * widening:
-            bound = math.sqrt(fit.squares[k] + 2 * math.sqrt(fit.covariance[k, k]) * widening) * scale
+            bound = (value + 2 * spread) * scale
             result.notes.append(
                 f"{found.name} is not told from zero by this record; it is below about {bound:.2g} {text}."
             )
@@ -264,6 +264,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
 def coefficient_of(square: float, spread: float) -> tuple[float, float]:
     """A coefficient and its standard uncertainty from its square's: half of the wider side of the interval that the square ± two standard
     uncertainties becomes, which is the linear rule where the square is well known and stays finite where it is not."""
+    square = max(0.0, square)
     value = math.sqrt(square)
     below = value - math.sqrt(max(0.0, square - 2 * spread))
     above = math.sqrt(square + 2 * spread) - value
@@ -312,7 +313,7 @@ def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probabili
 def _plot(result: _Result, chosen: Sequence[Deviation], fit: NoiseFit) -> Plot:
     """Deviations over all averaging times and the model's."""
     rows = [row for row in result.rows if row.value > 0]
-    fitted = {row.factor: math.sqrt(value) for row, value in zip(chosen, fit.fitted, strict=True)}
+    fitted = {row.factor: math.sqrt(max(0.0, value)) for row, value in zip(chosen, fit.fitted, strict=True)}
     series = {
         "measured": tuple(row.value for row in rows),
         "fitted": tuple(fitted.get(row.factor, math.nan) for row in rows),

@@ -34,8 +34,9 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², not negative, 0 where left out; covariance: (4, 4) of them, with no sign imposed;
-    fitted: (k,) variances of the model; chi_square with `freedom`; terms: that were fitted."""
+    """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², 0 where left out; what is not there comes out on either side of zero, because a
+    fit that may only give positive ones takes from the others. covariance: (4, 4) of them; fitted: (k,) variances of the model;
+    chi_square with `freedom`; terms: that were fitted."""
 
     squares: Array
     covariance: Array
@@ -183,13 +184,31 @@ def fit_noise(
         covariance = _sound(covariance_of(squares))
         if np.allclose(squares, before, rtol=1e-6, atol=0):
             break
-    residual = observed - white @ squares[chosen]
-    full = np.zeros((4, 4))
-    inverse = np.linalg.pinv((white / size).T @ (white / size)) / np.outer(size, size)
-    full[np.ix_(chosen, chosen)] = inverse
-    left = factors.size - int(np.count_nonzero(squares))
-    fitted = model_matrix(factors) @ squares
-    return NoiseFit(squares, full, fitted, float(residual @ residual), left, tuple(TERMS[k] for k in chosen))
+    full, free = np.zeros((4, 4)), np.zeros(4)
+    inverse = np.linalg.pinv(white / size)
+    free[chosen] = inverse @ observed / size
+    gains = np.linalg.solve(root.T, (inverse / size[:, None]).T).T  # squares from variances
+    full[np.ix_(chosen, chosen)] = inverse @ inverse.T / np.outer(size, size)
+    full = _not_too_sure(full, free, squares, chosen, covariance_of, gains)
+    residual = observed - white @ free[chosen]
+    left = factors.size - len(chosen)
+    fitted = model_matrix(factors) @ free
+    return NoiseFit(free, full, fitted, float(residual @ residual), left, tuple(TERMS[k] for k in chosen))
+
+
+def _not_too_sure(
+    full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
+) -> Array:
+    """The covariance (4, 4) where what is not told from zero is judged by the noise that there may be, two standard uncertainties up, and
+    not by the little that was found: a coefficient found too small by chance would seem too certain as well."""
+    widening = np.ones(4)
+    for place, k in enumerate(chosen):
+        spread = math.sqrt(full[k, k])
+        if free[k] < 2 * spread:
+            possible = squares.copy()
+            possible[k] = max(0.0, free[k]) + 2 * spread
+            widening[k] = max(1.0, math.sqrt(gains[place] @ covariance_of(possible) @ gains[place]) / spread)
+    return np.asarray(full * np.outer(widening, widening))
 
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:

@@ -1,0 +1,116 @@
+"""How coefficients of a linear model follow what is stated of site and table: latitude, gravity, azimuth, positions and rates.
+
+With A the matrix at the stated site, β the coefficients and G = (AᵀWA)⁻¹·AᵀW, an input stated wrong by δ moves the coefficients by
+−G·(∂A/∂input)·β·δ, because the data were made with the right one. Only the azimuth moves the table itself, and them by +.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import rotation_about
+from planrunner.physics.stimulus import Stimulus, segment_means
+from planrunner.physics.terms import ErrorModel
+from planrunner.plan.schedule import Segment, Spin
+from planrunner.uncertainty.influences import Influence, Inputs
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-5  # rad, or relative: of central differences, whose error is of the order of its square
+_UP = (0.0, 0.0, 1.0)
+
+
+def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
+    """What was felt on average, spins over whole turns: at which angle recording begins in a spin is not known."""
+    return segment_means(segments, site, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
+
+
+def stated_influences(
+    model: ErrorModel,
+    segments: Sequence[Segment],
+    site: Site,
+    inputs: Inputs,
+    coefficients: Array,
+    gains: Array,
+    in_scatter: bool,
+) -> tuple[Influence, ...]:
+    """Influences on all coefficients, output after output, in SI columns and the outputs' units.
+
+    coefficients: (m, p) of m outputs; gains: (m, p, n), coefficients from observations. in_scatter: whether the uncertainties of the data
+    rest on the scatter of the segments, which shows the errors of positions at rest already. Those of the attitude on a turning axis it
+    does not show: misalignments follow them, and both senses of rotation share them.
+    """
+
+    def columns(changed: Sequence[Segment], where: Site) -> Array:
+        return model.columns(mean_stimulus(changed, where))
+
+    def slope(low: Array, high: Array) -> Array:
+        """Change of the observations, (m, n), per unit of the input."""
+        return np.asarray(((high - low) / (2 * _STEP) @ coefficients.T).T)
+
+    def moved(change: Array) -> Array:
+        return np.einsum("mpn,mn->mp", gains, change).reshape(-1, 1)
+
+    found = []
+    if latitude := inputs.get("latitude"):
+        sites = [replace(site, latitude=site.latitude + step) for step in (-_STEP, _STEP)]
+        change = slope(*(columns(segments, one) for one in sites))
+        found.append(Influence(latitude, -moved(change)))
+    if gravity := inputs.get("gravity"):
+        sites = [replace(site, gravity=site.gravity * (1 + step)) for step in (-_STEP, _STEP)]
+        change = slope(*(columns(segments, one) for one in sites)) / site.gravity
+        found.append(Influence(gravity, -moved(change)))
+    if azimuth := inputs.get("azimuth"):
+        change = slope(*(columns(_turned(segments, _UP, step), site) for step in (-_STEP, _STEP)))
+        found.append(Influence(azimuth, moved(change)))
+    if (rate := inputs.get("table rate")) and any(isinstance(one.motion, Spin) for one in segments):
+        change = slope(*(columns(_hastened(segments, 1 + step), site) for step in (-_STEP, _STEP)))
+        found.append(Influence(rate, -moved(change)))
+    if position := inputs.get("table position"):
+        spinning = np.array([isinstance(one.motion, Spin) for one in segments])
+        parts, names = [], []
+        for k, word in enumerate(("east", "north", "up")):
+            about = tuple(float(k == j) for j in range(3))
+            change = slope(*(columns(_turned(segments, about, step, False), site) for step in (-_STEP, _STEP)))
+            parts.append(np.einsum("mpn,mn->mpn", gains, change).reshape(-1, len(segments)))
+            names.append([f"{one.orientation} about {word}" for one in segments])
+        for chosen, shown in ((~spinning, in_scatter), (spinning, False)):
+            if chosen.any():
+                columns_ = np.concatenate([part[:, chosen] for part in parts], axis=1)
+                of = [name for row in names for name, use in zip(row, chosen, strict=True) if use]
+                found.append(_by_part(Influence(position, columns_, shown, tuple(of))))
+    return tuple(found)
+
+
+def _by_part(influence: Influence) -> Influence:
+    """One column for each name: segments at the same orientation share the table's error there."""
+    names = tuple(dict.fromkeys(influence.parts))
+    of = np.array([names.index(name) for name in influence.parts])
+    sums = np.stack([influence.sensitivities[:, of == k].sum(axis=1) for k in range(len(names))], axis=1)
+    return replace(influence, sensitivities=sums, parts=names)
+
+
+def _turned(segments: Sequence[Segment], about: Sequence[float], angle: float, axis_too: bool = True) -> list[Segment]:
+    """The segments with the sensor turned by `angle` rad about a site axis; axis_too: the axes of spins as well."""
+    turn = rotation_about(tuple(about), angle)
+    found = []
+    for one in segments:
+        assert one.attitude is not None  # or the stimulus would not be known
+        changed = replace(one, attitude=one.attitude @ turn.T)
+        if axis_too and isinstance(one.motion, Spin):
+            axis = turn @ np.asarray(one.motion.about, dtype=float)
+            changed = replace(changed, motion=replace(one.motion, about=tuple(axis.tolist())))
+        found.append(changed)
+    return found
+
+
+def _hastened(segments: Sequence[Segment], factor: float) -> list[Segment]:
+    return [
+        replace(one, motion=replace(one.motion, rate=one.motion.rate * factor)) if isinstance(one.motion, Spin) else one
+        for one in segments
+    ]
