@@ -59,6 +59,10 @@ class IncrementReader:
         self._last: float | None = None
         self._before: Array | None = None
 
+    def part(self) -> None:
+        """What comes next does not follow on in time."""
+        self._last = self._before = None
+
     def blocks(self, recorded: RecordedSegment) -> Iterator[Increments]:
         """The increments of one segment; each sample is read once. Raises `EstimationError`."""
         factors, integrated = scales(recorded, self.channels)
@@ -110,8 +114,8 @@ class IncrementReader:
         if missing[longest] * self.interval > self.bridge * (1 + 1e-9):
             at = rows[0, wide[longest]] - steps[wide[longest]]
             raise EstimationError(
-                f"segment '{label}': samples are missing for {steps[wide[longest]]:.4g} s after {at:.3f} s, more than the {self.bridge:g} s "
-                "that `bridge` allows; what the unit did meanwhile is not known, so navigation ends there"
+                f"segment '{label}': samples are missing for {steps[wide[longest]]:.4g} s after {at:.3f} s, more than the "
+                f"{self.bridge:g} s that `bridge` allows; what the unit did meanwhile is not known, so navigation ends there"
             )
         pieces, done = [], 0
         for k, count in zip(wide.tolist(), missing.tolist(), strict=True):
@@ -148,13 +152,21 @@ def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, N
     return factors, integrated
 
 
-def rate_means(recorded: RecordedSegment, channels: Sequence[str], interval: float) -> tuple[Array, Array]:
-    """Mean (6,) and its standard uncertainty (6,) of a segment's channels, rad/s and m/s², from the statistics of the recording."""
-    factors, integrated = scales(recorded, channels)
+def reference_mean(recorded: RecordedSegment, name: str) -> float:
+    """Mean of a reference channel over a segment, SI. Raises `EstimationError`."""
     statistics = recorded.statistics
-    index = [statistics.of(name) for name in channels]
-    scale = factors / np.where(integrated, interval, 1.0)
-    return statistics.mean[index] * scale, statistics.standard_error[index] * scale
+    return float(statistics.mean[statistics.of(name)]) * _reference_unit(recorded, name)
+
+
+def reference_speed(recorded: RecordedSegment) -> float:
+    """Largest speed along one direction that the reference channels show [m/s]; 0 without them. Raises `EstimationError`."""
+    statistics, largest = recorded.statistics, 0.0
+    for name in REFERENCES:
+        if name.startswith("reference_velocity") and name in recorded.units:
+            k = statistics.of(name)
+            extreme = max(abs(statistics.minimum[k]), abs(statistics.maximum[k]))
+            largest = max(largest, float(extreme) * _reference_unit(recorded, name))
+    return largest
 
 
 def _reference_unit(recorded: RecordedSegment, name: str) -> float:

@@ -1,7 +1,7 @@
 """Attitude: body axes in East-North-Up as quaternion, matrix, and heading, pitch and roll.
 
-The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading: of the y axis from true
-north, clockwise seen from above; pitch: of the y axis above the horizon; roll: about the y axis, positive with the x axis below it.
+The body's x, y, z axes are right, forward, up: with heading, pitch and roll zero they point east, north, up. Heading: of the y axis from
+true north, clockwise seen from above; pitch: of the y axis above the horizon; roll: about the y axis, positive with the x axis below it.
 Quaternions are scalar first and turn body vectors into navigation axes.
 """
 
@@ -16,15 +16,14 @@ Array = NDArray[np.float64]
 
 
 def matrix(quaternion: Array) -> Array:
-    """The body axes as columns in East-North-Up, (3, 3), from a quaternion (4,)."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    """The body axes as columns in East-North-Up, (…, 3, 3), from quaternions (…, 4)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def quaternion(rotation: Array) -> Array:

@@ -1,7 +1,7 @@
 """The ellipsoid WGS-84: radii of curvature and normal gravity.
 
-Constants and formulas: NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above the ellipsoid is
-the second-order series there; it is taken along the ellipsoid's normal (its slant, 8·10⁻⁹ m/s² for each metre of height, is left out).
+Constants and formulas: NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above the
+ellipsoid is the second-order series there, along the ellipsoid's normal (its slant, 8·10⁻⁹ m/s² for each metre of height, is left out).
 """
 
 from __future__ import annotations
@@ -35,12 +35,15 @@ def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
     return np.asarray(surface * (1 - 2 * (1 + FLATTENING + ROTATION_RATIO - 2 * FLATTENING * s) * h + 3 * h * h))
 
 
-def displacement(latitude: ArrayLike, longitude: ArrayLike, origin: tuple[float, float, float]) -> tuple[Array, Array]:
-    """East and north distance [m] on the ellipsoid's level of `origin` (latitude, longitude [rad], height [m]) from there to other
-    positions: arcs of the parallel and of the meridian with the radii of the origin, right to first order."""
-    north, east = radii(origin[0])
-    difference = np.remainder(np.asarray(longitude) - origin[1] + np.pi, 2 * np.pi) - np.pi
+def separation(
+    latitude: ArrayLike, longitude: ArrayLike, to_latitude: ArrayLike, to_longitude: ArrayLike, height: ArrayLike = 0.0
+) -> tuple[Array, Array]:
+    """East and north distance [m] from positions [rad] to others at the same height [m]: arcs of parallel and meridian at the middle
+    latitude, which is right to third order in the distance."""
+    middle = (np.asarray(latitude) + np.asarray(to_latitude)) / 2
+    north, east = radii(middle)
+    turn = np.remainder(np.asarray(to_longitude) - np.asarray(longitude) + np.pi, 2 * np.pi) - np.pi
     return (
-        np.asarray((east + origin[2]) * np.cos(origin[0]) * difference),
-        np.asarray((north + origin[2]) * (np.asarray(latitude) - origin[0])),
+        np.asarray((east + np.asarray(height)) * np.cos(middle) * turn),
+        np.asarray((north + np.asarray(height)) * (np.asarray(to_latitude) - np.asarray(latitude))),
     )

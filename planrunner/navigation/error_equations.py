@@ -29,14 +29,14 @@ _TERMS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorModel:
+class ErrorEquations:
     """ẋ = dynamics·x + inputs·(ε, ∇). dynamics: (7, 7); inputs: (7, 6)."""
 
     dynamics: Array
     inputs: Array
 
     @classmethod
-    def at(cls, site: Site) -> ErrorModel:
+    def at(cls, site: Site) -> ErrorEquations:
         meridian, prime_vertical = radii(site.latitude)
         north, east = float(meridian) + site.height, float(prime_vertical) + site.height
         rate_n = site.earth_rate * math.cos(site.latitude)

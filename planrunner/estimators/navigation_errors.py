@@ -1,0 +1,112 @@
+"""Errors of a navigation against where it really was, gathered knot by knot, and the figures that the field states.
+
+Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of the
+straight line through the origin that fits radial error over time by least squares; the CEP rate that one run gives is √(ln 2) = 0.8326 of
+it, which is the median of the radial error where its two components are normal with one variance and zero mean (Titterton and Weston,
+"Strapdown Inertial Navigation Technology", 2nd ed., appendix B), as one takes √(ln 2) of the root mean square over several runs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.navigation.mechanisation import Knots
+from planrunner.navigation.wgs84 import separation
+
+Array = NDArray[np.float64]
+
+POINTS = 2000  # that a course over time keeps at most
+HOUR = 3600.0
+CEP_SHARE = math.sqrt(math.log(2))
+NAUTICAL_MILE = 1852.0  # m
+
+
+def _sigma_quantile(probability: float) -> float:
+    """True over found standard deviation for two components, from χ² with two degrees of freedom: the quantile of one run's figure."""
+    return math.sqrt(-1 / math.log(probability))
+
+
+CEP_SPREAD = (_sigma_quantile(0.8413447) - _sigma_quantile(0.1586553)) / 2
+"""Standard uncertainty of one run's CEP rate over its value: half of the central 68 %."""
+CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
+"""Ends of the 95 % interval of the CEP rate over one run's value."""
+
+
+def stride(knots: int) -> int:
+    """Knots from point to point of a course of at most `POINTS`: a divisor of 3600, so that whole hours are among its points."""
+    wanted = max(1, -(-knots // POINTS))
+    divisors = [k for k in range(1, int(HOUR) + 1) if int(HOUR) % k == 0]
+    return next((k for k in divisors if k >= wanted), wanted)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Where it really was at m moments: latitude, longitude [rad], height [m]; velocity (m, 2), m/s, east and north."""
+
+    latitude: Array
+    longitude: Array
+    height: Array
+    velocity: Array
+
+
+@dataclass
+class ErrorRecord:
+    """Sums over all knots and a course of every `stride`-th. Times in s since navigation began, errors in m and m/s."""
+
+    stride: int
+    knots: int = 0
+    squares: float = 0.0
+    speed_squares: float = 0.0
+    time_error: float = 0.0
+    time_squares: float = 0.0
+    largest: float = 0.0
+    largest_at: float = 0.0
+    largest_speed: float = 0.0
+    course: list[Array] = field(default_factory=lambda: [np.zeros((5, 1))])
+
+    def take(self, time: Array, knots: Knots, truth: Truth) -> None:
+        """The next m knots; time: (m,)."""
+        errors = difference(knots, truth)
+        if not len(time):
+            return
+        radial, speed = np.hypot(errors[0], errors[1]), np.hypot(errors[2], errors[3])
+        self.squares += float(radial @ radial)
+        self.speed_squares += float(speed @ speed)
+        self.time_error += float(time @ radial)
+        self.time_squares += float(time @ time)
+        worst = int(np.argmax(radial))
+        if radial[worst] > self.largest:
+            self.largest, self.largest_at = float(radial[worst]), float(time[worst])
+        self.largest_speed = max(self.largest_speed, float(speed.max()))
+        number = self.knots + 1 + np.arange(len(time))
+        kept = number % self.stride == 0
+        self.course.append(np.vstack([time, errors])[:, kept])
+        self.knots += len(time)
+
+    def points(self) -> Array:
+        """Time, east and north error [m], east and north velocity error [m/s] on the regular grid from zero on, (5, m)."""
+        return np.hstack(self.course)
+
+    @property
+    def rms(self) -> float:
+        return math.sqrt(self.squares / self.knots)
+
+    @property
+    def rms_speed(self) -> float:
+        return math.sqrt(self.speed_squares / self.knots)
+
+    @property
+    def radial_rate(self) -> float:
+        """m/s."""
+        return self.time_error / self.time_squares
+
+
+def difference(knots: Knots, truth: Truth) -> Array:
+    """East and north position error [m], east and north velocity error [m/s], (4, m)."""
+    east, north = separation(truth.latitude, truth.longitude, knots.latitude, knots.longitude, truth.height)
+    velocity = knots.velocity[:, :2] - truth.velocity
+    return np.vstack([east, north, velocity.T])
