@@ -385,21 +385,6 @@ class _Designer:
         return text
 
 
-def write_plan(study: Study, path: Path, bench: str | None = None) -> Checked:
-    """Writes the plan with the chosen positions, once it passes its checks. Raises `InputError` with what is wrong, and
-    `EstimationError` rather than writing over the plan that was designed for."""
-    if path.exists() and path.samefile(study.checked.file):
-        raise EstimationError(f"{path} is the plan itself: write to another file")
-    aside = path.with_name(f".{path.name}.tmp")
-    aside.write_text(study.text, encoding="utf-8", newline="")
-    try:
-        check_plan(aside, bench=bench).sound()
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
-    return check_plan(path, bench=bench)
-
-
 def residual_ratios(study: Study, name: str) -> dict[str, float]:
     """`estimate.ratio_…` → expected ratio of residual sums of squares with one of the sets, for every comparison in the plan."""
     found: dict[str, float] = {}

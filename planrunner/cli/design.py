@@ -1,4 +1,4 @@
-"""`planrunner design`: better positions for a plan, on its bench, and what no positions can pass."""
+"""`planrunner design`: better positions for a plan, on its bench, and what no positions can pass; or a better rotation cycle."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner import cli
+from planrunner.cli import design_cycle
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, parse_quantity
@@ -43,16 +44,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--restarts", type=int, default=8, help="seeded starts of the free search (default: 8)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: 0)")
-    parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the new positions")
+    design_cycle.add_arguments(parser)
+    parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the new positions or cycle")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
+    if design_cycle.wanted(args):
+        return design_cycle.run(args)
     # The searches solve many tiny systems: threads of the linear algebra only wait for each other. It reads this as scipy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from planrunner.designing import Options, design_plan, write_plan
+    from planrunner.designed_plan import write_plan
+    from planrunner.designing import Options, design_plan
 
     if args.restarts < 1 or args.seed < 0:
         raise EstimationError("--restarts is at least 1 and --seed at least 0")

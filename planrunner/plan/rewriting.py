@@ -1,4 +1,4 @@
-"""A plan's text with other orientations: only the places that state them change; comments and layout stay.
+"""A plan's text with other orientations, dwells or moves: only the places that state them change; comments and layout stay.
 
 Orientations are written as the nearest orientation in words and turns about the sensor's own axes, so that a reviewer can picture them.
 """
@@ -18,6 +18,7 @@ from planrunner.plan.orientation import AXES, DIRECTIONS, in_words, rotation
 
 Matrix = NDArray[np.float64]
 
+MOVES_A_LINE = 8
 DECIMALS = 2  # of turns in degrees: 0.005 deg is 18 arcsec, of second order near an optimum
 
 
@@ -131,6 +132,20 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
     return text
 
 
+def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
+    """The text with the list of moves that begins at (line, column), both from 1, replaced. Raises `RewriteError` where none begins."""
+    for node in _sequences(yaml.compose(text)):
+        if (node.start_mark.line + 1, node.start_mark.column + 1) == place and node.value:
+            break
+    else:
+        raise RewriteError(f"line {place[0]}: no moves are written here; write them as `moves: [A +180 C, C -180 A]`")
+    rows = [", ".join(moves[first : first + MOVES_A_LINE]) for first in range(0, len(moves), MOVES_A_LINE)]
+    joint = ",\n" + " " * (node.start_mark.column + 1)
+    # A list in lines of its own ends with its last entry; what follows may be a comment.
+    end = node.end_mark.index if node.flow_style else node.value[-1].end_mark.index
+    return text[: node.start_mark.index] + "[" + joint.join(rows) + "]" + text[end:]
+
+
 def _of(text: str, node: yaml.Node) -> str:
     return " ".join(text[node.start_mark.index : node.end_mark.index].split())
 
@@ -145,15 +160,24 @@ def _child(node: yaml.Node | None, name: str) -> Any:
 
 
 def _mappings(root: yaml.Node | None) -> Iterator[yaml.Node]:
-    """Every mapping once, however often aliases refer to it."""
+    return (node for node in _collections(root) if isinstance(node, yaml.MappingNode))
+
+
+def _sequences(root: yaml.Node | None) -> Iterator[yaml.SequenceNode]:
+    return (node for node in _collections(root) if isinstance(node, yaml.SequenceNode))
+
+
+def _collections(root: yaml.Node | None) -> Iterator[yaml.Node]:
+    """Every mapping and sequence once, however often aliases refer to it."""
     waiting, seen = [root], set()
     while waiting:
         node = waiting.pop()
         if node is None or id(node) in seen:
             continue
         seen.add(id(node))
-        if isinstance(node, yaml.MappingNode):
+        if isinstance(node, yaml.MappingNode | yaml.SequenceNode):
             yield node
+        if isinstance(node, yaml.MappingNode):
             waiting += [value for _, value in node.value]
         elif isinstance(node, yaml.SequenceNode):
             waiting += node.value

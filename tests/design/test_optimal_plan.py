@@ -11,7 +11,8 @@ import pytest
 
 from planrunner.checking import Checked, check_plan
 from planrunner.cli import main
-from planrunner.designing import Options, Study, design_plan, residual_ratios, write_plan
+from planrunner.designed_plan import write_plan
+from planrunner.designing import Options, Study, design_plan, residual_ratios
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan import source
 from planrunner.plan.findings import Findings

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from planrunner.checking import check_plan
-from planrunner.designing import Options, design_plan, write_plan
+from planrunner.designed_plan import write_plan
+from planrunner.designing import Options, design_plan
 from planrunner.estimators.interface import EstimationError
 
 OUTER = "{name: outer, direction: east, max_rate: 100 deg/s, max_acceleration: 100 deg/s^2, lowest: -120 deg, highest: 120 deg}"

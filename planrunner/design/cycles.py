@@ -1,0 +1,265 @@
+"""Searches for rotation cycles that leave nothing of a constant horizontal error, over their stops and over their turns.
+
+`same_order` keeps the planned order of the stops and chooses which way round every turn goes, repeating the cycle with other choices where
+one round does not suffice. `free_order` chooses the order as well, with every position held as often as every other. Both return to
+where they began, with cables unwound, and prefer a mean angle of zero, then the smallest range of cable, then the shortest cycle.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.physics.rotation_cycle import ROUNDING, RotationCycle
+
+Array = NDArray[np.float64]
+
+TURN = 2 * math.pi
+HALF_TURN = math.pi
+MOST_CHOICES = 2**16  # of directions, in one round of `same_order`
+MOST_STEPS = 200_000  # of `free_order`, in one search
+MOST_MOVES = 24
+_ANGLE = 1e-9  # rad, or rad of mean angle: closer counts as equal
+
+
+class CycleError(ValueError):
+    """There is no cycle to be found. The message says why, for a quality engineer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cable:
+    """Angles from the first position that the axis can reach [rad]."""
+
+    lowest: float = -math.inf
+    highest: float = math.inf
+
+    def holds(self, low: float, high: float) -> bool:
+        return self.lowest - _ANGLE <= low and high <= self.highest + _ANGLE
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """What one search looked at. moves: of the cycles; tried: how many cycles; balanced: how many of them leave nothing; wound: how many
+    of those wind the cables up; exhaustive: whether these were all."""
+
+    moves: int
+    tried: int
+    balanced: int
+    wound: int
+    exhaustive: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCycle:
+    """cycle: the best that leaves nothing, None where there is none; rounds: the searches made, the last one successful."""
+
+    cycle: RotationCycle | None
+    rounds: tuple[Round, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StudiedCycle:
+    """cycle: in the plan's sense; moves: as a plan writes them; drive: the Schuler oscillation that it builds up, against the one without
+    rotation."""
+
+    cycle: RotationCycle
+    moves: tuple[str, ...]
+    drive: float
+
+
+def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
+    """The planned stops with turns that go the one way round or the other, of at most half a turn or the longest that is planned.
+
+    Raises `CycleError` where the stops themselves do not balance, which no turn can mend, and where there are too many choices.
+    """
+    if abs(planned.integral()[0]) > ROUNDING * planned.period:
+        raise CycleError("the stops do not balance, and no turns can make up for it: stop as long on opposite sides")
+    most = max(HALF_TURN, *(abs(turn) for turn in planned.turns)) + _ANGLE
+    choices = [_ways(turn, most) for turn in planned.turns]
+    rounds: list[Round] = []
+    best: RotationCycle | None = None
+    for repeats in itertools.count(1):
+        count = math.prod(map(len, choices)) ** repeats
+        if count > MOST_CHOICES or repeats * len(choices) > MOST_MOVES:
+            break
+        turns = np.array(list(itertools.product(*(choices * repeats))))
+        found, tally = _best_of(turns, planned, cable)
+        rounds.append(tally)
+        best = _better(best, found)
+        if _centred(best):
+            break
+    if not rounds:
+        raise CycleError(f"{len(choices)} moves have too many ways round to try them all")
+    return FoundCycle(best, tuple(rounds))
+
+
+def _ways(turn: float, most: float) -> list[float]:
+    """The turns to the same position, `turn` first, of at most `most`; a full turn stays one."""
+    others = [turn + TURN * whole for whole in range(-2, 3) if whole]
+    return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
+
+
+def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
+    """The best of (m, n) cycles of equal stops, and how many leave nothing."""
+    ends = np.cumsum(turns, axis=1)
+    begins = ends - turns
+    left = np.zeros(len(turns), dtype=complex)
+    lasting = np.zeros(len(turns))
+    for size in np.unique(turns):
+        part, seconds = _turn(float(size), planned)
+        where = turns == size
+        left += np.sum(np.exp(1j * begins) * where, axis=1) * part
+        lasting += np.sum(where, axis=1) * seconds
+    period = lasting + turns.shape[1] * planned.stop
+    balanced = np.abs(left) <= ROUNDING * period
+    wound = balanced & (np.abs(ends[:, -1]) > _ANGLE)
+    low, high = np.minimum(0, ends.min(axis=1)), np.maximum(0, ends.max(axis=1))
+    fits = (low >= cable.lowest - _ANGLE) & (high <= cable.highest + _ANGLE)
+    best: RotationCycle | None = None
+    for row in np.flatnonzero(balanced & ~wound & fits):
+        best = _better(
+            best, RotationCycle(tuple(turns[row].tolist()), planned.stop, planned.rate, planned.acceleration)
+        )
+    tally = Round(turns.shape[1], len(turns), int(balanced.sum()), int(wound.sum()))
+    return best, tally
+
+
+def free_order(
+    positions: Sequence[float], planned: RotationCycle, cable: Cable = Cable(), most: float = HALF_TURN
+) -> FoundCycle:
+    """Cycles through `positions` [rad, from the first of the planned cycle], each held equally often, with turns of at most `most` rad.
+
+    Every order is tried for as many moves as there are positions, then twice as many, and so on, until one leaves nothing and has a mean
+    angle of zero; where that is too much, turns to neighbouring positions alone. Raises `CycleError` where the positions do not balance.
+    """
+    angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
+    if len(angles) < 2:
+        raise CycleError("there is one position only: add positions that lie opposite each other")
+    if abs(sum(np.exp(1j * np.array(angles)))) > 1e-6 * len(angles):
+        shown = ", ".join(f"{math.degrees(angle):g}" for angle in angles)
+        raise CycleError(f"the positions {shown} deg do not balance: add positions opposite to them")
+    rounds: list[Round] = []
+    best: RotationCycle | None = None
+    for visits in range(1, MOST_MOVES // len(angles) + 1):
+        for near in (False, True):
+            found, tally = _Search(angles, visits, planned, cable, most, near).run()
+            rounds.append(tally)
+            best = _better(best, found)
+            if tally.exhaustive:
+                break
+        if _centred(best) or not tally.exhaustive:
+            break
+    return FoundCycle(best, tuple(rounds))
+
+
+class _Search:
+    """Walks through every order of stops, cutting off what winds further than the best found."""
+
+    def __init__(
+        self, angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool
+    ):
+        self.moves = visits * len(angles)
+        self.left = [visits] * len(angles)
+        self.planned, self.cable = planned, cable
+        home = min(range(len(angles)), key=lambda index: abs(math.remainder(angles[index], TURN)))
+        self.home = home
+        self.steps = [_steps(angles, index, most, near) for index in range(len(angles))]
+        made = {turn: _turn(turn, planned) for steps in self.steps for _, turn in steps}
+        self.parts = [
+            {turn: complex(np.exp(1j * angle)) * made[turn][0] for _, turn in steps}
+            for angle, steps in zip(angles, self.steps, strict=True)
+        ]
+        self.seconds = {turn: seconds for turn, (_, seconds) in made.items()}
+        self.best: RotationCycle | None = None
+        self.narrowest = math.inf  # range of the best, once its mean angle is zero
+        self.tried = self.balanced = self.wound = self.walked = 0
+
+    def run(self) -> tuple[RotationCycle | None, Round]:
+        for turns in self._walk(self.home, 0.0, 0.0, 0.0, 0j, ()):
+            self._take(turns)
+            if self.walked > MOST_STEPS:
+                break
+        tally = Round(self.moves, self.tried, self.balanced, self.wound, self.walked <= MOST_STEPS)
+        return self.best, tally
+
+    def _walk(
+        self, at: int, angle: float, low: float, high: float, left: complex, turns: tuple[float, ...]
+    ) -> Iterator[tuple[tuple[float, ...], complex]]:
+        """Every closed sequence of turns, and what its turns leave."""
+        self.walked += 1
+        if len(turns) == self.moves:
+            if at == self.home:
+                yield turns, left
+            return
+        self.left[at] -= 1
+        for to, turn in self.steps[at]:
+            end = angle + turn
+            lower, higher = min(low, end), max(high, end)
+            last = len(turns) == self.moves - 1
+            if (to == self.home if last else self.left[to] > 0) and self._worth(lower, higher):
+                yield from self._walk(to, end, lower, higher, left + self.parts[at][turn], (*turns, turn))
+            if self.walked > MOST_STEPS:
+                break
+        self.left[at] += 1
+
+    def _worth(self, low: float, high: float) -> bool:
+        return self.cable.holds(low, high) and high - low <= self.narrowest + _ANGLE
+
+    def _take(self, walk: tuple[tuple[float, ...], complex]) -> None:
+        turns, left = walk
+        self.tried += 1
+        stop = self.planned.stop
+        period = len(turns) * stop + math.fsum(self.seconds[turn] for turn in turns)
+        if abs(left) > ROUNDING * period:
+            return
+        self.balanced += 1
+        if abs(math.fsum(turns)) > _ANGLE:
+            self.wound += 1
+            return
+        planned = self.planned
+        self.best = _better(self.best, RotationCycle(turns, stop, planned.rate, planned.acceleration))
+        if _centred(self.best):
+            self.narrowest = self.best.reach[1] - self.best.reach[0]
+
+
+def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
+    """(index of a position, turn to it) from one position, the shortest first and of two equal ones the positive."""
+    count = len(angles)
+    ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
+    found = set()
+    for end in ends:
+        short = math.remainder(angles[end] - angles[start], TURN)
+        for turn in (short, short - math.copysign(TURN, short)):
+            if abs(turn) <= most + _ANGLE:
+                found.add((end, round(turn, 12)))
+    return sorted(found, key=lambda step: (round(abs(step[1]), 9), -step[1]))
+
+
+def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
+    """What one turn from angle zero leaves [s], and how long it takes [s]."""
+    if abs(turn) <= _ANGLE:
+        return 0j, 0.0
+    alone = RotationCycle((turn,), 0.0, planned.rate, planned.acceleration)
+    return alone.integral()[1], alone.period
+
+
+def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
+    """The better of two cycles that leave nothing; the first where they are equally good."""
+    if first is None or second is None:
+        return first or second
+    return second if _merit(second) < _merit(first) else first
+
+
+def _merit(cycle: RotationCycle) -> tuple[float, float, float]:
+    low, high = cycle.reach
+    return round(abs(cycle.mean_angle), 9), round(high - low, 9), round(cycle.period, 6)
+
+
+def _centred(cycle: RotationCycle | None) -> TypeGuard[RotationCycle]:
+    return cycle is not None and abs(cycle.mean_angle) <= _ANGLE
