@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.strapdown_reading import IncrementReader, Increments, duration, reference_speed
+from planrunner.instruments.models import TableModel
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import Alignment, FineAlignment, coarse
 from planrunner.navigation.error_equations import TILT, ErrorEquations
 from planrunner.navigation.mechanisation import Navigator
 from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import rotation_about
+from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Rest, Segment
 
 Array = NDArray[np.float64]
@@ -98,6 +101,25 @@ def stillness(segment: Segment, seconds: float) -> float:
     """Seconds from the beginning in which the unit stands still, of `seconds`: those that the coarse attitude is taken from."""
     first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
     return min(first, seconds, _COARSE)
+
+
+def end_attitude(segment: Segment, table: TableModel | None) -> Array | None:
+    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None where it is not known."""
+    if segment.attitude is None or not isinstance(segment.motion, Cycle):
+        return segment.attitude if isinstance(segment.motion, Rest) else None
+    if segment.dwell is None:
+        return None
+    upright = [axis.max_acceleration for axis in table.axes if abs(axis.direction[2]) > 1 - 1e-9] if table else []
+    angle = float(
+        RotationCycle.of(segment.motion, upright[0] if upright else math.inf).angle(np.array([segment.dwell]))[0]
+    )
+    turned = rotation_about((0.0, 0.0, 1.0), angle)
+    return np.asarray(segment.attitude @ turned.T)
+
+
+def same_attitude(one: Array | None, other: Array | None) -> bool:
+    """Whether both are known and the same, to a microradian."""
+    return one is not None and other is not None and bool(np.allclose(one, other, atol=1e-6))
 
 
 def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark
 from planrunner.estimators.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown_alignment import HIGHEST_LATITUDE, SHORTEST, levelled_out, stillness, to_navigation
+from planrunner.estimators.strapdown_alignment import (
+    HIGHEST_LATITUDE,
+    SHORTEST,
+    end_attitude,
+    levelled_out,
+    same_attitude,
+    stillness,
+    to_navigation,
+)
 from planrunner.estimators.strapdown_navigation import StrapdownNavigationParameters, parts
 from planrunner.estimators.strapdown_uncertainty import NAMES, SCHULER_PERIOD
 from planrunner.navigation import attitude
@@ -71,13 +79,8 @@ def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
 def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> list[Remark]:
     found = []
     first = moving[0]
-    same = (
-        stop.attitude is not None
-        and first.attitude is not None
-        and np.allclose(stop.attitude, first.attitude, atol=1e-6)
-    )
-    if not same:
-        message = f"'{first.label}' does not begin in the orientation of '{stop.label}', so the alignment does not hold for it"
+    if not same_attitude(end_attitude(stop, request.setup.table), first.attitude):
+        message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment does not hold for it"
         found.append(
             Remark(
                 "physics-navigation-gap",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.navigation_errors import ErrorRecord, Truth, difference, stride
-from planrunner.estimators.strapdown_alignment import STILL, Aligned, align
+from planrunner.estimators.strapdown_alignment import STILL, Aligned, align, end_attitude, same_attitude
 from planrunner.estimators.strapdown_reading import (
     IncrementReader,
     Increments,
@@ -199,11 +199,13 @@ def navigate(request: EstimateRequest) -> Navigated:
     )
     site = start_place(request, stop, factor)
     aligned = align(stop, reader, site, factor, parameters.constant_errors)
-    gap = _gap(stop, moving, reader)
+    gap = _gap(request, stop, moving, reader)
     return _run(request, reader, moving, site, factor, aligned, gap)
 
 
-def _gap(stop: RecordedSegment, moving: Sequence[RecordedSegment], reader: IncrementReader) -> float:
+def _gap(
+    request: EstimateRequest, stop: RecordedSegment, moving: Sequence[RecordedSegment], reader: IncrementReader
+) -> float:
     """Seconds between alignment and navigation; the attitude is carried over them where nothing can have turned. Raises
     `EstimationError`."""
     first = moving[0]
@@ -213,12 +215,10 @@ def _gap(stop: RecordedSegment, moving: Sequence[RecordedSegment], reader: Incre
     between = f"{gap:.4g} s lie between '{stop.label}' and '{first.label}'"
     if max(map(reference_speed, (stop, *moving))) > STILL:
         raise EstimationError(f"{between}, in which the carrier may have turned: record the two without a pause")
-    before, after = stop.segment.attitude, first.segment.attitude
-    if before is None or after is None or not np.allclose(before, after, atol=1e-6):
+    if stop.truncated or not same_attitude(end_attitude(stop.segment, request.setup.table), first.segment.attitude):
         raise EstimationError(
-            f"{between}, and '{first.label}' does not begin in the orientation of '{stop.label}': align in the orientation "
-            "in which navigation "
-            "begins, or record the two without a pause"
+            f"{between}, and '{first.label}' does not begin in the orientation in which '{stop.label}' ends: align in the orientation "
+            "in which navigation begins, or record the two without a pause"
         )
     reader.part()
     return gap
