@@ -91,14 +91,14 @@ class ScaleFactor:
             output = request.sensor.output(name)
             assert output is not None  # each block is of an output that the sensor has
             rate_unit, output_unit = rate_and_output(request.parameters.rate_unit, output.unit)
-            nominal = request.sensor.nominal.get(f"K_{name}", math.nan)
+            nominal = request.sensor.nominal.get(f"K_{name}", math.nan) / output_unit.factor
             if np.unique(rates).size > 1 and np.all(sigma > 0) and math.isfinite(nominal):
                 shown, factor = slope_unit(rate_unit, output_unit)
                 cofactor = least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor
                 gains = cofactor @ (matrix / sigma[:, None] ** 2).T
-                stated = _influences(request, gains[1:, None], np.array([nominal / factor]), rates)
+                stated = _influences(request, gains[1:, None], np.array([nominal]), rates)
                 variance = cofactor[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
-                predicted.append(Coefficient(f"K_{name}", nominal, shown, math.sqrt(variance) * factor))
+                predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
         return Design(blocks, tuple(predicted))
 
     def estimate(self, request: EstimateRequest) -> Estimate:

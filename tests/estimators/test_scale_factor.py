@@ -194,7 +194,7 @@ def test_check_foresees_the_rates_errors() -> None:
         "gyro",
         (OutputModel("gyro", "pulse/s", noise=NoiseModel(white=0.02 * math.sqrt(120))),),
         100.0,
-        {"K_gyro": 500.0},
+        {"K_gyro": 500.0 / DEG},
     )
     segments = tuple(segment(f"R{n}", motion=Spin(rate)) for n, rate in enumerate(rates))
     parameters = ScaleFactorParameters(outputs=("gyro",), rate_uncertainty=parse_quantity("20 ppm"))
