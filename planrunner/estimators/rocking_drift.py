@@ -198,7 +198,7 @@ def _notes(
     notes = [sentence(pairings)] if pairings else []
     rocking = next(run.segment for run in states[0].quadruples[0].runs if run.dynamic)
     if isinstance(rocking.motion, Rock) and math.isfinite(rocking.motion.duration):
-        rocked = rocking.motion.duration - request.parameters.release.value
+        rocked = rocking.motion.duration - request.parameters.release.value - request.parameters.window.value / 2
         notes.append(
             f"Rocking drift is the mean from t0 to t1, {seconds:g} s; the base rocked during {rocked:g} s of them."
         )

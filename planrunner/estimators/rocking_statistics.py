@@ -85,8 +85,8 @@ def combine(states: Sequence[StateDrifts]) -> Combined:
     parts = [s @ state.scatter()[0] @ s.T for s, state in zip(shares, states, strict=True)]
     freedoms = [state.scatter()[1] for state in states]
     degrees = tuple(_welch([part[m, m] for part in parts], freedoms) for m in range(len(rows)))
-    axes, gimbals = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
-    return Combined(axes, gimbals, values, np.sum(parts, axis=0), degrees, tuple(shares))
+    axes, by_gimbals = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
+    return Combined(axes, by_gimbals, values, np.sum(parts, axis=0), degrees, tuple(shares))
 
 
 def _welch(variances: Sequence[float], degrees: Sequence[float]) -> float:
@@ -94,7 +94,7 @@ def _welch(variances: Sequence[float], degrees: Sequence[float]) -> float:
     acting = [(v, n) for v, n in zip(variances, degrees, strict=True) if v > 0]
     if not acting:
         return min(degrees)
-    return sum(v for v, _ in acting) ** 2 / sum(v**2 / n for v, n in acting)
+    return float(sum(v for v, _ in acting) ** 2 / sum(v**2 / n for v, n in acting))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,12 @@ class Piece:
 def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> tuple[Piece, Piece]:
     """Both pieces of a run, with the channels as columns. Raises `EstimationError` for data that cannot serve."""
     scales = [_scale(recorded, name) for name in channels]
+    statistics = recorded.statistics
+    rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
+    if windows.cutoff > rate / 4:
+        raise EstimationError(
+            f"a cutoff of {windows.cutoff:g} Hz needs {4 * windows.cutoff:g} samples a second; '{recorded.label}' has {rate:.3g}"
+        )
     times: tuple[list[Array], list[Array]] = ([], [])
     values: tuple[list[Array], list[Array]] = ([], [])
     for block in recorded.blocks(channels):
@@ -72,21 +79,24 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
 
 
 def low_pass(piece: Piece, cutoff: float) -> Array:
-    """The values (n, k) without what changes faster than `cutoff` [Hz], without delay. Raises `EstimationError`."""
-    from scipy.signal import butter, sosfiltfilt
+    """The values (n, k) without what changes faster than `cutoff` [Hz], without delay."""
+    from scipy.signal import sosfiltfilt
 
     rate = 1 / float(piece.time[1] - piece.time[0])
-    if cutoff >= rate / 2:
-        raise EstimationError(
-            f"the cutoff of {cutoff:g} Hz needs more than {2 * cutoff:g} samples a second; there are {rate:g}"
-        )
     middle = piece.time - piece.time.mean()
     trend = np.vander(middle / max(float(np.abs(middle).max()), 1e-12), 3)
     slow = trend @ np.linalg.lstsq(trend, piece.values, rcond=None)[0]
     padding = min(len(middle) - 1, round(REACH / cutoff * rate))
-    sections = butter(ORDER, cutoff, fs=rate, output="sos")
-    filtered = sosfiltfilt(sections, piece.values - slow, axis=0, padtype="even", padlen=padding)
+    filtered = sosfiltfilt(_sections(cutoff / rate), piece.values - slow, axis=0, padtype="even", padlen=padding)
     return np.asarray(slow + filtered)
+
+
+@lru_cache(maxsize=16)
+def _sections(ratio: float) -> Array:
+    """The filter for a cutoff at this share of the sampling rate."""
+    from scipy.signal import butter
+
+    return np.asarray(butter(ORDER, ratio, fs=1.0, output="sos"))
 
 
 def passed(frequency: float, cutoff: float) -> float:

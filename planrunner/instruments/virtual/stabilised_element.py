@@ -68,7 +68,8 @@ class Element:
             return self
         count = max(1, round((time - self.at) * CATCH_UP))
         step = (time - self.at) / count
-        square = float(np.sum(mean_square_rate(world, self.at + step * (np.arange(count) + 0.5)))) * step
+        middles = np.asarray(self.at + step * (np.arange(count) + 0.5), dtype=np.float64)
+        square = float(np.sum(mean_square_rate(world, middles))) * step
         drifted = self.drifted + law.constant * (time - self.at) + law.rectified * square
         return replace(self, drifted=drifted + law.random_walk * np.sqrt(time - self.at) * walk, at=time)
 
