@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DATA ?= ../shared/data
 
-.PHONY: all demo test test-slow lint schemas wheel benchmark clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel benchmark clean
 
 all: $(READY)
 
@@ -32,6 +32,13 @@ lint: $(READY)
 
 schemas: $(READY)
 	$(BIN)/python -m planrunner.plan.schema schemas
+
+# Texts of the templates into locales/, where translators go on.
+catalogues: $(READY)
+	$(BIN)/pybabel extract --mapping babel.cfg --omit-header --no-location --no-wrap --sort-output --output locales/planrunner.pot .
+	for catalogue in locales/*.po; do \
+	  $(BIN)/pybabel update --input-file locales/planrunner.pot --output-file $$catalogue --locale $$(basename $$catalogue .po) \
+	    --omit-header --no-wrap --no-fuzzy-matching --ignore-obsolete; done
 
 benchmark: $(READY)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from datetime import UTC, date, datetime
 from typing import Any
@@ -79,15 +80,22 @@ def _conditions(
     for name in ROOM:
         value = told.get(f"ambient_{name}") or (room and getattr(room, name))
         if value:
-            yield f"ambient {name}", str(value)
+            yield f"Ambient {name}", str(value)
     for name, text in told.items():
         if name.startswith("ambient_") and name.removeprefix("ambient_") not in ROOM:
-            yield name.replace("_", " "), text
+            yield name.replace("_", " ").capitalize(), text
     held = [item.segment.temperature for item in recording if item.segment.temperature is not None]
     if held:
-        yield "chamber temperature", _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")
-    for name in {name: None for item in recording for name in item.readings}:
-        yield name, _range([item.readings[name] for item in recording if name in item.readings], "")
+        yield "Chamber temperature", _range([kelvin - ZERO_CELSIUS for kelvin in held], " °C")
+    table = next((f"{item.name}." for item in references(sound.bench) if item.role == "table"), "no table")
+    for name in {name: None for item in recording for name in item.readings if not name.startswith(table)}:
+        read, _, unit = name.rpartition("_")
+        values = [item.readings[name] for item in recording if math.isfinite(item.readings.get(name, math.nan))]
+        if values:
+            yield (read, _range(values, " " + _UNITS[unit])) if unit in _UNITS else (name, _range(values, ""))
+
+
+_UNITS = {"degC": "°C", "K": "K", "Pa": "Pa", "hPa": "hPa", "kPa": "kPa", "percent": "%", "V": "V", "A": "A"}
 
 
 def _range(values: list[float], unit: str) -> str:

@@ -14,6 +14,7 @@ class Reference:
     """An instrument of the bench, or its site, and the calibration that stands behind it, if one is stated."""
 
     name: str
+    role: str
     asset: str = ""
     calibration: Calibration | None = None
 
@@ -21,11 +22,11 @@ class Reference:
 def references(bench: Bench) -> tuple[Reference, ...]:
     """Site and instruments in the file's order, without the sensor, which is what is calibrated."""
     instruments = [
-        Reference(name, entry.asset or "", entry.calibration)
+        Reference(name, driver_of(entry).role, entry.asset or "", entry.calibration)
         for name, entry in bench.instruments.items()
         if driver_of(entry).role != "sensor"
     ]
-    return (Reference("site", "", bench.site.survey), *instruments)
+    return (Reference("site", "site", "", bench.site.survey), *instruments)
 
 
 def simulated(bench: Bench) -> bool:

@@ -61,7 +61,8 @@ class CertificateFacts:
 
 def certificate_view(context: ReportContext) -> dict[str, Any]:
     """Keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events, performed, issued, plan_digest,
-    run, before_run, simulated, replayed, results, has_before, conformity, warnings."""
+    run, before_run, simulated, replayed, results, has_before, rules,
+    conformity, warnings."""
     facts = context.certificate
     if facts is None:
         facts = CertificateFacts("")
@@ -93,6 +94,7 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
         "replayed": facts.replayed,
         "results": results,
         "has_before": any(row["before"] for one in results for row in one["rows"]),
+        "rules": sorted({limit.rule for limit in limits}),
         "conformity": [_conformity(limit) for limit in limits],
         "warnings": [f"{one.name}: {text}" for one in shown for text in one.warnings],
     }
@@ -119,10 +121,10 @@ def _span(first: str, last: str) -> str:
 
 def _results(estimate: Estimate, before: Estimate | None, probability: float) -> dict[str, Any]:
     found = {} if before is None else {item.name: item for item in before.coefficients}
-    headline = set(estimate.headline)
-    ordered = sorted(estimate.coefficients, key=lambda item: bool(headline) and item.name not in headline)
     rows = []
-    for item in ordered:
+    for item in estimate.coefficients:
+        if estimate.headline and item.name not in estimate.headline:
+            continue
         earlier = found.get(item.name)
         factor = coverage_factor(item.degrees_of_freedom, probability)
         expanded = factor * item.standard_uncertainty

@@ -41,7 +41,8 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """The functions that Jinja's i18n extension calls. What a catalogue lacks stays English; the result is escaped like other text."""
+    """The functions that Jinja's i18n extension calls, and `term` for words that come with the data, such as the description of a
+    coefficient. What a catalogue lacks stays as it is; the result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Any) -> str:
@@ -53,7 +54,11 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
         forms = (said,) if isinstance(said, str) else said
         return filled(forms[0 if count == 1 else -1], {"num": count, **values})
 
-    return {"_": gettext, "gettext": gettext, "ngettext": ngettext}
+    def term(text: str) -> str:
+        said = known.get(text, text)
+        return said if isinstance(said, str) else text
+
+    return {"_": gettext, "term": term, "gettext": gettext, "ngettext": ngettext}
 
 
 def filled(message: str, values: Mapping[str, Any]) -> str:

@@ -13,10 +13,10 @@ def _(words: str) -> str:
 
 
 CONDITIONS = (
-    _("ambient temperature"),
-    _("ambient pressure"),
-    _("ambient humidity"),
-    _("chamber temperature"),
+    _("Ambient temperature"),
+    _("Ambient pressure"),
+    _("Ambient humidity"),
+    _("Chamber temperature"),
 )
 REFERENCES = (_("site"), _("table"), _("chamber"))
 RULES = (_("simple"), _("guarded"))

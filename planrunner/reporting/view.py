@@ -28,8 +28,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from planrunner.estimators.interface import Coefficient, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
@@ -39,9 +41,6 @@ from planrunner.reporting.certificate import certificate_view
 from planrunner.reporting.context import ReportContext, SegmentSummary, site_facts
 from planrunner.reporting.rounding import format_pair
 from planrunner.uncertainty.decision import coverage_factor
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 __all__ = ["coefficient_row", "limit_row", "report_view", "segment_table", "table_view"]
 
@@ -120,12 +119,12 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
         "settings": named({name: value for name, value in estimate.settings.items() if name != FOR_THE_TERMINAL}),
         "tables": [table_view(table) for table in estimate.tables],
         "plots": [
-            {"title": plot.title, "svg": _markup(plot_svg(plot, f"{key}-p{number + 1}"))}
+            {"title": plot.title, "svg": Picture(partial(plot_svg, plot, f"{key}-p{number + 1}"))}
             for number, plot in enumerate(estimate.plots)
         ],
         "correlation": {
             "title": "Correlations, in hundredths",
-            "svg": _markup(correlation_svg(names, covariance, f"{key}-c")) if pairs else None,
+            "svg": Picture(partial(correlation_svg, names, covariance, f"{key}-c")) if pairs else None,
         },
         "budgets": budget_views(estimate),
         "strong_correlations": [
@@ -292,8 +291,11 @@ def readable(name: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _markup(svg: str) -> Markup:
-    """SVG made here is not escaped again."""
-    from markupsafe import Markup
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """SVG made here, which is not escaped again; drawn when a template shows it."""
 
-    return Markup(svg)
+    draw: Callable[[], str]
+
+    def __html__(self) -> str:
+        return self.draw()

@@ -8,6 +8,7 @@ import subprocess
 from html import escape
 from pathlib import Path
 
+import certificate_example
 import pytest
 import reporting_example as example
 
@@ -48,6 +49,8 @@ def widths(page: str, width: int, folder: Path) -> tuple[int, int]:
 PAGES = {
     "report": lambda: render_report(example.context(), "report.html"),
     "show": lambda: render_show(ShowContext("Plan", example.schedule(), designs={"drift": example.design()})),
+    "certificate": lambda: render_report(certificate_example.context(), "certificate.html"),
+    "certificate in Chinese": lambda: render_report(certificate_example.context(), "certificate.zh.html"),
     "long words": lambda: render_report(
         example.context(title="W" * 200, run_information={"n" * 60: "v" * 300}, warnings=("w" * 300,)), "report.html"
     ),
