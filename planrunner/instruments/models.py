@@ -60,12 +60,14 @@ class NoiseModel:
     """Noise of one output, in output units.
 
     white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T.
-    bias_instability: flicker floor [unit]; resolution: one count [unit].
+    bias_instability: flicker floor [unit]; resolution: one count [unit]. counted: what a sample leaves of a count goes into the next, so
+    that only the two ends of a mean are rounded.
     """
 
     white: float = 0.0
     bias_instability: float = 0.0
     resolution: float = 0.0
+    counted: bool = False
 
     def standard_error(self, seconds: float, rate_hz: float) -> float:
         """Standard uncertainty of the mean over `seconds` of samples at `rate_hz`."""
@@ -74,6 +76,8 @@ class NoiseModel:
         per_sample = self.white**2 * rate_hz
         dithered = per_sample > (self.resolution / 2) ** 2
         rounding = self.resolution**2 / 12 / (samples if dithered else 1.0)
+        if self.counted:
+            rounding = self.resolution**2 / 6 / samples**2
         return math.sqrt(white + rounding + self.bias_instability**2)
 
 

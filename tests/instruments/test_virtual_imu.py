@@ -306,6 +306,16 @@ def test_axes_and_segments_have_noise_of_their_own():
     assert not np.array_equal(data["gyro_x"], bench.record(100.0, index=1)["gyro_x"])
 
 
+def test_a_mean_of_counts_is_as_good_as_is_declared():
+    # Counts of 1 arcsec at 100 Hz: a mean over 10 s is off by two roundings of ±½ arcsec, 1/√6/10 arcsec/s.
+    bench = one_gyro("resolution: 1 arcsec, axis: z")
+    declared = bench.sensor.model(bench.sensor.parameters).output("gyro_x").noise.standard_error(10.0, 100.0)
+    assert declared * 3600 == pytest.approx(1 / math.sqrt(6) / 10)
+    found = bench.record(10_000.0)["gyro_x"].reshape(-1, 1000).mean(axis=1) - UP
+    # Roundings of neighbouring means are shared, and evenly spread: 1000 of them give their deviation to some per cent.
+    assert found.std() == pytest.approx(declared, rel=0.1)
+
+
 # -- streaming -------------------------------------------------------------------------------------------------------
 
 NOISY = """

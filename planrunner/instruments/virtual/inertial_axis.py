@@ -67,7 +67,9 @@ class InertialAxis:
 
     def output(self, rate: float) -> OutputModel:
         """What a data sheet says of it, sampled at `rate` [Hz]."""
-        noise = NoiseModel(self.white * self.nominal, self.bias_instability * self.nominal, self.step_of_sample(rate))
+        noise = NoiseModel(
+            self.white * self.nominal, self.bias_instability * self.nominal, self.step_of_sample(rate), self.counted
+        )
         return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise)
 
     def step_of_sample(self, rate: float) -> float:
