@@ -14,12 +14,14 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
+from planrunner.estimators.monte_carlo_validation import linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
+from planrunner.plan.validate_spec import USUAL, MonteCarloSpec
 from planrunner.uncertainty.budget import Measured, combine
 
 __all__ = ["LimitVerdict", "Results", "analyse", "design_of"]
@@ -131,6 +133,11 @@ def _estimate(
     uses = {used: made[used] for used in spec.uses}
     request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection, setup)
     estimate: Estimate = combined(estimator.estimate(request))
+    if asked := getattr(spec, "validate", None):
+        chain = getattr(estimator, "chain", None)
+        draws = chain(request, estimate) if chain else linear_chain(estimate)
+        how = asked if isinstance(asked, MonteCarloSpec) else USUAL
+        estimate = validated(estimate, draws, how, first_order=chain is None)
     return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))
 
 

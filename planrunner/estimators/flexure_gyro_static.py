@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planrunner.estimators import flexure_gyro_tables as tables
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.flexure_gyro_draws import physical_draws
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -22,7 +23,7 @@ from planrunner.estimators.interface import (
     EstimationError,
 )
 from planrunner.estimators.linear_influences import linear_influences
-from planrunner.estimators.observations import observe
+from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
@@ -32,6 +33,8 @@ from planrunner.physics.terms import ErrorModel
 from planrunner.plan.kinds import Boolean, Choice, ListOf, Record, Text, key
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
+from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.monte_carlo import Draws
 
 Array = NDArray[np.float64]
 
@@ -69,7 +72,8 @@ class FlexureGyroStaticParameters(Record):
 class PhysicalSet:
     """Physical and output coefficients in the field's units with the gradients that carry covariance from SI [U; V].
 
-    values, units: (q,), first the physical ones, then U0 …, V0 …; gradients: (q, 2·p), d(value in its unit)/d(SI coefficient).
+    values, units: (q,), first the physical ones, then U0 …, V0 …; gradients: (q, 2·p), d(value in its unit)/d(SI coefficient); factors:
+    (q,), SI value over value.
     """
 
     names: tuple[str, ...]
@@ -77,6 +81,7 @@ class PhysicalSet:
     units: tuple[str, ...]
     gradients: Array
     physical: int
+    factors: Array
 
 
 class FlexureGyroStatic:
@@ -107,37 +112,26 @@ class FlexureGyroStatic:
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Coefficients from the recorded positions. Raises `EstimationError`."""
-        parameters: FlexureGyroStaticParameters = request.parameters
-        basis = parameters.uncertainty
-        observations = observe(request.segments, _two(parameters.outputs), request.sensor)
-        model = flexure_gyro.static_model(parameters.terms)
-        matrix = static_matrix(model, [recorded.segment for recorded in request.segments], request.site)
-        magnitudes = local_magnitudes(model, request.site)
-        fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, parameters.pool_outputs)
-        require_basis(fit, basis, request.name)
-        try:
-            found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
-        except ValueError as error:
-            raise EstimationError(f"{request.name}: {error}") from None
+        made = _make(request)
+        fit, found, matrix, observations = made.fit, made.found, made.matrix, made.observations
+        basis = request.parameters.uncertainty
         covariance = found.gradients @ fit.covariance(basis) @ found.gradients.T
         spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
         freedom = fit.degrees_of_freedom(found.gradients, basis)
-        coefficients = _coefficients(found, spreads, freedom)
-        stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
         notes, warnings = judge(fit, basis)
-        scaled = matrix / magnitudes
+        scaled = matrix / local_magnitudes(made.model, request.site)
         condition = float(np.linalg.cond(scaled))
         notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(matrix)))
         return Estimate(
             request.name,
             "flexure_gyro_static",
-            coefficients,
+            _coefficients(found, spreads, freedom),
             covariance,
             found.names[: found.physical],
             {
                 "uncertainty": basis,
                 "pool_outputs": fit.pooled,
-                "terms": list(model.names),
+                "terms": list(made.model.names),
                 "weights": [noise.weighting for noise in fit.noises],
             },
             (tables.residual_table(observations, fit), *tables.both_bases(found, fit, basis)),
@@ -145,9 +139,43 @@ class FlexureGyroStatic:
             tuple(notes),
             tuple(warnings),
             observations.labels,
-            _extra(fit, matrix, model, parameters.outputs),
-            tuple(one.through(found.gradients) for one in stated),
+            _extra(fit, matrix, made.model, request.parameters.outputs),
+            tuple(one.through(found.gradients) for one in made.stated),
         )
+
+    def chain(self, request: EstimateRequest, estimate: Estimate) -> Draws:
+        """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse: exact but for the inputs' first order."""
+        made = _make(request)
+        return physical_draws(made.fit, request.parameters.uncertainty, made.found.factors, made.stated)
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """What the recording gives. stated: influences on SI [U; V], output after output."""
+
+    observations: Observations
+    model: ErrorModel
+    matrix: Array
+    fit: OutputsFit
+    found: PhysicalSet
+    stated: tuple[Influence, ...]
+
+
+def _make(request: EstimateRequest) -> _Made:
+    parameters: FlexureGyroStaticParameters = request.parameters
+    basis = parameters.uncertainty
+    observations = observe(request.segments, _two(parameters.outputs), request.sensor)
+    model = flexure_gyro.static_model(parameters.terms)
+    matrix = static_matrix(model, [recorded.segment for recorded in request.segments], request.site)
+    magnitudes = local_magnitudes(model, request.site)
+    fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, parameters.pool_outputs)
+    require_basis(fit, basis, request.name)
+    try:
+        found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
+    except ValueError as error:
+        raise EstimationError(f"{request.name}: {error}") from None
+    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
+    return _Made(observations, model, matrix, fit, found, stated)
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -184,7 +212,7 @@ def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, produc
     values = np.concatenate([physical, outputs.ravel()]) / factors
     gradients = np.vstack([gradient, np.eye(outputs.size)]) / factors[:, None]
     names = (*flexure_gyro.physical_names(products), *names_u, *names_v)
-    return PhysicalSet(names, values, all_units, gradients, len(physical))
+    return PhysicalSet(names, values, all_units, gradients, len(physical), factors)
 
 
 def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:

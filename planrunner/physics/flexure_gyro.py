@@ -80,19 +80,23 @@ def output_coefficients(physical: Array) -> Array:
 
 
 def physical_coefficients(outputs: Array) -> Array:
-    """The closed-form inverse of `output_coefficients`, shape (4 + 2·(p − 2),), from [U; V], shape (2, p).
+    """The closed-form inverse of `output_coefficients`, shape (4 + 2·(p − 2),), from [U; V], shape (2, p); for many at once, (2, p, n),
+    shape (4 + 2·(p − 2), n).
 
     tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale factor.
     Raises ValueError where U1, V2 or the determinant of M vanishes.
     """
-    mixing, _ = _mixing(outputs)
+    mixing, inverse = _mixing(outputs)
     (u1, u2), (v1, v2) = mixing
     sum_, epsilon = np.arctan(u2 / u1), np.arctan(-v1 / v2)
     xi = sum_ - epsilon
-    sf_x = np.sign(v2) / (np.hypot(v1, v2) * np.cos(xi))
-    sf_y = np.sign(u1) / (np.hypot(u1, u2) * np.cos(xi))
-    drifts = np.linalg.solve(mixing, outputs[:, _drift_columns(outputs.shape[1])])
-    return np.array([sf_x, sf_y, epsilon, xi, *drifts.ravel()])
+    cos_xi = np.cos(xi)
+    sf_x = np.sign(v2) / (np.hypot(v1, v2) * cos_xi)
+    sf_y = np.sign(u1) / (np.hypot(u1, u2) * cos_xi)
+    columns = list(_drift_columns(outputs.shape[1]))
+    u, v = outputs[0, columns], outputs[1, columns]
+    drifts = [inverse[axis, 0] * u + inverse[axis, 1] * v for axis in range(2)]
+    return np.concatenate([np.array([sf_x, sf_y, epsilon, xi]), *drifts])
 
 
 def jacobian(outputs: Array) -> Array:
@@ -142,16 +146,12 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:
+    """M and its inverse, both (2, 2) or (2, 2, n)."""
     mixing = np.asarray(outputs, dtype=float)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
-    scale = np.abs(mixing).max()
-    if (
-        not np.isfinite(scale)
-        or scale == 0
-        or abs(determinant) < 1e-12 * scale**2
-        or mixing[0, 0] == 0
-        or mixing[1, 1] == 0
-    ):
+    scale = np.abs(mixing).max(axis=(0, 1))
+    sound = np.isfinite(scale) & (scale > 0) & (np.abs(determinant) >= 1e-12 * scale**2)
+    if not np.all(sound & (mixing[0, 0] != 0) & (mixing[1, 1] != 0)):
         raise ValueError(
             "the outputs do not respond to rate as a flexure gyro's do (U1·V2 − U2·V1 is zero): "
             "check that the two outputs are named in the right order and that neither is dead"

@@ -32,6 +32,7 @@ from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, parse_symmetric
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.sweep import ForEachKind, Sweep
+from planrunner.plan.validate_spec import MonteCarloSpec
 
 __all__ = [
     "ESTIMATE",
@@ -218,6 +219,12 @@ class EstimateSpec(Record):
         "Earlier estimates that this one builds on.",
         "drift",
         default_factory=tuple,
+    )
+    validate: str | MonteCarloSpec | None = key(
+        WordOr(("monte_carlo",), RecordOf(MonteCarloSpec)),
+        "Hold the stated intervals against Monte Carlo draws (JCGM 101).",
+        "monte_carlo",
+        None,
     )
     parameters: Any = field(default=None)
 

@@ -1,0 +1,120 @@
+"""An estimate's stated intervals held against Monte Carlo draws, where its plan asks for it (`validate: monte_carlo`).
+
+An estimator may say how draws of its data and of the stated inputs become coefficients, by a method
+
+    def chain(self, request: EstimateRequest, estimate: Estimate) -> Draws
+
+with all that is not linear in it. Without one, the draws go through the estimate's own covariance and sensitivities: that tests the
+distributions and the effective degrees of freedom, and cannot test linearity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from planrunner.estimators.interface import Estimate, Table
+from planrunner.plan.validate_spec import MonteCarloSpec
+from planrunner.uncertainty.decision import expanded_uncertainty
+from planrunner.uncertainty.monte_carlo import (
+    HEAVY,
+    Draws,
+    influence_draws,
+    numerical_tolerance,
+    propagate,
+    t_draws,
+    validate,
+)
+
+TITLE = "Intervals validated by Monte Carlo (JCGM 101)"
+_SHARE = 5.0  # the tolerance of validation over that at which draws end (JCGM 101:2008, 8.2)
+
+
+def linear_chain(estimate: Estimate) -> Draws:
+    """Draws of all coefficients of a combined estimate, to first order in everything."""
+    data = estimate.covariance if estimate.data_covariance is None else estimate.data_covariance
+    scatter = t_draws(data, [budget.lines[0].degrees_of_freedom for budget in estimate.budgets])
+    stated = influence_draws(estimate.influences, len(estimate.coefficients))
+    values = np.array([item.value for item in estimate.coefficients])[:, None]
+    return lambda rng, n: values + scatter(rng, n) + stated(rng, n)
+
+
+def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool) -> Estimate:
+    """The estimate with a table of what Monte Carlo says of its headline coefficients, or of all without a headline.
+
+    first_order: whether `draws` are those of `linear_chain`.
+    """
+    names = estimate.headline or tuple(item.name for item in estimate.coefficients)
+    rows = [k for k, item in enumerate(estimate.coefficients) if item.name in names and item.standard_uncertainty > 0]
+    shown = [estimate.coefficients[k] for k in rows]
+    if not shown:
+        return estimate
+    tolerances = np.array([numerical_tolerance(item.standard_uncertainty, asked.digits) for item in shown])
+    heavy = [estimate.budgets[k].lines[0].degrees_of_freedom <= HEAVY for k in rows]
+    found = propagate(
+        lambda rng, n: draws(rng, n)[rows], tolerances / _SHARE, seed=asked.seed, most=asked.draws, heavy=heavy
+    )
+    cells, failed = [], []
+    for item, interval, tolerance in zip(shown, found.intervals, tolerances, strict=True):
+        expanded = expanded_uncertainty(item.standard_uncertainty, item.degrees_of_freedom)
+        judged = validate(item.value, expanded, interval, float(tolerance))
+        failed += [] if judged.validated else [item.name]
+        cells.append(
+            (
+                item.name,
+                item.unit,
+                item.value - expanded,
+                item.value + expanded,
+                interval.low,
+                interval.high,
+                *interval.shortest,
+                interval.standard_deviation,
+                judged.low,
+                judged.high,
+                judged.tolerance,
+                "yes" if judged.validated else "no",
+            )
+        )
+    columns = (
+        "coefficient",
+        "unit",
+        "y − U",
+        "y + U",
+        "low",
+        "high",
+        "shortest low",
+        "shortest high",
+        "s",
+        "d low",
+        "d high",
+        "δ",
+    )
+    table = Table(TITLE, (*columns, "validated"), tuple(cells))
+    notes, warnings = _words(found.draws, found.stabilised, first_order, failed)
+    settings = {"validate": "monte_carlo", "draws": found.draws, "seed": asked.seed, "digits": asked.digits}
+    return replace(
+        estimate,
+        tables=(*estimate.tables, table),
+        notes=(*estimate.notes, *notes),
+        warnings=(*estimate.warnings, *warnings),
+        settings={**estimate.settings, **settings},
+    )
+
+
+def _words(draws: int, stabilised: bool, first_order: bool, failed: list[str]) -> tuple[list[str], list[str]]:
+    notes = [f"{draws} Monte Carlo draws hold the intervals at 95 % against the stated distributions."]
+    if not stabilised:
+        notes.append(
+            "The draws had not stabilised to a fifth of the tolerance δ when the most that were asked for had been made."
+        )
+    if first_order:
+        notes.append("They go through this estimate's own sensitivities, so they do not test whether these are enough.")
+    warnings = []
+    if failed:
+        names = ", ".join(failed)
+        warnings.append(
+            f"Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. The table gives both; "
+            "the interval by Monte Carlo is the better one."
+        )
+    return notes, warnings

@@ -1,0 +1,208 @@
+"""Propagation of distributions by the adaptive Monte Carlo method, and validation of an interval k·u with it (JCGM 101:2008).
+
+Draws come in blocks of 10⁴ until the results have stabilised: twice the standard deviations of the averages of estimate, standard
+uncertainty and both ends of the interval are below the numerical tolerance (7.9.4), here a fifth of that of the validation (8.2). From few
+degrees of freedom no standard deviation of draws can be learnt, because Student's t has no fourth moment from four on; it is
+then left out of the rule, and the ends of the interval, which is what is validated, decide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.uncertainty.influences import Influence, InputQuantity
+
+Array = NDArray[np.float64]
+
+BLOCK = 10_000
+HEAVY = 4.0  # degrees of freedom up to which t has no finite fourth moment
+
+Draws = Callable[[np.random.Generator, int], Array]
+"""(generator, n) → draws of m coefficients, shape (m, n), in their units."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """What Monte Carlo found of one coefficient. low, high: the probabilistically symmetric interval; shortest: the shortest one."""
+
+    mean: float
+    standard_deviation: float
+    low: float
+    high: float
+    shortest: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Propagated:
+    """intervals: one a coefficient. draws: how many. stabilised: whether the results had, or the most draws were reached first. spread:
+    (m,), twice the standard deviation of the ends of the intervals, the larger of both."""
+
+    intervals: tuple[Interval, ...]
+    draws: int
+    stabilised: bool
+    spread: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """Clause 8 for one coefficient. low, high: how far the ends of value ± U are from those of Monte Carlo; tolerance: δ."""
+
+    low: float
+    high: float
+    tolerance: float
+
+    @property
+    def validated(self) -> bool:
+        return self.low <= self.tolerance and self.high <= self.tolerance
+
+
+def propagate(
+    draw: Draws,
+    tolerances: Sequence[float] | Array,
+    probability: float = 0.95,
+    seed: int = 0,
+    most: int = 1_000_000,
+    heavy: Sequence[bool] = (),
+) -> Propagated:
+    """Draw until 2·s of every result is below its tolerance, or `most` draws are made.
+
+    tolerances: (m,), in the coefficients' units; heavy: (m,), where the standard deviation is left out of the rule.
+    """
+    rng = np.random.default_rng(seed)
+    limit = np.asarray(tolerances, dtype=float)
+    light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
+    blocks: list[Array] = []
+    found: list[Array] = []
+    stabilised, spread = False, np.full((4, len(limit)), math.inf)
+    while not stabilised and len(blocks) * BLOCK < most:
+        values = draw(rng, BLOCK)
+        blocks.append(values)
+        found.append(np.array([values.mean(axis=1), values.std(axis=1, ddof=1), *_ends(values, probability)]))
+        count = len(found)
+        if count > 1:
+            spread = 2 * np.std(found, axis=0, ddof=1) / math.sqrt(count)
+            stabilised = bool(np.all(spread[[0, 2, 3]] <= limit) and np.all(spread[1, light] <= limit[light]))
+    together = np.concatenate(blocks, axis=1)
+    together.sort(axis=1)
+    intervals = tuple(_interval(row, probability) for row in together)
+    return Propagated(intervals, together.shape[1], stabilised, tuple(spread[2:].max(axis=0).tolist()))
+
+
+def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
+    """δ = ½·10^l for u = c·10^l, c an integer of `digits` digits (JCGM 101:2008, 7.9.2)."""
+    if not (standard_uncertainty > 0 and math.isfinite(standard_uncertainty)):
+        return 0.0
+    power = math.floor(math.log10(standard_uncertainty)) - digits + 1
+    if round(standard_uncertainty / 10.0**power) >= 10**digits:  # such as 0.0996 in two digits
+        power += 1
+    return 0.5 * 10.0**power
+
+
+def validate(value: float, expanded: float, found: Interval, tolerance: float) -> Validation:
+    """value ± expanded against Monte Carlo's probabilistically symmetric interval (JCGM 101:2008, 8.1)."""
+    return Validation(abs(value - expanded - found.low), abs(value + expanded - found.high), tolerance)
+
+
+def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
+    """Draws of what inputs add to m coefficients to first order, in the inputs' own distributions; those that the scatter shows are none.
+
+    Normal inputs are drawn together from their joint covariance.
+    """
+    acting = [one for one in influences if not one.in_scatter]
+    gaussian = [one for one in acting if one.quantity.distribution == "normal" and _infinite(one.quantity)]
+    others = [one for one in acting if one not in gaussian]
+    root = square_root(sum((one.covariance for one in gaussian), np.zeros((m, m))))
+
+    def draw(rng: np.random.Generator, n: int) -> Array:
+        total = root @ rng.standard_normal((root.shape[1], n))
+        for one in others:
+            total += one.sensitivities @ _inputs(one.quantity, rng, one.sensitivities.shape[1], n)
+        return total
+
+    return draw
+
+
+def t_draws(
+    covariance: Array, degrees_of_freedom: Sequence[float] | Array, variances: Sequence[int] | None = None
+) -> Draws:
+    """Draws of m coefficients about zero: jointly normal with `covariance` (m, m), scaled to Student's t with each one's own degrees of
+    freedom (JCGM 101:2008, 6.4.9.2).
+
+    variances: (m,), which estimated variance each coefficient rests on; those that rest on the same share the scale. Without it, those
+    with the same degrees of freedom.
+    """
+    root = square_root(np.asarray(covariance, dtype=float))
+    freedoms = np.asarray(degrees_of_freedom, dtype=float)
+    keys = freedoms if variances is None else np.asarray(variances, dtype=float)
+    groups = [np.flatnonzero((keys == one) & np.isfinite(freedoms)) for one in np.unique(keys)]
+
+    def draw(rng: np.random.Generator, n: int) -> Array:
+        values = root @ rng.standard_normal((root.shape[1], n))
+        for rows in groups:
+            if len(rows):
+                scale = t_scale(rng, float(freedoms[rows[0]]), n)
+                for row in rows:
+                    values[row] *= scale
+        return values
+
+    return draw
+
+
+def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
+    """√(ν/χ²) of n draws, which makes Student's t of normal ones."""
+    return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
+
+
+def square_root(covariance: Array) -> Array:
+    """L with L·Lᵀ = covariance (m, m), which may be singular, by its eigenvectors on correlations so that units do not matter."""
+    size = np.sqrt(np.diag(covariance).clip(min=0.0))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    kept = values > 1e-13 * max(1.0, float(values.max(initial=0.0)))
+    return np.asarray(size[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def _infinite(quantity: InputQuantity) -> bool:
+    return math.isinf(quantity.degrees_of_freedom)
+
+
+def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -> Array:
+    """Draws of r inputs about their value, (r, n): the distributions of JCGM 101:2008, 6.4, by their standard uncertainty."""
+    u = quantity.standard_uncertainty
+    match quantity.distribution:
+        case "rectangular":
+            return u * math.sqrt(3) * rng.uniform(-1, 1, (r, n))
+        case "triangular":
+            return u * math.sqrt(1.5) * (rng.uniform(-1, 1, (r, n)) + rng.uniform(-1, 1, (r, n)))
+        case "u-shaped":
+            return u * math.sqrt(2) * np.sin(rng.uniform(-math.pi, math.pi, (r, n)))
+        case _:
+            values = u * rng.standard_normal((r, n))
+            return values if _infinite(quantity) else values * t_scale(rng, quantity.degrees_of_freedom, n)
+
+
+def _ends(values: Array, probability: float) -> tuple[Array, Array]:
+    """Ends of the probabilistically symmetric interval of each row (JCGM 101:2008, 7.7.2)."""
+    below, above = _places(values.shape[1], probability)
+    parted = np.partition(values, (below, above), axis=1)
+    return parted[:, below], parted[:, above]
+
+
+def _places(n: int, probability: float) -> tuple[int, int]:
+    width = int(probability * n + 0.5)
+    below = (n - width) // 2
+    return below, min(below + width, n - 1)
+
+
+def _interval(row: Array, probability: float) -> Interval:
+    """row: (n,), sorted."""
+    below, above = _places(len(row), probability)
+    width = above - below
+    start = int(np.argmin(row[width:] - row[: len(row) - width]))
+    shortest = float(row[start]), float(row[start + width])
+    return Interval(float(row.mean()), float(row.std(ddof=1)), float(row[below]), float(row[above]), shortest)
