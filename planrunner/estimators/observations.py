@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimationError
-from planrunner.instruments.models import SensorModel
+from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
@@ -123,9 +123,10 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float) -> bool:
-    """Whether noise of this variance [unit²] between samples carries their mean past the counts that they are rounded to."""
-    output = sensor.output(channel)
-    return variance > ((output.noise.resolution if output else 0.0) / 2) ** 2
+    """Whether a mean is not rounded to counts as its samples are: noise of this variance [unit²] between them carries it past the counts,
+    or what a sample leaves of a count goes into the next."""
+    noise = output.noise if (output := sensor.output(channel)) else NoiseModel()
+    return noise.counted or variance > (noise.resolution / 2) ** 2
 
 
 def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:
