@@ -163,7 +163,7 @@ def count_in_words(count: float, seconds: float, parameters: RockingDriftParamet
 def _resolution(request: DesignRequest, dwell: float, parameters: RockingDriftParameters) -> list[Remark]:
     found = count_seconds(request, parameters)
     between = dwell - parameters.window.value - parameters.release.value
-    if found is None or found[2] <= between:
+    if found is None or found[2] <= between or between <= 0:
         return []
     name, count, seconds = found
     output = request.sensor.output(name)

@@ -104,7 +104,9 @@ def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
             )
         a, b, c, d = four
         if any(not np.allclose(run.state.nominal, a.state.nominal, atol=1e-9) for run in four):
-            raise EstimationError(f"the four runs from '{a.label}' on have different orientations")
+            raise EstimationError(
+                f"the orientation changes within the four runs from '{a.label}' on; a quadruple is static, dynamic, dynamic, static in one"
+            )
         found.append(Quadruple((a, b, c, d)))
     return found
 
