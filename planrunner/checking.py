@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
+from statistics import NormalDist
 
 from planrunner.bench.calibration import check_validity
 from planrunner.bench.inputs import stated_inputs
@@ -37,8 +38,6 @@ from planrunner.reporting.templates import available
 # Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
 ILL_CONDITIONED = 30.0
 HOPELESS = 1e6
-# 95 % with infinitely many degrees of freedom; fewer only make intervals wider.
-LEAST_COVERAGE_FACTOR = 1.96
 
 
 @dataclass(slots=True)
@@ -263,6 +262,9 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
             message = f"{limit.quantity} is in {coefficient.unit}; {value.unit.text} does not fit"
             log.error("meaning-dimension", limit.at(key), message, f"write the limit in {coefficient.unit}")
             return
+    if limit.prior is not None and limit.prior.unit.dimension != unit(coefficient.unit).dimension:
+        message = f"{limit.quantity} is in {coefficient.unit}; the prior in {limit.prior.unit.text} does not fit"
+        log.error("meaning-dimension", limit.at("prior"), message, f"write the prior in {coefficient.unit}")
     _foresee(limit, coefficient, log)
 
 
@@ -272,12 +274,11 @@ def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
         low, high = bounds(limit, coefficient)
     except EstimationError:
         return  # the plan's own checks say what is wrong with it
-    least = LEAST_COVERAGE_FACTOR * coefficient.standard_uncertainty
-    if limit.rule == "guarded" and 2 * least >= high - low:
-        shown = f"±{least:.2g} {coefficient.unit}"
-        message = (
-            f"{limit.quantity} is to be expected with at least {shown} (95 %), so nothing can pass this guarded limit"
-        )
+    # Infinitely many degrees of freedom; fewer only make intervals wider.
+    least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
+    if limit.rule == "guarded" and 2 * limit.guard_band * least >= high - low:
+        shown = f"±{least:.2g} {coefficient.unit} ({100 * limit.coverage:g} %)"
+        message = f"{limit.quantity} is to be expected with at least {shown}, so nothing can pass this guarded limit"
         log.warning(
             "physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit"
         )

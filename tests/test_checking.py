@@ -152,6 +152,23 @@ def test_a_limit_narrower_than_the_uncertainty_to_expect_is_foreseen(plan_file: 
     assert any(f.code == "physics-limit" and f.severity == "warning" for f in check_plan(path).findings)
 
 
+def test_a_guard_band_of_its_own_is_foreseen_and_a_prior_must_fit(plan_file: Write) -> None:
+    """U of D_X_F is some 0.013 deg/h: a limit of ±0.008 deg/h can be passed with a quarter of it as guard band."""
+    narrow = "within: ±0.008 deg/h"
+    assert any(f.code == "physics-limit" for f in check_plan(plan_file(("within: ±5 deg/h", narrow))).findings)
+    quarter = plan_file(("within: ±5 deg/h", f"{narrow}, guard_band: 0.25"))
+    assert not any(f.code == "physics-limit" for f in check_plan(quarter).findings)
+    path = plan_file(
+        ("drift.D_X_F, within: ±5 deg/h", "drift.D_X_F, within: ±5 deg/h, prior: 1 deg/h"),
+        ("drift.D_Y_F, within: ±5 deg/h", "drift.D_Y_F, within: ±5 deg/h, prior: 1 deg ± 1 deg"),
+    )
+    found = {f.code: f.mark.line for f in check_plan(path).findings.errors}
+    assert found == {
+        "meaning-uncertainty": line_of(path, "prior: 1 deg/h"),
+        "meaning-dimension": line_of(path, "prior: 1 deg ±"),
+    }
+
+
 def test_limits_on_unknown_or_other_quantities(plan_file: Write) -> None:
     path = plan_file(
         ("drift.D_X_F, within: ±5 deg/h", "drift.D_X_Q, within: ±5 deg/h"),

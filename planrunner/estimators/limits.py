@@ -11,7 +11,8 @@ from planrunner.estimators.interface import Coefficient, Estimate, EstimationErr
 from planrunner.plan.findings import closest
 from planrunner.plan.quantity import Quantity, parse_symmetric
 from planrunner.plan.units import UnknownUnitError, unit
-from planrunner.uncertainty.decision import coverage_factor, decide
+from planrunner.uncertainty.decision import CONFIDENCE, coverage_factor, decide
+from planrunner.uncertainty.global_risk import GlobalRisk, Prior, global_risk
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,8 @@ class LimitVerdict:
     """One limit and what became of it. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
     quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: that the true value conforms.
+    guard_band: how far inside the limits the value had to be; guard_factor: it over U; coverage: probability of U. false_decision: the
+    specific risk that this verdict is wrong. consumer_risk, producer_risk: the global risks of the rule where the limit states a prior.
     """
 
     quantity: str
@@ -34,15 +37,22 @@ class LimitVerdict:
     probability: float = math.nan
     lower: float = -math.inf
     upper: float = math.inf
+    guard_band: float = math.nan
+    guard_factor: float = math.nan
+    coverage: float = CONFIDENCE
+    false_decision: float = math.nan
+    consumer_risk: float = math.nan
+    producer_risk: float = math.nan
 
 
 def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
     """The verdict on one limit (`plan.model.Limit`). Raises `EstimationError` when its quantity is missing or of another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
-    decision = decide(
-        coefficient.value, coefficient.standard_uncertainty, coefficient.degrees_of_freedom, lower, upper, limit.rule
-    )
+    u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
+    decision = decide(coefficient.value, u, freedom, lower, upper, limit.rule, limit.guard_band, limit.coverage)
+    band = decision.guard_band
+    risk = _global(limit, coefficient, (lower, upper), (lower + band, upper - band))
     return LimitVerdict(
         limit.quantity,
         _in_words(limit),
@@ -50,14 +60,33 @@ def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
         decision.verdict,
         coefficient.value,
         coefficient.unit,
-        coefficient.standard_uncertainty,
+        u,
         decision.expanded_uncertainty,
-        coverage_factor(coefficient.degrees_of_freedom),
+        coverage_factor(freedom, limit.coverage),
         decision.reason,
         decision.probability,
         lower,
         upper,
+        band,
+        limit.guard_band if limit.rule == "guarded" else 0.0,
+        limit.coverage,
+        decision.false,
+        risk.consumer,
+        risk.producer,
     )
+
+
+def _global(
+    limit: Any, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
+) -> GlobalRisk:
+    """NaN without a prior, or where the uncertainty is not known."""
+    if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
+        return GlobalRisk(math.nan, math.nan)
+    if not limit.prior.standard_uncertainty:
+        raise EstimationError("the prior states no spread: write for example prior: 0.1 deg/h ± 0.2 deg/h")
+    spread = limit.prior.standard_uncertainty / unit(coefficient.unit).factor
+    prior = Prior(_in_unit(limit.prior, coefficient), spread)
+    return global_risk(prior, coefficient.standard_uncertainty, coefficient.degrees_of_freedom, tolerance, acceptance)
 
 
 def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficient:

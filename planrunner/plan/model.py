@@ -276,6 +276,16 @@ class Limit(Record):
         "guarded",
         "guarded",
     )
+    guard_band: float = key(Number(0, 10), "Factor r of the guard band w = r·U of the guarded rule.", 1, 1.0)
+    coverage: float = key(
+        Number(0.5, 0.9999), "Coverage probability of the expanded uncertainty U that the rule uses.", 0.99, 0.95
+    )
+    prior: Quantity | None = key(
+        QuantityOf(None),
+        "What is known of the quantity over the items that are tested, as mean ± standard deviation: gives the rule's global risks.",
+        "0.1 deg/h ± 0.2 deg/h",
+        None,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ Text from files is shown as it stands: no markup is read from it and control cha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -66,15 +67,19 @@ def _coefficients(title: str, shown: Iterable[Coefficient], probability: float, 
 
 
 def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
-    """Limits with their verdicts, coloured on a terminal and always in words."""
-    titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "verdict")
-    keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule")
-    rows = []
+    """Limits with their verdicts, coloured on a terminal and always in words. P(false): the chance that this verdict is wrong."""
+    titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "P(false)", "verdict")
+    keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule_in_words", "false")
+    rows, risks = [], []
     for limit in limits:
         row = limit_row(limit)
         verdict = f"{row['verdict']}: {row['reason']}" if row["reason"] else row["verdict"]
         rows.append([*(_text(row[key]) for key in keys), _text(verdict, _VERDICT[row["kind"]])])
-    return _Columns("Limits", [(text, text in ("value", "± U", "k")) for text in titles], rows)
+        if not math.isnan(limit.consumer_risk):
+            wrong = f"bad ones passed {row['consumer']}, good ones failed {row['producer']}"
+            risks.append(f"{limit.quantity}, over all items that the prior describes: {wrong}")
+    numeric = ("value", "± U", "k", "P(false)")
+    return _Columns("Limits", [(text, text in numeric) for text in titles], rows, "\n".join(risks))
 
 
 def data_table(given: Table) -> RenderableType:

@@ -8,7 +8,7 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
     limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
-                                      factor, probability, reason}
+                                      factor, probability, reason, rule_in_words, false, consumer, producer}
     estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
                                       correlation, budgets, strong_correlations, notes, warnings, segments}
       coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
@@ -160,6 +160,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "quantity": limit.quantity,
         "requirement": limit.requirement,
         "rule": limit.rule,
+        "rule_in_words": words.rule(limit.rule, limit.guard_factor, limit.coverage),
         "verdict": "met" if limit.verdict == "pass" else "not met",
         "kind": "pass" if limit.verdict == "pass" else "fail",
         "value": value,
@@ -167,6 +168,9 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "unit": shown_unit(limit.unit),
         "factor": f"{limit.coverage_factor:.2f}",
         "probability": words.probability(limit.probability),
+        "false": words.probability(limit.false_decision),
+        "consumer": words.probability(limit.consumer_risk),
+        "producer": words.probability(limit.producer_risk),
         "reason": "" if limit.verdict == "pass" else limit.reason,
     }
 

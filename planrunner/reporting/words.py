@@ -27,6 +27,15 @@ def number(value: float, digits: int = 6) -> str:
     return "0" if text == "-0" else text
 
 
+def rule(name: str, factor: float, coverage: float) -> str:
+    """A decision rule with what is not usual about it: a guard band other than U, or a coverage other than 95 %."""
+    if name != "guarded" or math.isnan(factor):
+        return name
+    band = [] if factor == 1 else [f"w = {number(factor)}·U"]
+    wide = [] if coverage == 0.95 else [f"U at {number(100 * coverage)} %"]
+    return f"{name} ({', '.join([*band, *wide])})" if band or wide else name
+
+
 def probability(value: float) -> str:
     """In percent, saying no more than is known at the ends."""
     if math.isnan(value):

@@ -36,13 +36,20 @@ def expanded_uncertainty(
 @dataclass(frozen=True, slots=True)
 class Decision:
     """A verdict with its grounds. probability: that the true value conforms, from the value and its uncertainty alone (JCGM 106, 7).
-    guard_band: how far inside the limits the value had to be, in their unit (0 for the simple rule)."""
+    guard_band: how far inside the limits the value had to be, in their unit (0 for the simple rule). coverage_factor: of the expanded
+    uncertainty."""
 
     verdict: Literal["pass", "fail"]
     reason: str
     probability: float
     guard_band: float
     expanded_uncertainty: float
+    coverage_factor: float = math.nan
+
+    @property
+    def false(self) -> float:
+        """Specific risk (JCGM 106, 9.3): of false acceptance where it passes, of false rejection where it fails."""
+        return 1.0 - self.probability if self.verdict == "pass" else self.probability
 
 
 def decide(
@@ -52,33 +59,40 @@ def decide(
     lower: float = -math.inf,
     upper: float = math.inf,
     rule: Rule = "guarded",
+    factor: float = 1.0,
+    confidence: float = CONFIDENCE,
 ) -> Decision:
     """The verdict on lower ≤ true value ≤ upper, all in one unit.
 
-    simple: the value lies within the limits (simple acceptance, JCGM 106, 8.2). guarded: it lies within them by at least U = k·u at
-    95 % (guarded acceptance with r = 1, JCGM 106, 8.3.2). A value or uncertainty that is not finite never passes. Raises ValueError
-    when both limits are missing or the lower one is the larger.
+    simple: the value lies within the limits (simple acceptance, JCGM 106, 8.2). guarded: it lies within them by at least the guard band
+    w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. A value or
+    uncertainty that is not finite never passes. Raises ValueError when both limits are missing or the lower one is the larger.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")
     if not (math.isfinite(value) and math.isfinite(standard_uncertainty)):
         return Decision("fail", "the value or its uncertainty is not known", 0.0, 0.0, 0.0)
-    expanded = expanded_uncertainty(standard_uncertainty, degrees_of_freedom)
+    k = coverage_factor(degrees_of_freedom, confidence)
+    expanded = expanded_uncertainty(standard_uncertainty, degrees_of_freedom, confidence)
     probability = conformance_probability(value, standard_uncertainty, degrees_of_freedom, lower, upper)
-    band = expanded if rule == "guarded" else 0.0
+    band = guard_band(expanded, rule, factor)
     if not lower <= value <= upper:
-        return Decision("fail", "the value lies outside the limit", probability, band, expanded)
+        return Decision("fail", "the value lies outside the limit", probability, band, expanded, k)
     if not (lower + band <= value <= upper - band):
-        reason = (
-            "the value lies within the limit, but not by as much as its expanded uncertainty (inside the guard band)"
-        )
-        return Decision("fail", reason, probability, band, expanded)
-    reason = (
-        "the value and its expanded uncertainty lie within the limit"
-        if rule == "guarded"
-        else "the value lies within the limit"
-    )
-    return Decision("pass", reason, probability, band, expanded)
+        width = "its expanded uncertainty" if factor == 1 else f"{factor:g} times its expanded uncertainty"
+        reason = f"the value lies within the limit, but not by as much as {width} (inside the guard band)"
+        return Decision("fail", reason, probability, band, expanded, k)
+    reason = "the value lies within the limit"
+    if rule == "guarded":
+        reason = "the value and its guard band lie within the limit"
+        if factor == 1:
+            reason = "the value and its expanded uncertainty lie within the limit"
+    return Decision("pass", reason, probability, band, expanded, k)
+
+
+def guard_band(expanded: float, rule: Rule, factor: float = 1.0) -> float:
+    """w = r·U of guarded acceptance; none of simple acceptance."""
+    return factor * expanded if rule == "guarded" and factor else 0.0
 
 
 def conformance_probability(

@@ -23,6 +23,7 @@ from planrunner.plan.findings import InputError
 from planrunner.plan.model import Limit
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "schemas" / "results.schema.json").read_text(encoding="utf-8"))
@@ -109,6 +110,29 @@ def test_influences_widen_what_limits_are_held_against() -> None:
     older = Results({"drift": made}).to_json()
     del older["estimates"][0]["budgets"]
     assert Results.from_json(older).estimates["drift"].budgets == ()
+
+
+def test_a_limit_says_its_rule_and_its_risks() -> None:
+    """Guard band ½·U99; global risks only where a prior is stated, in the coefficient's unit."""
+    keys = {"quantity": "drift.D_X_F", "within": "±1.25 deg/h", "guard_band": 0.5, "coverage": 0.99}
+    plain, known = Limit(**keys), Limit(**keys, prior=parse_quantity("0.001 deg/s ± 0.0001 deg/s"))
+    found = analyse(ESTIMATES, [plain, known], recording(), SITE, sensor(*CHANNELS))
+    without, with_ = found.limits
+    k = coverage_factor(4, 0.99)
+    assert without.guard_band == pytest.approx(0.5 * k * without.standard_uncertainty)
+    assert without.expanded_uncertainty == pytest.approx(k * without.standard_uncertainty)
+    assert (without.guard_factor, without.coverage, without.coverage_factor) == (0.5, 0.99, pytest.approx(k))
+    assert without.false_decision == pytest.approx(
+        1 - without.probability if without.verdict == "pass" else without.probability
+    )
+    assert math.isnan(without.consumer_risk)
+    # 3.6 ± 0.36 deg/h lies 6.5 standard deviations above ±1.25: hardly any item conforms and hardly any is accepted.
+    assert 0 <= with_.consumer_risk < 1e-6
+    assert 0 <= with_.producer_risk < 1e-6
+    wrong = analyse(
+        ESTIMATES, [Limit(**keys, prior=parse_quantity("0.1 deg ± 0.2 deg"))], recording(), SITE, sensor(*CHANNELS)
+    )
+    assert "write it in deg/h" in wrong.failures["limit on drift.D_X_F"]
 
 
 def test_one_failure_leaves_the_others() -> None:

@@ -87,3 +87,28 @@ def test_limits_must_make_sense() -> None:
         decide(0, 1, 1)
     with pytest.raises(ValueError, match="bound"):
         decide(0, 1, 1, 2, 1)
+
+
+def test_zener_diode() -> None:
+    """JCGM 106:2012, 7.4: limit −5.40 V from above, measured −5.47 V with u = 0.05 V: p = Φ(1.4) = 92 %."""
+    decision = decide(-5.47, 0.05, math.inf, upper=-5.40, rule="simple")
+    assert decision.probability == pytest.approx(0.919, abs=0.0005)
+    assert decision.verdict == "pass"
+    assert decision.false == pytest.approx(0.081, abs=0.0005)
+
+
+def test_guard_band_is_the_factor_times_u_of_the_coverage() -> None:
+    """U99 = 2.576·0.05 = 0.129; half of it leaves 0.5 − 0.064 = 0.436."""
+    keys = {"rule": "guarded", "factor": 0.5, "confidence": 0.99}
+    for value, verdict in ((0.43, "pass"), (0.44, "fail")):
+        decision = decide(value, 0.05, math.inf, -0.5, 0.5, **keys)  # type: ignore[arg-type]
+        assert decision.verdict == verdict
+        assert decision.guard_band == pytest.approx(0.5 * 2.5758 * 0.05, abs=1e-5)
+        assert decision.coverage_factor == pytest.approx(2.5758, abs=1e-4)
+    assert "0.5 times its expanded uncertainty" in decision.reason
+    assert decision.false == decision.probability  # of a false rejection
+
+
+def test_a_rule_without_a_band_needs_no_degrees_of_freedom() -> None:
+    assert decide(0.1, 0.05, 0.0, -0.5, 0.5, "guarded", factor=0.0).verdict == "pass"
+    assert decide(0.1, 0.05, 0.0, -0.5, 0.5, "guarded").verdict == "fail"
