@@ -10,7 +10,16 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-NAMES = ("check_speed", "executor_steps", "virtual_run", "least_squares_fit", "recording_memory", "allan", "monte_carlo")
+NAMES = (
+    "check_speed",
+    "executor_steps",
+    "virtual_run",
+    "least_squares_fit",
+    "recording_memory",
+    "allan",
+    "monte_carlo",
+    "inertial_stream",
+)
 START, END = "<!-- figures -->", "<!-- end of figures -->"
 
 

@@ -1,0 +1,84 @@
+"""Speed and memory of the virtual inertial sensor: standing, cycling, rocking and on a carrier, beside numpy drawing the noise.
+
+Seven channels of noise and counts stream in blocks; nothing is written. The full 72 h (52 million samples) is the cycling run, the others
+are shorter pieces of the same kind.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+PIECE, FULL = 4_000_000, 72 * 3600 * 200
+CHANNELS, BLOCK = 7, 100_000
+
+
+def stream(motion: Any, samples: int, carried: bool = False) -> float:
+    """Seconds to stream `samples` of the bench `virtual_imu`."""
+    from planrunner.bench.model import read_bench
+    from planrunner.bench.opening import open_bench
+    from planrunner.instruments.virtual.track import Progress, Track
+    from planrunner.plan.schedule import Segment
+
+    segment = Segment(0, "long", np.eye(3), "", motion, samples / 200.0)
+    bench = read_bench("virtual_imu")[0]
+    imu = replace(bench.instruments["imu"], parameters=replace(bench.instruments["imu"].parameters, reference=False))
+    bench = replace(bench, instruments={**bench.instruments, "imu": imu})
+    with open_bench(bench) as opened:
+        if carried:
+            site = opened.site
+            opened.sensor.world.track = Track(site.latitude, site.longitude, 0.0, 0.5, Progress(10.0))
+        opened.clock.sleep(opened.table.begin_motion(motion, segment.dwell or 0.0))
+        began = time.perf_counter()
+        count = sum(block.time.size for block in opened.sensor.stream(segment))
+        taken = time.perf_counter() - began
+    assert count == samples
+    return taken
+
+
+def draw(samples: int) -> float:
+    generator = np.random.Generator(np.random.SFC64(1))
+    began = time.perf_counter()
+    for _ in range(samples // BLOCK * CHANNELS):
+        generator.standard_normal(BLOCK)
+    return time.perf_counter() - began
+
+
+def peak() -> float:
+    """Peak memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def run() -> dict[str, object]:
+    from planrunner.plan.schedule import Cycle, Move, Rest, Rock
+
+    quarter = math.pi / 2
+    moves = [("A", 2, "C"), ("C", 1, "D"), ("D", -2, "B"), ("B", -1, "A")]
+    moves += [("A", -2, "C"), ("C", -1, "B"), ("B", 2, "D"), ("D", 1, "A")]
+    positions = {name: k * quarter for k, name in enumerate("ABCD")}
+    turns = tuple(Move(start, turns * quarter, end) for start, turns, end in moves)
+    cycle = Cycle(positions, turns, math.radians(10), 300.0)
+    rock = Rock(math.radians(1), 0.2, (0.0,), math.inf)
+    noise = draw(PIECE)
+
+    def cost(seconds: float, samples: int) -> float:
+        return seconds / samples / CHANNELS * 1e9
+
+    rows: dict[str, object] = {"numpy draws the noise [ns/sample/channel]": cost(noise, PIECE)}
+    for name, motion, carried in (
+        ("standing", Rest(), False),
+        ("four-position cycle", cycle, False),
+        ("rocking all the time", rock, False),
+        ("cycle on a carrier", cycle, True),
+    ):
+        rows[f"{name} [ns/sample/channel]"] = cost(stream(motion, PIECE, carried), PIECE)
+    before = peak()
+    seconds = stream(cycle, FULL)
+    rows["72 h of the cycle, 51.84 million samples [s]"] = seconds
+    rows["memory that these 72 h need beyond the pieces [MB]"] = peak() - before
+    return rows
