@@ -27,6 +27,7 @@ from planrunner.estimators.interface import (
     Plot,
     Table,
 )
+from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
 from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -244,7 +245,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     for term in terms:
         k = TERMS.index(term)
         text, factor = units[term]
-        value, spread = coefficient_of(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
+        value, spread = root_of(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
         scale = roots[term] * factor
         spreads.append(spread * scale)
         found = Coefficient(f"{term}_{result.name}", value * scale, text, spread * scale, description=WORDS[term])
@@ -259,16 +260,6 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     size = np.sqrt(np.diag(inner))
     result.covariance = inner / np.outer(size, size) * np.outer(spreads, spreads)
     result.plot = _plot(result, chosen, fit)
-
-
-def coefficient_of(square: float, spread: float) -> tuple[float, float]:
-    """A coefficient and its standard uncertainty from its square's: half of the wider side of the interval that the square ± two standard
-    uncertainties becomes, which is the linear rule where the square is well known and stays finite where it is not."""
-    square = max(0.0, square)
-    value = math.sqrt(square)
-    below = value - math.sqrt(max(0.0, square - 2 * spread))
-    above = math.sqrt(square + 2 * spread) - value
-    return value, max(below, above) / 2
 
 
 def _judge(result: _Result, fit: NoiseFit) -> float:
@@ -372,7 +363,7 @@ def _predicted(request: DesignRequest, name: str) -> list[Coefficient]:
         k = TERMS.index(term)
         if term in parameters.terms and squares[k] > 0:
             text, factor = units[term]
-            value, u = coefficient_of(squares[k], float(spread[k]))
+            value, u = root_of(squares[k], float(spread[k]))
             scale = roots[term] * factor
             found.append(Coefficient(f"{term}_{name}", value * scale, text, u * scale, description=WORDS[term]))
     return found

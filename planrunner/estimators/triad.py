@@ -32,12 +32,12 @@ def scale_and_misalignments(row: Array, directions: Sequence[int], own: int) -> 
     length = float(np.linalg.norm(row))
     if length == 0:
         raise ValueError("no response")
-    along = row / length
-    values: Array = along.copy()
-    jacobian: Array = (np.eye(len(row)) - np.outer(along, along)) / length
+    along: Array = np.asarray(row / length)
+    values = along.copy()
+    jacobian = (np.eye(len(row)) - np.outer(along, along)) / length
     place = list(directions).index(own)
     values[place], jacobian[place] = length, along
-    return values, jacobian
+    return np.asarray(values), np.asarray(jacobian)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def own_frame(matrix: Array) -> OwnFrame:
 
 def turned_gradient(matrix: Array, own: OwnFrame) -> tuple[Array, Array]:
     """d(A·Rᵀ)/d(A) and d(A·Rᵀ)/d(angles), shapes (9, 9) and (9, 3), row after row."""
-    by_matrix = np.kron(np.eye(3), own.rotation)
+    by_matrix = np.asarray(np.kron(np.eye(3), own.rotation), dtype=float)
     by_angles = np.empty((9, 3))
     for k in range(3):
         # dR = −[e_k]×·R, so d(Rᵀ) = Rᵀ·[e_k]×.

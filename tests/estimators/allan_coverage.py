@@ -16,10 +16,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import simulated_noise
 
-from planrunner.estimators.allan_deviation import LEAST_FREEDOM, coefficient_of
+from planrunner.estimators.allan_deviation import LEAST_FREEDOM
 from planrunner.estimators.allan_fit import TERMS, fit_noise
 from planrunner.estimators.allan_phase import Phase
 from planrunner.estimators.allan_table import deviations
+from planrunner.estimators.root_of_square import root_of
 
 KINDS = {"Q": 1.0, "N": 1.0, "B": 1.0, "K": 1.0}
 MIXTURE = {"Q": 0.2, "N": 0.16, "B": 0.04, "K": 0.0013}
@@ -60,7 +61,7 @@ def coefficient_coverage(records: int, seed: int, **noise: float) -> dict[str, t
             phase.lengths,
         )
         for k in range(4):
-            found[n, k] = coefficient_of(fit.squares[k], math.sqrt(fit.covariance[k, k]))
+            found[n, k] = root_of(fit.squares[k], math.sqrt(fit.covariance[k, k]))
     result = {}
     for k, name in enumerate(TERMS):
         if name in noise:

@@ -1,0 +1,190 @@
+"""Curves over temperature, and the choice of their order by held-out error.
+
+    polynomial   powers of T − T₀, coefficients as they are written into compensation tables
+    spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
+                 and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
+
+The order is chosen by leaving out whole temperatures, never single values, because values at one temperature share what went wrong
+there. The one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same
+book, 7.10.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import least_squares
+from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.least_squares import LinearFit
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FORMS = ("polynomial", "spline")
+FEWEST = 3  # temperatures from which an order can be chosen
+RULES = ("one_standard_error", "smallest_error")
+
+
+@dataclass(frozen=True)
+class Curve:
+    """form: of `FORMS`. order: of the polynomial, or the number of knots less one, so that order 1 is a straight line in either form.
+    reference: T₀, degC; knots: degC, ascending, of a spline."""
+
+    form: str
+    order: int
+    reference: float
+    knots: Array
+
+    def columns(self, temperature: Array) -> Array:
+        """The design matrix, shape (n, order + 1), at temperatures [degC] (n,)."""
+        if self.form == "polynomial":
+            return np.asarray((temperature - self.reference)[:, None] ** np.arange(self.order + 1))
+        return natural_spline(self.knots, temperature)
+
+
+def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve:
+    """A curve for data at `temperatures` [degC]; a spline's knots are quantiles of the distinct ones, ends included."""
+    knots = np.quantile(np.unique(temperatures), np.linspace(0, 1, order + 1)) if form == "spline" else np.zeros(0)
+    return Curve(form, order, reference, knots)
+
+
+def natural_spline(knots: Array, at: Array) -> Array:
+    """Values of a natural cubic spline at `at` (n,) from its values at `knots` (k,): a matrix (n, k). Two knots make a straight line.
+
+    With h the distances of the knots and M the second derivatives there, zero at both ends, h_i·M_i + 2·(h_i + h_{i+1})·M_{i+1} +
+    h_{i+1}·M_{i+2} = 6·(difference of adjacent slopes).
+    """
+    k, h = len(knots), np.diff(knots)
+    slopes = np.zeros((k - 1, k))
+    slopes[range(k - 1), range(k - 1)], slopes[range(k - 1), range(1, k)] = -1 / h, 1 / h
+    second = np.zeros((k, k))
+    if k > 2:
+        inner = np.diag(2 * (h[:-1] + h[1:])) + np.diag(h[1:-1], 1) + np.diag(h[1:-1], -1)
+        second[1:-1] = np.linalg.solve(inner, 6 * np.diff(slopes, axis=0))
+    i = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, k - 2)
+    inside = np.clip(at, knots[0], knots[-1])
+    left, right = (inside - knots[i])[:, None], (knots[i + 1] - inside)[:, None]
+    width = h[i][:, None]
+    one = np.eye(k)
+    found = (right * one[i] + left * one[i + 1]) / width
+    found += (right**3 / width - right * width) / 6 * second[i] + (left**3 / width - left * width) / 6 * second[i + 1]
+    slope = slopes[i] + ((3 * left**2 / width - width) * second[i + 1] - (3 * right**2 / width - width) * second[i]) / 6
+    return np.asarray(found + (at - inside)[:, None] * slope)
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """How well a curve of one order foretells what was left out. error: mean square over the left-out temperatures, in the value's unit
+    squared; standard_error: of that mean."""
+
+    order: int
+    error: float
+    standard_error: float
+
+
+def held_out(
+    form: str, orders: Sequence[int], reference: float, temperature: Array, value: Array, sigma: Array, fold: Integers
+) -> tuple[HeldOut, ...]:
+    """Held-out errors of each order. sigma: (n,), for weights; fold: (n,), the fold that each value is left out with."""
+    weight = 1 / sigma**2
+    found = []
+    for order in orders:
+        errors = []
+        for one in np.unique(fold):
+            out = fold == one
+            made = curve(form, order, reference, temperature[~out])
+            fit = least_squares.fit(made.columns(temperature[~out]), value[~out], sigma[~out])
+            missed = value[out] - made.columns(temperature[out]) @ fit.coefficients
+            errors.append(float(np.sum(weight[out] * missed**2) / np.sum(weight[out])))
+        spread = float(np.std(errors, ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else 0.0
+        found.append(HeldOut(order, float(np.mean(errors)), spread))
+    return tuple(found)
+
+
+def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
+    """The order that a rule of `RULES` takes."""
+    best = min(errors, key=lambda one: one.error)
+    if rule == "smallest_error":
+        return best
+    return next(one for one in errors if one.error <= best.error + best.standard_error)
+
+
+def fold_of(group: Integers, folds: int) -> Integers:
+    """Which fold each temperature group is left out with: each alone for folds = 0, else every folds-th together."""
+    return group if folds == 0 else group % folds
+
+
+def groups_of(temperature: Array, width: float) -> Integers:
+    """Numbers of the distinct temperatures, ascending: what lies within `width` [K] of the lowest of a group belongs to it."""
+    order = np.argsort(temperature, kind="stable")
+    group, number, first = np.zeros(len(temperature), dtype=np.int64), -1, -np.inf
+    for index in order:
+        if temperature[index] > first + width:
+            number, first = number + 1, temperature[index]
+        group[index] = number
+    return group
+
+
+@dataclass(frozen=True, slots=True)
+class CurveFit:
+    """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of that."""
+
+    curve: Curve
+    fit: LinearFit
+    covariance: Array
+    degrees_of_freedom: float
+    errors: tuple[HeldOut, ...]
+
+    def predict(self, temperature: Array) -> tuple[Array, Array]:
+        """The curve and its standard uncertainty at temperatures [degC], both (n,)."""
+        columns = self.curve.columns(temperature)
+        variance = np.einsum("ni,ij,nj->n", columns, self.covariance, columns)
+        return columns @ self.fit.coefficients, np.sqrt(variance.clip(min=0.0))
+
+
+def fit_curve(
+    form: str,
+    order: int | None,
+    highest: int,
+    reference: float,
+    temperature: Array,
+    value: Array,
+    sigma: Array,
+    group: Integers,
+    folds: int,
+    rule: str,
+    scatter: bool,
+) -> CurveFit:
+    """Fit a curve of the order that is given, or of the one that held-out errors choose up to `highest`.
+
+    scatter: whether the covariance rests on the residuals' scatter, else on `sigma`. Raises `EstimationError`.
+    """
+    distinct = int(group.max()) + 1
+    errors: tuple[HeldOut, ...] = ()
+    if order is None:
+        fold = fold_of(group, folds)
+        left = distinct - max(len(np.unique(group[fold == one])) for one in np.unique(fold))
+        orders = range(0 if form == "polynomial" else 1, min(highest, left - 1) + 1)
+        if distinct < FEWEST or len(np.unique(fold)) < 2 or not len(orders):
+            raise EstimationError(
+                f"{distinct} temperatures are too few to choose an order by: give `order` or add temperatures"
+            )
+        errors = held_out(form, orders, reference, temperature, value, sigma, fold)
+        order = chosen(errors, rule).order
+    if distinct < order + 1:
+        raise EstimationError(
+            f"{distinct} temperatures cannot tell a {form} of order {order}: lower `order` or add temperatures"
+        )
+    made = curve(form, order, reference, temperature)
+    fit = least_squares.fit(made.columns(temperature), value, sigma)
+    if scatter and not fit.degrees_of_freedom:
+        raise EstimationError(
+            f"{len(value)} values for {order + 1} coefficients leave no residual to take an uncertainty from: lower `order`, add "
+            "temperatures or write `uncertainty: propagated`"
+        )
+    factor = fit.variance_factor if scatter else 1.0
+    return CurveFit(made, fit, fit.cofactor * factor, float(fit.degrees_of_freedom) if scatter else np.inf, errors)

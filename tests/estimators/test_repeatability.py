@@ -1,0 +1,199 @@
+"""Scatter of repeats: by hand, against certified analyses of variance, the truth, and what cannot be done."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from recorded import from_means, segment, sensor
+
+from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.repeatability import (
+    Repeatability,
+    RepeatabilityParameters,
+    analysis_of_variance,
+    deviation_interval,
+)
+from planrunner.physics.earth import Site
+
+SITE = Site(math.radians(40.0))
+DAYS = {"a": ("a*",), "b": ("b*",), "c": ("c*",)}
+
+
+def given(value: float, name: str = "K", unit: str = "ppm", u: float = 0.1) -> Estimate:
+    return Estimate("cal", "other", (Coefficient(name, value, unit, u),), np.array([[u**2]]))
+
+
+def repeats(uses: dict[str, Estimate], **keys: object) -> Estimate:
+    parameters = RepeatabilityParameters(**keys)  # type: ignore[arg-type]
+    return Repeatability().estimate(EstimateRequest("again", (), parameters, SITE, sensor("gyro"), uses))
+
+
+def of_values(values: dict[str, float], **keys: object) -> Estimate:
+    return repeats({name: given(value) for name, value in values.items()}, **keys)
+
+
+# -- by hand ---------------------------------------------------------------------------------------------------------
+
+
+def test_three_repeats_by_hand() -> None:
+    """998, 1000, 1005: mean 1001, s² = (9 + 1 + 16)/2 = 13; u of the mean √(13/3), of s by s/√4."""
+    found = of_values({"r1": 998, "r2": 1000, "r3": 1005})
+    assert found["mean_K"].value == pytest.approx(1001, rel=1e-9)
+    assert found["mean_K"].standard_uncertainty == pytest.approx(math.sqrt(13 / 3), rel=1e-9)
+    assert found["s_K"].value == pytest.approx(math.sqrt(13), rel=1e-9)
+    assert found["s_K"].standard_uncertainty == pytest.approx(math.sqrt(13) / 2, rel=1e-9)
+    assert found["repeatability_K"].value == pytest.approx(1e6 * math.sqrt(13) / 1001, rel=1e-9)
+    assert {item.degrees_of_freedom for item in found.coefficients} == {2}
+
+
+def test_interval_by_tables() -> None:
+    """χ² tables, 10 degrees of freedom: 3.247 and 20.483."""
+    low, high = deviation_interval(4.0, 10)
+    assert (low, high) == pytest.approx((math.sqrt(40 / 20.483), math.sqrt(40 / 3.247)), rel=1e-4)
+
+
+def test_two_days_by_hand() -> None:
+    """Days (1, 3) and (6, 8): M_w = 2 with two degrees, M_b = 25 with one, n₀ = 2: between (25 − 2)/2 = 11.5, both together 13.5 with
+    13.5²/(12.5²/1 + 1²/2) degrees. Mean 4.5 with u = 5/√2/√2."""
+    found = of_values({"a1": 1, "a2": 3, "b1": 6, "b2": 8}, groups={"a": ("a*",), "b": ("b*",)})
+    assert found["mean_K"].value == pytest.approx(4.5) and found["mean_K"].standard_uncertainty == pytest.approx(2.5)
+    assert found["mean_K"].degrees_of_freedom == 1
+    assert found["s_K"].value == pytest.approx(math.sqrt(2), rel=1e-9) and found["s_K"].degrees_of_freedom == 2
+    assert found["s_between_K"].value == pytest.approx(math.sqrt(11.5), rel=1e-9)
+    assert found["s_total_K"].value == pytest.approx(math.sqrt(13.5), rel=1e-9)
+    assert found["s_total_K"].degrees_of_freedom == pytest.approx(13.5**2 / (12.5**2 + 0.5), rel=1e-9)
+
+
+def test_unequal_groups_by_hand() -> None:
+    """Groups of 1, 2 and 3: n₀ = (6 − 14/6)/2 = 11/6."""
+    split = analysis_of_variance(np.array([4.0, 1, 3, 7, 8, 9]), np.array([0, 1, 1, 2, 2, 2]))
+    within = (2 + 2) / 3
+    grand = 32 / 6
+    between = ((4 - grand) ** 2 + 2 * (2 - grand) ** 2 + 3 * (8 - grand) ** 2) / 2
+    assert split.within == pytest.approx(within, rel=1e-9) and split.within_freedom == 3
+    assert split.ratio == pytest.approx(between / within, rel=1e-9)
+    assert split.between == pytest.approx((between - within) * 6 / 11, rel=1e-9)
+
+
+def test_certified_analysis_of_variance() -> None:
+    """JCGM 100:2008, H.5, table H.9: a Zener standard on ten days, five observations a day, as daily means and deviations."""
+    means = np.array([172, 116, 13, 144, 106, 31, 60, 125, 163, 41])  # µV above 10.000 V
+    deviations = np.array([60, 77, 111, 101, 67, 93, 80, 73, 88, 86])
+    standardised = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / math.sqrt(2.5)  # mean 0, standard deviation 1
+    values = (means[:, None] + deviations[:, None] * standardised).ravel()
+    split = analysis_of_variance(values, np.repeat(np.arange(10), 5))
+    # s_a² = 5·(57 µV)² = (128 µV)² with 9, s_b² = (85 µV)² with 40 degrees of freedom; F = 2.25.
+    assert math.sqrt(split.within) == pytest.approx(85, abs=0.5) and split.within_freedom == 40
+    assert split.mean_uncertainty * math.sqrt(10) == pytest.approx(57, abs=0.5) and split.mean_freedom == 9
+    assert split.ratio == pytest.approx(2.25, abs=0.02)
+    # s_B² = (s_a² − s_b²)/5 = (43 µV)².
+    assert math.sqrt(split.between) == pytest.approx(43, abs=0.5)
+
+
+def test_scipy_agrees() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    draw = np.random.default_rng(1)
+    groups = [draw.normal(k, 1, size) for k, size in enumerate((3, 5, 4))]
+    expected = stats.f_oneway(*groups)
+    split = analysis_of_variance(np.concatenate(groups), np.repeat(np.arange(3), (3, 5, 4)))
+    assert (split.ratio, split.probability) == pytest.approx((expected.statistic, expected.pvalue), rel=1e-9)
+
+
+# -- against the truth -----------------------------------------------------------------------------------------------
+
+
+def test_truth_within_the_stated_uncertainty() -> None:
+    """10 000 tests of five days with four repeats each: means by Student's t, s by χ², the variance between groups without bias."""
+    from scipy.stats import t as student
+
+    draw, runs = np.random.default_rng(3), 10_000
+    group = np.repeat(np.arange(5), 4)
+    values = 10 + 3 * np.repeat(draw.standard_normal((runs, 5)), 4, axis=1) + 2 * draw.standard_normal((runs, 20))
+    splits = [analysis_of_variance(row, group) for row in values]
+    wide = [student.ppf(0.975, one.mean_freedom) * one.mean_uncertainty for one in splits]
+    inside = np.mean([abs(one.mean - 10) <= u for one, u in zip(splits, wide, strict=True)])
+    scatter = 4 * math.sqrt(0.95 * 0.05 / runs)
+    assert inside == pytest.approx(0.95, abs=scatter)
+    bounds = [deviation_interval(one.within, one.within_freedom) for one in splits]
+    assert np.mean([low**2 <= 4 <= high**2 for low, high in bounds]) == pytest.approx(0.95, abs=scatter)
+    together = np.mean([one.total_low <= 13 <= one.total_high for one in splits])
+    assert together == pytest.approx(0.95, abs=scatter + 0.005)  # Graybill and Wang's is approximate
+    assert np.mean([one.between for one in splits]) == pytest.approx(9.0, abs=0.3)
+    assert np.mean([one.between_uncertainty**2 for one in splits]) == pytest.approx(
+        np.var([one.between for one in splits]), rel=0.6
+    )
+
+
+# -- channels --------------------------------------------------------------------------------------------------------
+
+
+def test_means_of_segments_by_group() -> None:
+    values = {"day1/r1": 1.0, "day1/r2": 3.0, "day2/r1": 6.0, "day2/r2": 8.0}
+    recorded = tuple(from_means(segment(label), {"gyro": value}, "deg/h", 0.5) for label, value in values.items())
+    parameters = RepeatabilityParameters(channels=("gyro",), groups={"one": ("day1",), "two": ("day2/*",)})
+    request = EstimateRequest("again", recorded, parameters, SITE, sensor("gyro"))
+    found = Repeatability().estimate(request)
+    assert found["s_between_gyro"].value == pytest.approx(math.sqrt(11.5), rel=1e-9)
+    assert found["mean_gyro"].unit == "deg/h"
+    assert any("groups" in note and "F = 12.5" in note for note in found.notes)
+
+
+def test_groups_that_do_not_differ_say_so() -> None:
+    found = of_values({"a1": 1, "a2": 3, "b1": 1.2, "b2": 3.1}, groups={"a": ("a*",), "b": ("b*",)})
+    assert found["s_between_K"].value == 0 and found["s_between_K"].standard_uncertainty > 0
+    assert any("no difference between groups" in note for note in found.notes)
+
+
+# -- what cannot be done ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "keys", "words"),
+    [
+        (("r1",), {}, "one estimate cannot show"),
+        ((), {}, "nothing to compare"),
+        (("r1", "r2"), {"channels": ("gyro",)}, "both `channels` and `uses`"),
+        (("r1", "r2"), {"coefficients": ("Q",)}, "no coefficient that all estimates have is named like 'Q'"),
+        (("a1", "a2", "d1"), {"groups": DAYS}, "'d1' belongs to no group"),
+        (("a1", "a2", "b1"), {"groups": DAYS}, "the group 'c' holds nothing"),
+        (("a1", "a2", "b1"), {"groups": {"a": ("a*",), "b": ("*",)}}, "'a1' belongs to a and b"),
+        (("a1", "b1", "c1"), {"groups": DAYS}, "one of them needs two members"),
+        (("a1", "a2"), {"groups": {"a": ("a*",)}}, "groups need to be two or more"),
+    ],
+)
+def test_bad_plans(names: tuple[str, ...], keys: dict[str, object], words: str) -> None:
+    with pytest.raises(EstimationError, match=words):
+        of_values(dict.fromkeys(names, 1.0), **keys)
+
+
+def test_unlike_estimates() -> None:
+    with pytest.raises(EstimationError, match="no coefficient in common"):
+        repeats({"a": given(1.0), "b": given(1.0, name="B")})
+    with pytest.raises(EstimationError, match="different units"):
+        repeats({"a": given(1.0), "b": given(1.0, unit="deg/h")})
+    with pytest.raises(EstimationError, match="not a finite number"):
+        repeats({"a": given(1.0), "b": given(math.nan)})
+
+
+def test_bad_recordings() -> None:
+    one = from_means(segment("r1"), {"gyro": 1.0}, "deg/h", 0.1)
+    other = from_means(segment("r2"), {"gyro": 1.0}, "deg/s", 0.1)
+    for recorded, channel, words in (
+        ((one,), "gyro", "one segment cannot show"),
+        ((one, one), "gyrq", "has no channel 'gyrq'"),
+        ((one, other), "gyro", "different units"),
+        ((one, from_means(segment("r3"), {"gyro": math.nan}, "deg/h", count=0)), "gyro", "no usable samples"),
+    ):
+        request = EstimateRequest("again", recorded, RepeatabilityParameters(channels=(channel,)), SITE, sensor("gyro"))
+        with pytest.raises(EstimationError, match=words):
+            Repeatability().estimate(request)
+
+
+def test_a_plan_without_repeats_is_refused_before_the_run() -> None:
+    request = DesignRequest(
+        "again", (segment("r1"),), RepeatabilityParameters(channels=("gyro",)), SITE, sensor("gyro")
+    )
+    with pytest.raises(EstimationError, match="one segment cannot show"):
+        Repeatability().design(request)

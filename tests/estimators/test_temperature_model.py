@@ -1,0 +1,266 @@
+"""Curves over temperature: by hand, against scipy's spline, the truth, a real vacuum-chamber recording, and what cannot be done."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from recorded import from_means, from_samples, real, segment, sensor
+
+from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.temperature_curve import HeldOut, chosen, groups_of, held_out, natural_spline
+from planrunner.estimators.temperature_model import TemperatureModel, TemperatureModelParameters
+from planrunner.physics.earth import Site
+from planrunner.plan.quantity import parse_quantity
+
+SITE = Site(math.radians(40.0))
+KELVIN = 273.15
+
+
+def given(temperature: object, value: object, u: object = 0.0, name: str = "K", unit: str = "1") -> Estimate:
+    """An estimate that gives one coefficient by temperature."""
+    t, y = np.atleast_1d(temperature).astype(float), np.atleast_1d(value).astype(float)
+    data = {"temperature_degC": t.tolist(), "value": y.tolist(), "unit": unit}
+    data["standard_uncertainty"] = np.broadcast_to(np.asarray(u, dtype=float), t.shape).tolist()
+    return Estimate(
+        "cal",
+        "other",
+        (Coefficient(name, float(y[0]), unit, 0.0),),
+        np.zeros((1, 1)),
+        extra={"by_temperature": {name: data}},
+    )
+
+
+def model(*uses: Estimate, recorded: tuple = (), **keys: object) -> Estimate:  # type: ignore[type-arg]
+    parameters = TemperatureModelParameters(**keys)  # type: ignore[arg-type]
+    named = {f"cal{n}": one for n, one in enumerate(uses)}
+    return TemperatureModel().estimate(EstimateRequest("curve", recorded, parameters, SITE, sensor("gyro"), named))
+
+
+# -- by hand ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_line_by_hand() -> None:
+    """1, 2, 6 at 0, 10, 20 degC: slope 5/20 per kelvin through the mean 3 at 10 degC; residuals 0.5, −1, 0.5, so s² = 1.5 with one degree
+    of freedom; u(slope) = s/√200, u at 10 degC = s/√3."""
+    found = model(given([0, 10, 20], [1, 2, 6]), order=1, reference=parse_quantity("10 degC"))
+    assert found["K_T0"].value == pytest.approx(3.0, rel=1e-9)
+    assert found["K_T1"].value == pytest.approx(0.25, rel=1e-9) and found["K_T1"].unit == "1/K"
+    assert found["K_T1"].standard_uncertainty == pytest.approx(math.sqrt(1.5 / 200), rel=1e-9)
+    assert found["K_T0"].standard_uncertainty == pytest.approx(math.sqrt(0.5), rel=1e-9)
+    assert found["K_T0"].degrees_of_freedom == 1
+    curve = next(table for table in found.tables if table.title == "Curve of K")
+    assert curve.rows[0][:3] == pytest.approx((0.0, 0.5, math.sqrt(0.5 + 0.75)), rel=1e-9)
+
+
+def test_propagated_uncertainty_by_hand() -> None:
+    """Weights 1/u²: with u = 1, 2 at two temperatures the line passes through both; u of its slope is √5 over the distance."""
+    found = model(given([0, 10], [1, 2], [1, 2]), order=1, reference=parse_quantity("0 degC"), uncertainty="propagated")
+    assert found["K_T1"].value == pytest.approx(0.1)
+    assert found["K_T1"].standard_uncertainty == pytest.approx(math.sqrt(5) / 10, rel=1e-9)
+    assert found["K_T0"].standard_uncertainty == pytest.approx(1.0, rel=1e-9)
+
+
+def test_held_out_by_hand() -> None:
+    """0, 1, 2 at 0, 1, 2: a constant misses by 1.5, 0, −1.5, a line by nothing."""
+    t = np.array([0.0, 1.0, 2.0])
+    constant, line = held_out("polynomial", (0, 1), 0.0, t, t, np.ones(3), np.arange(3))
+    assert constant.error == pytest.approx(1.5)
+    assert constant.standard_error == pytest.approx(np.std([2.25, 0, 2.25], ddof=1) / math.sqrt(3))
+    assert line.error == pytest.approx(0, abs=1e-20)
+
+
+def test_the_one_standard_error_rule() -> None:
+    errors = [HeldOut(0, 9.0, 1.0), HeldOut(1, 1.3, 0.2), HeldOut(2, 1.0, 0.4), HeldOut(3, 1.1, 0.1)]
+    assert chosen(errors, "one_standard_error").order == 1
+    assert chosen(errors, "smallest_error").order == 2
+
+
+def test_temperatures_that_belong_together() -> None:
+    assert groups_of(np.array([20.0, -40.2, -39.9, 20.6, 60.0, 21.1]), 1.0).tolist() == [1, 0, 0, 1, 3, 2]
+
+
+@pytest.mark.parametrize("knots", [(-40.0, 60.0), (-40.0, 0.0, 25.0, 60.0), (-40.0, -10.0, 5.0, 25.0, 33.0, 60.0)])
+def test_spline_is_the_natural_spline_of_scipy(knots: tuple[float, ...]) -> None:
+    interpolate = pytest.importorskip("scipy.interpolate")
+    values = np.random.default_rng(1).standard_normal(len(knots))
+    at = np.linspace(knots[0], knots[-1], 41)
+    smooth = interpolate.CubicSpline(knots, values, bc_type="natural") if len(knots) > 2 else None
+    expected = np.interp(at, knots, values) if smooth is None else smooth(at)
+    assert natural_spline(np.array(knots), at) @ values == pytest.approx(expected, abs=1e-12)
+    beyond = natural_spline(np.array(knots), np.array([-60.0, -50.0, -40.0, 60.0, 70.0, 80.0])) @ values
+    assert np.diff(beyond[:3])[0] == pytest.approx(np.diff(beyond[:3])[1], abs=1e-12)
+    assert np.diff(beyond[3:])[0] == pytest.approx(np.diff(beyond[3:])[1], abs=1e-12)
+    inside = natural_spline(np.array(knots), np.array([-40.0, -40.0 + 1e-6])) @ values
+    assert (beyond[2] - beyond[1]) / 10 == pytest.approx((inside[1] - inside[0]) / 1e-6, abs=1e-4)
+
+
+# -- against the truth -----------------------------------------------------------------------------------------------
+
+TEMPERATURES = np.arange(-40.0, 65.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("truth", "order"), [((3.0,), 0), ((3.0, 0.05), 1), ((3.0, 0.05, -1e-3), 2), ((3.0, 0.05, -1e-3, 3e-5), 3)]
+)
+def test_the_order_is_found(truth: tuple[float, ...], order: int) -> None:
+    """Of 50 realisations the rule takes the true order in most, a lower one in none: each power is many standard errors large."""
+    draw, found = np.random.default_rng(order), []
+    for _ in range(50):
+        y = np.polynomial.polynomial.polyval(TEMPERATURES - 25, truth) + 0.05 * draw.standard_normal(TEMPERATURES.size)
+        found.append(model(given(TEMPERATURES, y)).settings["order"]["K"])
+    assert min(found) >= order
+    assert np.mean(np.array(found) == order) > 0.7
+
+
+@pytest.mark.parametrize("form", ["polynomial", "spline"])
+def test_truth_within_the_stated_uncertainty(form: str) -> None:
+    """200 realisations at fixed order: coefficients by their u, and the curve at temperatures between."""
+    draw, squares, between = np.random.default_rng(5), [], []
+    truth = np.polynomial.Polynomial([3.0, 0.05, -1e-3]) if form == "polynomial" else None
+    knots = np.quantile(TEMPERATURES, np.linspace(0, 1, 4))
+    at_knots = np.array([1.0, 3.0, 2.0, 2.5])
+    for _ in range(200):
+        exact = truth(TEMPERATURES - 25) if truth else natural_spline(knots, TEMPERATURES) @ at_knots
+        found = model(given(TEMPERATURES, exact + 0.05 * draw.standard_normal(11)), form=form, order=2 if truth else 3)
+        expected = truth.coef if truth else at_knots
+        squares.append(
+            [((c.value - e) / c.standard_uncertainty) ** 2 for c, e in zip(found.coefficients, expected, strict=True)]
+        )
+        curve = next(table for table in found.tables if table.title.startswith("Curve")).rows[3]
+        exact_between = truth(curve[0] - 25) if truth else natural_spline(knots, np.array([curve[0]]))[0] @ at_knots
+        between.append(((curve[1] - exact_between) / curve[2]) ** 2)
+    freedom = 11 - len(squares[0])
+    assert np.mean(squares) == pytest.approx(freedom / (freedom - 2), rel=0.25)
+    assert np.mean(between) == pytest.approx(freedom / (freedom - 2), rel=0.35)
+
+
+def test_estimates_of_one_temperature_each_are_put_together() -> None:
+    uses = [given(t, 1 + 1e-3 * t, 1e-4) for t in (-40.0, 0.0, 20.0, 60.0)]
+    found = model(*uses, order=1)
+    assert found["K_T1"].value == pytest.approx(1e-3)
+    assert found["K_T0"].value == pytest.approx(1.025)
+
+
+# -- channels --------------------------------------------------------------------------------------------------------
+
+
+def ramp(label: str, low: float, high: float, gyro: object, seed: int = 0) -> object:
+    """A ramp of 1000 s at 10 Hz with a thermometer in kelvin."""
+    time = np.arange(10_000) / 10
+    celsius = np.linspace(low, high, time.size)
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(time.size)
+    planned = replace(segment(label), temperature=low + KELVIN, ramp_to=high + KELVIN)
+    channels = {"gyro": gyro(celsius) + noise, "inside": celsius + KELVIN}  # type: ignore[operator]
+    return from_samples(planned, time, channels, {"gyro": "deg/s", "inside": "K"})
+
+
+def test_a_ramp_and_its_hysteresis() -> None:
+    """0.1 + 0.002·(T − 25), 0.03 more on the way down but at the ends: the loop is 0.03 wide in the middle."""
+    loop = 0.03
+    up = ramp("up", -20, 60, lambda t: 0.1 + 0.002 * (t - 25), 1)
+    down = ramp("down", 60, -20, lambda t: 0.1 + 0.002 * (t - 25) + loop * (1 - ((t - 20) / 40) ** 2), 2)
+    keys = {"channels": ("gyro",), "temperature_channel": "inside"}
+    alone = model(recorded=(up,), **keys, order=1)
+    assert alone["gyro_T1"].value == pytest.approx(0.002, abs=4 * alone["gyro_T1"].standard_uncertainty)
+    assert alone["gyro_T1"].unit == "deg/s/K" and "hysteresis_gyro" not in [c.name for c in alone.coefficients]
+    # 80 bins of 125 samples: u(slope) = 0.01/√10000/(80/√12).
+    assert alone["gyro_T1"].standard_uncertainty == pytest.approx(0.01 / 100 / (80 / math.sqrt(12)), rel=0.25)
+    both = model(recorded=(up, down), **keys)
+    # The largest of some thirty nearly equal differences is up to three and a half of its uncertainties above them.
+    assert loop - 0.002 < both["hysteresis_gyro"].value < loop + 3.5 * both["hysteresis_gyro"].standard_uncertainty
+    assert both["hysteresis_gyro"].standard_uncertainty == pytest.approx(0.01 / math.sqrt(125) * math.sqrt(2), rel=0.15)
+
+
+def test_channel_means_at_planned_temperatures() -> None:
+    held = [replace(segment(f"S{t}"), temperature=t + KELVIN) for t in (-40, 0, 40, 80)]
+    recorded = tuple(from_means(one, {"gyro": 2.0 + 0.5 * k}, "deg/h", 0.01) for k, one in enumerate(held))
+    found = model(
+        recorded=recorded, channels=("gyro",), order=1, uncertainty="propagated", reference=parse_quantity("0 degC")
+    )
+    assert found["gyro_T1"].value == pytest.approx(0.5 / 40)
+    assert found["gyro_T0"].value == pytest.approx(2.5)
+    # Σ(T − mean)² = 2·(60² + 20²) = 8000.
+    assert found["gyro_T1"].standard_uncertainty == pytest.approx(0.01 / math.sqrt(8000), rel=1e-9)
+
+
+def test_vacuum_chamber_gyro() -> None:
+    """25 bursts of a MEMS gyro over two hours in a thermal-vacuum chamber; slopes known of it, in deg/s/K, to their last digit."""
+    path = real("psim_thermal_vacuum", "TVCtest3_7_20.csv")
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = list(csv.reader(file))[1:]
+    data = np.array([[float(cell) for cell in row[:8]] for row in rows if len(row) >= 8 and row[0]])
+    time, celsius = data[:, 0] / 1000, (data[:, 7] - 65536) / 256 + 25
+    edges = [0, *(np.flatnonzero(np.diff(time) > 1) + 1), len(time)]
+    assert len(edges) == 26
+    names = ("gyro_x", "gyro_y", "gyro_z")
+    bursts = []
+    for n, (low, high) in enumerate(pairwise(edges)):
+        channels = {name: data[low:high, 4 + k] for k, name in enumerate(names)} | {"chip": celsius[low:high]}
+        units = dict.fromkeys(names, "rad/s") | {"chip": "degC"}
+        bursts.append(from_samples(segment(f"burst{n}"), time[low:high], channels, units))
+    found = model(recorded=tuple(bursts), channels=names, temperature_channel="chip", order=1)
+    for name, known in zip(names, (0.060, -0.028, 0.003), strict=True):
+        assert math.degrees(found[f"{name}_T1"].value) == pytest.approx(known, abs=0.001)
+
+
+# -- what cannot be done ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({}, "nothing to model"),
+        ({"channels": ("gyro",), "coefficients": ("K",)}, "`coefficients` are those of other estimates"),
+        ({"channels": ("gyrq",)}, "has no channel 'gyrq'"),
+        ({"channels": ("gyro",)}, "holds no planned temperature"),
+        ({"channels": ("gyro",), "temperature_channel": "gyro"}, "no unit of temperature"),
+        (
+            {"channels": ("gyro",), "temperature_channel": "inside", "bin": parse_quantity("2 degC")},
+            "write it in K, for example 2 K",
+        ),
+        ({"channels": ("gyro",), "temperature_channel": "inside", "form": "spline", "order": 0}, "at least two knots"),
+        ({"temperature_channel": "inside"}, "nothing to model"),
+    ],
+)
+def test_bad_plans_for_channels(keys: dict[str, object], words: str) -> None:
+    with pytest.raises(EstimationError, match=words):
+        model(recorded=(ramp("up", -20, 60, lambda t: t),), **keys)
+
+
+@pytest.mark.parametrize(
+    ("uses", "keys", "words"),
+    [
+        ([given([0, 10, 20], [1, 2, 3])], {"channels": ("gyro",)}, "both `channels` and `uses`"),
+        ([given([0, 10, 20], [1, 2, 3])], {"coefficients": ("Q*",)}, "no coefficient is named like 'Q"),
+        ([given([0, 10, 20], [1, 2, 3])], {"temperature_channel": "inside"}, "belongs to `channels`"),
+        ([replace(given([0], [1]), extra={})], {}, "gives no coefficients by temperature"),
+        ([given([0], [1]), given([10], [1], unit="deg/h")], {}, "different units"),
+        ([given([0, 10], [1, 2])], {}, "too few to choose an order"),
+        ([given([0, 10], [1, 2])], {"order": 2}, "cannot tell a polynomial of order 2"),
+        ([given([0, 10], [1, 2])], {"order": 1}, "leave no residual"),
+        ([given([0, 10], [1, math.nan])], {"order": 1}, "not a finite number"),
+        ([given([0, 10, 20], [1, 2, 3])], {"uncertainty": "propagated"}, "has no uncertainty of its own"),
+    ],
+)
+def test_bad_plans_for_coefficients(uses: list[Estimate], keys: dict[str, object], words: str) -> None:
+    with pytest.raises(EstimationError, match=words):
+        model(*uses, **keys)
+
+
+def test_too_few_planned_temperatures_are_an_error_before_the_run() -> None:
+    held = tuple(replace(segment(f"S{t}"), temperature=t + KELVIN) for t in (0, 40))
+    for keys, needed in (({}, 3), ({"order": 2}, 3)):
+        parameters = TemperatureModelParameters(channels=("gyro",), **keys)
+        design = TemperatureModel().design(DesignRequest("curve", held, parameters, SITE, sensor("gyro")))
+        assert design is not None
+        (remark,) = design.remarks
+        assert remark.code == "physics-temperatures" and remark.error and f"needs {needed}" in remark.message
+    design = TemperatureModel().design(
+        DesignRequest("curve", held, TemperatureModelParameters(channels=("gyro",), order=1), SITE, sensor("gyro"))
+    )
+    assert design is not None and not design.remarks
