@@ -7,11 +7,13 @@ residual sums of squares stands beside the ratio that the sets' positions lead o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.compensation_influences import compensation_influences
 from planrunner.estimators.compensation_prediction import SetDesign, expected_sum, predict_residuals
 from planrunner.estimators.flexure_gyro_static import static_matrix
 from planrunner.estimators.interface import (
@@ -105,7 +107,8 @@ class CompensationResidual:
         sigma = np.column_stack([within_segment_noise(observations, k).sigma for k in range(2)])
         sets = {name: SetDesign(*_parts(used, sigma)) for name, used in request.uses.items()}
         prediction = predict_residuals(matrix, sets, request.parameters.trials, request.parameters.seed)
-        return _assemble(request, observations.labels, residuals, prediction)
+        stated = compensation_influences(request, observations.units, matrix, residuals, _DEG_H)
+        return replace(_assemble(request, observations.labels, residuals, prediction), influences=stated)
 
 
 def _several(sets: Mapping[str, Any]) -> None:
@@ -179,7 +182,8 @@ def _assemble(
         ),
         (_residual_plot(labels, residuals),),
         (
-            "Standard uncertainties are half of the central 68 % of simulated experiments with noise alone; they are not correlated here.",
+            "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise alone, without "
+            "correlations; what the bench states is added to first order.",
             _CLAIM,
             *notes,
         ),

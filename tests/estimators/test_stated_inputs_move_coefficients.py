@@ -19,10 +19,12 @@ from planrunner.estimators.accelerometer_multi_position import (
     AccelerometerMultiPositionParameters,
 )
 from planrunner.estimators.analysis import combined
+from planrunner.estimators.compensation_residual import CompensationResidual, CompensationResidualParameters
 from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, Setup
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
 from planrunner.physics.kinematics import TableAxis, joint_angles
+from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence, InputQuantity, Inputs
 
 AXES = (
@@ -279,3 +281,68 @@ def test_accelerometers_held_against_gravity(reference: str) -> None:
     for k in scales:
         u = combined(nominal).coefficients[k].standard_uncertainty
         assert u >= 1e-3 / SITE.gravity * nominal.coefficients[k].value
+
+
+TRADITIONAL = {"T1": "north west up", "T2": "west south up", "T3": "south east up", "T4": "east north up"} | {
+    "T5": "west up north",
+    "T6": "up east north",
+    "T7": "east down north",
+    "T8": "down west north",
+}
+VERIFY = {"V1": "up west south", "V2": "west north down", "V3": "east up south"}
+
+
+def residual_sums(
+    noise: np.ndarray, turned: dict[str, np.ndarray], setup: Setup = NOTHING, **keys: float
+) -> tuple[np.ndarray, Estimate]:
+    """Both sets calibrated and compared on the verification positions, in a world where words point as `turned` says."""
+
+    def recorded(positions: dict[str, str], shift: np.ndarray) -> tuple:
+        return tuple(
+            from_means(
+                replace(segment(label, attitude(words)), orientation=words),
+                dict(
+                    zip(CHANNELS, currents(attitude(words) @ turned.get(words, np.eye(3)), **keys) + row, strict=True)
+                ),
+                "pulse/s",
+                0.1,
+            )
+            for (label, words), row in zip(positions.items(), shift, strict=True)
+        )
+
+    uses = {}
+    for name, positions in (("optimal", OPTIMAL), ("traditional", TRADITIONAL)):
+        asked = EstimateRequest(
+            name,
+            recorded(positions, np.zeros((8, 2))),
+            FlexureGyroStaticParameters(),
+            SITE,
+            sensor(*CHANNELS),
+            setup=setup,
+        )
+        uses[name] = combined(FlexureGyroStatic().estimate(asked))
+    parameters = CompensationResidualParameters(trials=1000)
+    request = EstimateRequest("r", recorded(VERIFY, noise), parameters, SITE, sensor(*CHANNELS), uses, setup=setup)
+    made = CompensationResidual().estimate(request)
+    return values(made), made
+
+
+def test_residual_sums_follow_an_input_that_acts_on_calibration_and_verification() -> None:
+    """Latitude and gravity wrong in all three recordings; a table error at 'west south up', which both sets share."""
+    noise = np.array([[0.3, -0.2], [0.1, 0.4], [-0.3, 0.2]])
+    nominal, made = residual_sums(noise, {}, SETUP)
+    step = 1e-5
+    inputs = {one.quantity.name: one for one in merged(made.influences)}
+    assert not any(one.in_scatter for one in inputs.values())
+    for name, keys in (("latitude", {"latitude": SITE.latitude + step}), ("gravity", {"gravity": SITE.gravity + step})):
+        change = (residual_sums(noise, {}, **keys)[0] - nominal) / step
+        # The calibration takes up what the verification would miss: the input acts twice and cancels.
+        assert inputs[name].sensitivities[:, 0] == pytest.approx(0.0, abs=1e-9)
+        assert change == pytest.approx(0.0, abs=1e-6)
+    position = inputs["table position"]
+    assert len(position.parts) == 3 * len({*OPTIMAL.values(), *TRADITIONAL.values(), *VERIFY.values()})
+    shared = [k for k, part in enumerate(position.parts) if part.startswith("west south up")]
+    changes = [(residual_sums(noise, {"west south up": turn(axis, step)})[0] - nominal) / step for axis in np.eye(3)]
+    assert np.sum(position.sensitivities[:, shared] ** 2, axis=1) == pytest.approx(
+        np.sum(np.square(changes), axis=0), rel=1e-2
+    )
