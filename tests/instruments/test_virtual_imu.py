@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from inertial_bench import DEG, LEVEL, TRIAD, InertialBench, findings, read
 
-from planrunner.bench.clock import VirtualClock
-from planrunner.instruments.interfaces import HasModes, InstrumentError, Resumable, StreamsSamples, Surroundings
+from planrunner.instruments.interfaces import HasModes, InstrumentError, Resumable, StreamsSamples
 from planrunner.instruments.virtual.imu import VirtualImu
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.streaming import BLOCK
-from planrunner.physics.earth import Site
+from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Cycle, Move, Rest, Rock, Spin
 
 G = 9.80665
@@ -407,9 +406,8 @@ def test_a_mode_that_it_has_not_is_said():
 
 
 def test_a_sensor_has_axes():
-    parameters = read(VirtualImuParameters, "sample_rate: 1 Hz")
-    with pytest.raises(InstrumentError, match="neither gyros nor accelerometers"):
-        VirtualImu.connect(parameters, Surroundings(VirtualClock(), Site(0.5)))
+    with pytest.raises(InputError, match=r"neither 'gyros' nor 'accelerometers'"):
+        VirtualImu.model(read(VirtualImuParameters, "sample_rate: 1 Hz"))
 
 
 @pytest.mark.parametrize(

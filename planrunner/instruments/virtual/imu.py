@@ -22,6 +22,7 @@ from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
 from planrunner.instruments.virtual.noise import Counter, Flicker, RandomWalk, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
 from planrunner.instruments.virtual.world import World
+from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS, unit
 
@@ -57,6 +58,10 @@ class VirtualImu:
 
     @classmethod
     def model(cls, parameters: VirtualImuParameters) -> SensorModel:
+        if parameters.gyros is None and parameters.accelerometers is None:
+            message = "the sensor has neither 'gyros' nor 'accelerometers'"
+            hint = "add for example `gyros: {axes: {x: {}, y: {}, z: {}}}`"
+            raise InputError.at(parameters.origin.mark, "form-missing-key", message, hint)
         rate = parameters.sample_rate.value
         axes = axes_of(parameters)
         thermometer = NoiseModel(parameters.thermometer_noise.value / math.sqrt(rate))
@@ -71,8 +76,6 @@ class VirtualImu:
 
     @classmethod
     def connect(cls, parameters: VirtualImuParameters, surroundings: Surroundings) -> VirtualImu:
-        if parameters.gyros is None and parameters.accelerometers is None:
-            raise InstrumentError("it has neither gyros nor accelerometers: add `gyros` or `accelerometers`")
         return cls(parameters, World.of(surroundings))
 
     # -- what it does ----------------------------------------------------------------------------------------------
