@@ -1,0 +1,107 @@
+"""The part of a navigation's velocity error that repeats with the rotation cycle, told apart from Schuler and 24-hour oscillations.
+
+Horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles it is fitted by least squares with a
+straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the harmonics of the cycle at plus and minus their rates.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.physics.earth import Site
+from planrunner.physics.modulation import schuler_rate
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FEWEST_CYCLES = 4
+_APART = 1.5  # oscillations over the record by which two rates must differ to be told apart
+_BESIDE = (1.5, 2.5, 3.5, 4.5)  # oscillations over the record from a harmonic, where noise alone is left
+
+
+class TooLittleError(ValueError):
+    """The record cannot tell the periodic part. The message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicPart:
+    """orders: (m,) positive and negative harmonics; velocities: (m,) their coefficients [m/s]; noise: (m,) standard uncertainty of each
+    [m/s], from what is left of the record beside the harmonic; hidden: harmonics that lie too near a free oscillation; period: s."""
+
+    orders: NDArray[np.int_]
+    velocities: Complex
+    noise: Array
+    hidden: tuple[int, ...]
+    period: float
+
+    def largest_velocity(self) -> float:
+        return largest(self.orders, self.velocities)
+
+    def largest_position(self) -> float:
+        """Amplitude of the position error that repeats with the cycle [m]."""
+        return largest(self.orders, self.velocities * self.period / (2j * math.pi * self.orders))
+
+    def position_noise(self) -> float:
+        """Its standard uncertainty [m], as if all harmonics peaked at once."""
+        return float(np.hypot.reduce(self.noise * self.period / (2 * math.pi * np.abs(self.orders))))
+
+
+def largest(orders: NDArray[np.int_], parts: Complex) -> float:
+    """The largest absolute value over a cycle of Σ parts·exp(i·order·ω·t)."""
+    if not len(orders):
+        return 0.0
+    phase = np.linspace(0, 2 * math.pi, 64 * int(np.abs(orders).max()), endpoint=False)
+    return float(np.abs(np.exp(1j * np.outer(phase, orders)) @ parts).max())
+
+
+def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
+    """time: (n,), s, evenly spaced, from the beginning of a cycle; velocity: (n,), m/s; highest: harmonic to fit at most.
+
+    Raises `TooLittleError`.
+    """
+    step = float(time[1] - time[0]) if len(time) > 1 else math.inf
+    if len(time) > 1 and np.ptp(np.diff(time)) > 1e-3 * step:
+        raise TooLittleError("its points are not evenly spaced")
+    cycles = int((float(time[-1]) + step - float(time[0])) / period) if len(time) > 1 else 0
+    if cycles < FEWEST_CYCLES:
+        raise TooLittleError(f"it holds {cycles} whole cycles of {period:.0f} s, fewer than {FEWEST_CYCLES}")
+    within = time - time[0] < cycles * period
+    time, velocity = time[within] - time[0], velocity[within]
+    lasting = len(time) * step
+    highest = min(highest, int(period / (4 * step)))
+    free = free_rates(site)
+    rates = {order: 2 * math.pi * order / period for order in range(-highest, highest + 1) if order}
+    near = 2 * math.pi * _APART / lasting
+    hidden = {order for order, rate in rates.items() if min(abs(rate - other) for other in free) < near}
+    orders = np.array([order for order in rates if order not in hidden], dtype=int)
+    if not len(orders):
+        raise TooLittleError(f"its points are {step:.0f} s apart, too far for a cycle of {period:.0f} s")
+    columns = [np.ones_like(time), time / lasting, *(np.exp(1j * rate * time) for rate in free)]
+    slow = len(columns)
+    columns += [np.exp(1j * rates[order] * time) for order in orders]
+    columns += [np.exp(1j * rates[order] * time) for order in hidden]
+    matrix = np.stack(columns, axis=1)
+    found = np.linalg.lstsq(matrix, velocity, rcond=None)[0]
+    rest = velocity - matrix @ found
+    beside = [
+        np.mean([abs(np.mean(rest * np.exp(-1j * (rates[order] + sign * 2 * math.pi * apart / lasting) * time))) ** 2
+                 for apart in _BESIDE for sign in (1, -1)])
+        for order in orders
+    ]  # fmt: skip
+    return PeriodicPart(
+        orders,
+        found[slow : slow + len(orders)],
+        np.sqrt(beside),
+        tuple(sorted({abs(order) for order in hidden})),
+        period,
+    )
+
+
+def free_rates(site: Site) -> tuple[float, float, float, float]:
+    """Rates at which the error of a navigator oscillates by itself [rad/s]: Schuler, turned by the Earth, and 24 hours."""
+    natural, turning = schuler_rate(site), site.earth_rate * math.sin(site.latitude)
+    return natural - turning, -natural - turning, site.earth_rate, -site.earth_rate
