@@ -10,6 +10,7 @@ distributions and the effective degrees of freedom, and cannot test linearity.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,11 +56,15 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
     found = propagate(
         lambda rng, n: draws(rng, n)[rows], tolerances / _SHARE, seed=asked.seed, most=asked.draws, heavy=heavy
     )
-    cells, failed = [], []
-    for item, interval, tolerance in zip(shown, found.intervals, tolerances, strict=True):
+    cells: list[tuple[object, ...]] = []
+    verdicts: dict[str, list[str]] = {"yes": [], "no": [], "undecided": []}
+    for item, interval, tolerance, spread in zip(shown, found.intervals, tolerances, found.spread, strict=True):
         expanded = expanded_uncertainty(item.standard_uncertainty, item.degrees_of_freedom)
         judged = validate(item.value, expanded, interval, float(tolerance))
-        failed += [] if judged.validated else [item.name]
+        verdict = (
+            "yes" if judged.validated else "no" if max(judged.low, judged.high) - spread > tolerance else "undecided"
+        )
+        verdicts[verdict].append(item.name)
         cells.append(
             (
                 item.name,
@@ -73,7 +78,7 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
                 judged.low,
                 judged.high,
                 judged.tolerance,
-                "yes" if judged.validated else "no",
+                verdict,
             )
         )
     columns = (
@@ -91,7 +96,7 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
         "δ",
     )
     table = Table(TITLE, (*columns, "validated"), tuple(cells))
-    notes, warnings = _words(found.draws, found.stabilised, first_order, failed)
+    notes, warnings = _words(found.draws, found.stabilised, first_order, verdicts)
     settings = {"validate": "monte_carlo", "draws": found.draws, "seed": asked.seed, "digits": asked.digits}
     return replace(
         estimate,
@@ -102,7 +107,9 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
     )
 
 
-def _words(draws: int, stabilised: bool, first_order: bool, failed: list[str]) -> tuple[list[str], list[str]]:
+def _words(
+    draws: int, stabilised: bool, first_order: bool, verdicts: Mapping[str, Sequence[str]]
+) -> tuple[list[str], list[str]]:
     notes = [f"{draws} Monte Carlo draws hold the intervals at 95 % against the stated distributions."]
     if not stabilised:
         notes.append(
@@ -110,9 +117,12 @@ def _words(draws: int, stabilised: bool, first_order: bool, failed: list[str]) -
         )
     if first_order:
         notes.append("They go through this estimate's own sensitivities, so they do not test whether these are enough.")
+    if undecided := ", ".join(verdicts["undecided"]):
+        notes.append(
+            f"So many draws cannot decide on {undecided}: their ends scatter by more than is left to δ. Ask for more `draws`."
+        )
     warnings = []
-    if failed:
-        names = ", ".join(failed)
+    if names := ", ".join(verdicts["no"]):
         warnings.append(
             f"Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. The table gives both; "
             "the interval by Monte Carlo is the better one."

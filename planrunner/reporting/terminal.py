@@ -126,8 +126,8 @@ class _Columns:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         for part, places in enumerate(self._parts(options.max_width)):
             yield self._table(f"{self.title} (continued)" if part else self.title, places, options.max_width)
-        if self.caption:
-            yield _text(self.caption)
+        for line in self.caption.splitlines():
+            yield _text(line)
 
     def _parts(self, width: int) -> list[list[int]]:
         """Columns of each part. The first column leads every part."""

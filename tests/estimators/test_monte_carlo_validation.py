@@ -125,6 +125,26 @@ def test_an_interval_that_k_times_u_misjudges_is_named() -> None:
     assert any("do not test whether these are enough" in note for note in found.notes)
 
 
+def test_too_few_draws_leave_it_undecided() -> None:
+    """A normal input of u = 0.99: 20 000 draws know its ends to some 0.04, and δ of two digits is 0.005."""
+    made = Estimate(
+        "e",
+        "x",
+        (Coefficient("c", 1.0, "V", 0.0),),
+        np.zeros((1, 1)),
+        influences=(Influence(InputQuantity("a", 0.0, "V", 0.99), np.ones((1, 1))),),
+    )
+    estimate = combined(made)
+    verdicts = {
+        validated(estimate, linear_chain(estimate), MonteCarloSpec(digits=2, draws=20_000, seed=seed), True)
+        .tables[-1]
+        .rows[0][-1]
+        for seed in range(12)
+    }
+    assert "undecided" in verdicts
+    assert "no" not in verdicts
+
+
 def test_the_key_is_read_in_both_forms() -> None:
     text = """planrunner: 1
 title: t

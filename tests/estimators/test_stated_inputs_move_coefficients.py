@@ -51,16 +51,18 @@ def turn(about: np.ndarray, angle: float) -> np.ndarray:
     return np.asarray(Rotation.from_rotvec(np.asarray(about, dtype=float) * angle).as_matrix())
 
 
-def currents(axes: np.ndarray, latitude: float = SITE.latitude, gravity: float = SITE.gravity) -> np.ndarray:
+def currents(
+    axes: np.ndarray, latitude: float = SITE.latitude, gravity: float = SITE.gravity, truth: dict[str, float] = TRUTH
+) -> np.ndarray:
     """Torquer currents (2,), pulse/s: those whose precession balances what the rotor feels."""
     rate = axes @ np.array([0.0, math.cos(latitude), math.sin(latitude)]) * 15.041067
     force = np.append(1.0, axes[:, 2] * gravity / 9.80665)
     felt = [
-        rate[1] + force @ [TRUTH[f"D_X_{k}"] for k in "FXYZ"],
-        rate[0] + force @ [TRUTH[f"D_Y_{k}"] for k in "FXYZ"],
+        rate[1] + force @ [truth[f"D_X_{k}"] for k in "FXYZ"],
+        rate[0] + force @ [truth[f"D_Y_{k}"] for k in "FXYZ"],
     ]
-    e, s = math.radians(TRUTH["epsilon"] / 60), math.radians((TRUTH["epsilon"] + TRUTH["xi"]) / 60)
-    torquers = np.array([[math.cos(e), -math.sin(s)], [math.sin(e), math.cos(s)]]) * [TRUTH["SF_Y"], TRUTH["SF_X"]]
+    e, s = math.radians(truth["epsilon"] / 60), math.radians((truth["epsilon"] + truth["xi"]) / 60)
+    torquers = np.array([[math.cos(e), -math.sin(s)], [math.sin(e), math.cos(s)]]) * [truth["SF_Y"], truth["SF_X"]]
     return np.linalg.solve(torquers, felt)
 
 

@@ -1,0 +1,164 @@
+"""Do the 95 % intervals that combine the data with stated inputs hold the truth 95 % of the time? Simulated campaigns.
+
+`python tests/estimators/budget_coverage.py [runs]` prints the figures of docs/uncertainty-budgets.md. In every run the world differs from
+what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run, the table's error at every position, the
+error of every rate and one that all rates share; with white noise and flicker on top. The generators are written apart from planrunner.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from coverage_experiment import BATCHES, DWELL, GYRO, flicker_series
+from recorded import from_means, segment, sensor
+from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude
+from test_stated_inputs_move_coefficients import currents, turn
+
+from planrunner.estimators.analysis import combined
+from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
+from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
+from planrunner.plan.quantity import parse_quantity
+from planrunner.plan.schedule import Spin
+from planrunner.uncertainty.decision import expanded_uncertainty
+from planrunner.uncertainty.influences import InputQuantity, Inputs
+
+ARCSEC = math.pi / 648000
+UP = np.array([0.0, 0.0, 1.0])
+RATES = np.array([sign * rate for rate in (300, 150, 60, 20, 10, 1) for sign in (1, -1)], dtype=float)  # deg/s
+SLOPE, OFFSET = 1000.0, 3.0  # pulse/s per deg/s, pulse/s
+
+
+@dataclass(frozen=True)
+class Static:
+    """One campaign with the eight positions. white: pulse/√s; flicker: pulse/s; position, latitude, azimuth: arcsec; gravity: m/s^2."""
+
+    basis: str
+    white: float = 0.9
+    flicker: float = 0.0
+    position: float = 3.0
+    latitude: float = 1.0
+    azimuth: float = 10.0
+    gravity: float = 2e-5
+
+
+@dataclass(frozen=True)
+class Rates:
+    """One campaign over rates. white, flicker: pulse/s of a mean; each, common: relative errors of the rates."""
+
+    basis: str
+    white: float = 1.5
+    flicker: float = 0.0
+    each: float = 1e-5
+    common: float = 5e-6
+
+
+LOUD = {"white": 0.09, "position": 30.0, "latitude": 60.0, "azimuth": 60.0, "gravity": 1e-2}
+STATIC = {
+    "shipped bench": Static("residual", flicker=0.025),
+    "shipped bench, noise within": Static("within_segment", flicker=0.025),
+    "stated inputs large, noise ten times less": Static("residual", **LOUD),
+    "stated inputs large, noise ten times less, noise within": Static("within_segment", **LOUD),
+    "the same with flicker 0.0025 pulse/s, noise within": Static("within_segment", flicker=0.0025, **LOUD),
+}
+RATE = {
+    "noise and rate errors alike": Rates("residual"),
+    "noise and rate errors alike, noise within": Rates("within_segment"),
+    "rate errors alone matter": Rates("residual", white=0.1),
+    "rate errors alone matter, noise within": Rates("within_segment", white=0.1),
+    "with flicker 0.5 pulse/s, noise within": Rates("within_segment", flicker=0.5),
+}
+
+
+def static_coverage(campaign: Static, runs: int, seed: int) -> dict[str, float]:
+    """Share of runs whose interval holds the truth, by coefficient."""
+    widths = {
+        "latitude": campaign.latitude * ARCSEC,
+        "gravity": campaign.gravity,
+        "azimuth": campaign.azimuth * ARCSEC,
+        "table position": campaign.position * ARCSEC,
+    }
+    setup = Setup(inputs=Inputs({name: InputQuantity(name, 0.0, "rad", width) for name, width in widths.items()}))
+    rng = np.random.default_rng(seed)
+    parameters = FlexureGyroStaticParameters(uncertainty=campaign.basis)
+    hits = dict.fromkeys(GYRO, 0)
+    for start in range(0, runs, 250):
+        slow = flicker_series(rng, 250, campaign.flicker) if campaign.flicker else np.zeros((250, 1, 1, 1))
+        for n in range(min(250, runs - start)):
+            north = turn(UP, widths["azimuth"] * rng.normal())
+            keys = {
+                "latitude": SITE.latitude + widths["latitude"] * rng.normal(),
+                "gravity": SITE.gravity + widths["gravity"] * rng.normal(),
+            }
+            noise = campaign.white / math.sqrt(DWELL / BATCHES) * rng.normal(size=(2, 8, BATCHES)) + slow[n]
+            recorded = []
+            for k, (label, words) in enumerate(OPTIMAL.items()):
+                axes = turn(rng.normal(size=3), widths["table position"]) @ attitude(words) @ north
+                means = currents(axes, truth=GYRO, **keys) + noise[:, k].mean(axis=1)
+                error = noise[:, k].std(axis=1, ddof=1) / math.sqrt(BATCHES)
+                planned = replace(segment(label, attitude(words)), orientation=words)
+                recorded.append(from_means(planned, dict(zip(CHANNELS, means, strict=True)), "pulse/s", error, BATCHES))
+            request = EstimateRequest("d", tuple(recorded), parameters, SITE, sensor(*CHANNELS), setup=setup)
+            count(combined(FlexureGyroStatic().estimate(request)), GYRO, hits)
+    return {name: found / runs for name, found in hits.items()}
+
+
+def rate_coverage(campaign: Rates, runs: int, seed: int) -> dict[str, float]:
+    held = InputQuantity("table rate", 0.0, "1", campaign.each)
+    setup = Setup(inputs=Inputs({"table rate": held}))
+    keys = {"uncertainty": campaign.basis, "rate_uncertainty": parse_quantity(f"{campaign.common * 1e6:g} ppm")}
+    parameters = ScaleFactorParameters(outputs=("gyro",), **keys)
+    rng = np.random.default_rng(seed)
+    truth = {"K_gyro": SLOPE, "F0_gyro": OFFSET}
+    hits = dict.fromkeys(truth, 0)
+    planned = [segment(f"R{n}", motion=Spin(math.radians(rate))) for n, rate in enumerate(RATES)]
+    for start in range(0, runs, 250):
+        count_of = min(250, runs - start)
+        slow = flicker_series(rng, 250, campaign.flicker) if campaign.flicker else np.zeros((250, 2, 8, BATCHES))
+        for n in range(count_of):
+            # Twelve rates in a row: the eight dwells of one output's flicker, then four of the other's.
+            drift = slow[n].reshape(16, BATCHES)[: len(RATES)]
+            noise = campaign.white * math.sqrt(BATCHES) * rng.normal(size=(len(RATES), BATCHES)) + drift
+            really = RATES * (1 + campaign.common * rng.normal() + campaign.each * rng.normal(size=len(RATES)))
+            means = OFFSET + SLOPE * really + noise.mean(axis=1)
+            errors = noise.std(axis=1, ddof=1) / math.sqrt(BATCHES)
+            recorded = tuple(
+                from_means(one, {"gyro": float(mean)}, "pulse/s", [float(error)], BATCHES)
+                for one, mean, error in zip(planned, means, errors, strict=True)
+            )
+            request = EstimateRequest("s", recorded, parameters, SITE, sensor("gyro"), setup=setup)
+            count(combined(ScaleFactor().estimate(request)), truth, hits)
+    return {name: found / runs for name, found in hits.items()}
+
+
+def count(estimate: Estimate, truth: dict[str, float], hits: dict[str, int]) -> None:
+    for name, value in truth.items():
+        item = estimate[name]
+        hits[name] += abs(item.value - value) <= expanded_uncertainty(
+            item.standard_uncertainty, item.degrees_of_freedom
+        )
+
+
+def main() -> None:
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
+    only = sys.argv[2] if len(sys.argv) > 2 else ""
+    print(f"{runs} runs each; coverage in %, lowest and highest over the coefficients")
+    campaigns = [(name, static_coverage, one) for name, one in STATIC.items()]
+    campaigns += [(name, rate_coverage, one) for name, one in RATE.items()]  # type: ignore[misc, arg-type]
+    for name, measure, campaign in campaigns:
+        if only in ("", measure.__name__):
+            found = measure(campaign, runs, 20)
+            low, high = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
+            shown = f"{100 * found[low]:.1f} ({low}) … {100 * found[high]:.1f} ({high})"
+            print(f"{measure.__name__}, {name}: {shown}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
