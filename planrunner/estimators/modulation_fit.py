@@ -85,7 +85,7 @@ def periodic_part(time: Array, velocity: Complex, period: float, highest: int, s
     columns += [np.exp(1j * rates[order] * time) for order in orders]
     columns += [np.exp(1j * rates[order] * time) for order in hidden]
     matrix = np.stack(columns, axis=1)
-    found = np.linalg.lstsq(matrix, velocity, rcond=None)[0]
+    found: Complex = np.linalg.lstsq(matrix, velocity, rcond=None)[0].astype(np.complex128)
     rest = velocity - matrix @ found
     beside = [
         np.mean([abs(np.mean(rest * np.exp(-1j * (rates[order] + sign * 2 * math.pi * apart / lasting) * time))) ** 2

@@ -38,6 +38,10 @@ class Navigation:
     spread: float
 
     @property
+    def seconds(self) -> float:
+        return float(self.course[0, -1])
+
+    @property
     def radial(self) -> Array:
         return np.hypot(self.course[1], self.course[2])
 

@@ -28,7 +28,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.modulation_fit import PeriodicPart, TooLittleError, periodic_part
 from planrunner.estimators.modulation_navigations import Navigation, compared, rotation
 from planrunner.estimators.modulation_prediction import errors_over_time, periodic_amplitudes
-from planrunner.estimators.navigation_errors import CEP_SHARE, HOUR, NAUTICAL_MILE
+from planrunner.estimators.navigation_errors import HOUR, NAUTICAL_MILE
 from planrunner.instruments.models import TableModel
 from planrunner.plan.kinds import ListOf, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity
@@ -160,7 +160,8 @@ def _periodic(
             )
     notes.append(
         "Ratios compare navigations of one sensor over the same time; their uncertainties hold white noise alone, as bounded by each "
-        "navigation. Errors that rotation does not modulate (azimuth gyro, scale factors, alignment) stay in all of them."
+        "navigation. What rotation does not modulate (azimuth gyro, alignment) stays in all of them. Scale factor errors and misalignments "
+        "times the turns repeat with the cycle as well, beside what is predicted from constant errors."
     )
     return found, tuple(notes)
 
@@ -214,7 +215,8 @@ def _cycles(
 
 
 def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> list[Table]:
-    """Errors that the declared constant errors alone make, by the linear error equations."""
+    """Errors that the declared constant errors alone make, by the linear error equations; the error about the vertical is not modulated, so
+    that of the other two says what a cycle is worth."""
     declared = request.parameters.declared
     if declared is None:
         return []
@@ -222,19 +224,18 @@ def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> l
     for item in navigations:
         if item.attitude is None:
             continue
-        seconds = float(item.course[0, -1])
-        time, position = errors_over_time(declared, item.attitude, item.cycle, item.aligned, seconds, request.site)
-        radial = np.hypot(*position.T)
-        rate = CEP_SHARE * float(time @ radial / (time @ time)) * HOUR / NAUTICAL_MILE
-        rows.append((item.name, float(np.sqrt(np.mean(radial**2))), item.rms, rate, item.cep_rate))
-    columns = (
-        "Navigation",
-        "predicted rms radial [m]",
-        "rms radial [m]",
-        "predicted CEP rate [nmi/h]",
-        "CEP rate [nmi/h]",
-    )
-    return [Table("Errors predicted from the declared constant errors alone", columns, tuple(rows))]
+        across = item.attitude[:, 2]
+        horizontal = declared - np.concatenate([across * (part @ across) for part in (declared[:3], declared[3:])])
+        radial = [
+            np.hypot(
+                *errors_over_time(errors, item.attitude, item.cycle, item.aligned, item.seconds, request.site)[1].T
+            )
+            for errors in (declared, horizontal)
+        ]
+        rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
+        rows.append((item.name, item.rms, *rms))
+    columns = ("Navigation", "rms radial [m]", "predicted [m]", "of this, horizontal errors alone [m]")
+    return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
 
 
 def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
