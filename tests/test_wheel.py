@@ -40,5 +40,10 @@ def test_wheel_in_a_new_environment(tmp_path: Path) -> None:
     out = planrunner("run", "flexure_gyro_eight_position.yaml", "--set", "device_serial=1", "--set", "operator=test")
     report = work / out.strip().splitlines()[-1]
     assert report.is_file()
+    told = ["certificate_number", "customer", "customer_contact", "item_description", "issued_by"]
+    given = [part for name in told for part in ("--set", f"{name}=x")]
+    run = str(report.parents[2])
+    page = planrunner("report", run, "certificate.zh.html", *given, "--set", "date_received=2026-01-01")
+    assert "校准证书" in Path(work / page.strip()).read_text(encoding="utf-8")
     assert "17 of 17 comparisons passed" in planrunner("self-test")
     assert str(ROOT) not in report.read_text(encoding="utf-8")
