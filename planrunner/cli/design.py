@@ -1,4 +1,8 @@
-"""`planrunner design`: better positions for a plan, on its bench, and what no positions can pass; or a better rotation cycle."""
+"""`planrunner design`: better positions or rates for a plan, on its bench, and what none can pass; or a better rotation cycle.
+
+One module a kind of study (`design_positions`, `design_rates`, `design_cycle`) makes it and says what its page is given; here it is chosen
+and shown.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import Any
 
 from planrunner import cli
-from planrunner.cli import design_cycle
-from planrunner.cli.printing import print_findings, print_json, write_file
+from planrunner.cli import design_cycle, design_positions, design_rates
+from planrunner.cli.printing import print_findings, print_json, printable, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, parse_quantity
-
-if TYPE_CHECKING:
-    from planrunner.designing import Study
-    from planrunner.reporting.design_page import DesignContext
 
 PATIENCE = 2.0
 """Seconds before progress is shown."""
@@ -29,60 +30,76 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN", help="plan file")
     parser.add_argument("--bench", metavar="BENCH", help="design for this bench: a shipped name or a file")
     parser.add_argument("--estimate", metavar="NAME", help="design for this estimate (default: the first that can be)")
-    parser.add_argument("--output", metavar="NAME", help="of this output, where the outputs see different things")
     parser.add_argument(
-        "--criterion", choices=("D", "A", "G", "I"), default="D", help="what to search for (default: D)"
-    )
-    parser.add_argument(
-        "--orientations",
-        choices=("free", "cardinal", "planned"),
-        default="free",
-        help="which set goes into the plan (default: free)",
+        "--criterion", choices=("D", "A", "G", "I"), default="D", help="what to search for (default: D; rates: D or A)"
     )
     parser.add_argument(
         "--time", metavar="DURATION", help="the whole plan's time, such as '45 min': allot dwells within it"
     )
-    parser.add_argument("--restarts", type=int, default=8, help="seeded starts of the free search (default: 8)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: 0)")
+    design_positions.add_arguments(parser)
+    design_rates.add_arguments(parser)
     design_cycle.add_arguments(parser)
-    parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the new positions or cycle")
+    parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with what was chosen")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
-    if design_cycle.wanted(args):
-        return design_cycle.run(args)
     # The searches solve many tiny systems: threads of the linear algebra only wait for each other. It reads this as scipy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from planrunner.designed_plan import write_plan
-    from planrunner.designing import Options, design_plan
-
-    if args.restarts < 1 or args.seed < 0:
-        raise EstimationError("--restarts is at least 1 and --seed at least 0")
-    options = Options(
-        args.estimate, args.output, args.criterion, args.orientations, _seconds(args.time), args.restarts, args.seed
-    )
+    kind = _kind(args)
     with _progress(args.quiet) as progress:
-        study = design_plan(Path(args.plan), options, args.bench, progress)
+        study: Any = kind.study(args, _seconds(args.time), progress)
     print_findings(study.checked.findings)
-    context = _context(study)
-    if args.json:
-        from planrunner.reporting.design_page import to_json
-
-        print_json(to_json(context))
-    else:
-        _print(context)
-    if args.html is not None:
-        from planrunner.reporting.design_page import render_design
-
-        write_file(args.html, render_design(context))
-        print(args.html, file=sys.stderr if args.json else sys.stdout)
+    _show(args, kind.context(study), _page(kind))
     if args.write is not None:
+        from planrunner.designed_plan import write_plan
+
+        if not study.text:
+            raise EstimationError(kind.missing(study))
         print_findings(write_plan(study, args.write, args.bench).findings)
         print(args.write, file=sys.stderr if args.json else sys.stdout)
     return cli.DONE
+
+
+def _kind(args: argparse.Namespace) -> ModuleType:
+    """Which kind of study a plan and the options ask for: positions wherever an estimate takes segments at rest."""
+    if args.segment is not None:
+        return design_cycle
+    if args.rates:
+        return design_rates
+    from planrunner.checking import check_plan
+    from planrunner.designing_cycles import has_cycle_alone
+    from planrunner.designing_rates import has_rates_alone
+
+    checked = check_plan(Path(args.plan), bench=args.bench)
+    if has_rates_alone(checked, args.estimate):
+        return design_rates
+    return design_cycle if args.estimate is None and has_cycle_alone(checked) else design_positions
+
+
+def _page(kind: ModuleType) -> ModuleType:
+    from planrunner.reporting import cycle_page, design_page, rates_page
+
+    return {design_positions: design_page, design_rates: rates_page, design_cycle: cycle_page}[kind]
+
+
+def _show(args: argparse.Namespace, context: Any, page: ModuleType) -> None:
+    from planrunner.reporting import terminal
+
+    if args.json:
+        print_json(page.to_json(context))
+    else:
+        console = terminal.console()
+        console.print(printable(page.heading(context)))
+        for table in page.tables(context):
+            console.print(terminal.data_table(table))
+        for note in page.notes(context):
+            console.print(printable(f"note: {note}"), style="dim")
+    if args.html is not None:
+        write_file(args.html, page.render_page(context))
+        print(args.html, file=sys.stderr if args.json else sys.stdout)
 
 
 def _seconds(text: str | None) -> float | None:
@@ -115,62 +132,3 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     yield take
     if terminal:
         print("\r\033[K", end="", file=sys.stderr, flush=True)
-
-
-def _context(study: Study) -> DesignContext:
-    from planrunner.designing import residual_ratios
-    from planrunner.reporting.context import site_facts
-    from planrunner.reporting.design_page import DesignContext, DesignedSet
-
-    checked = study.checked
-    assert checked.plan is not None and checked.bench is not None and checked.models is not None
-    sets = {}
-    for name, one in study.sets.items():
-        design = one.designs.get(study.sight.name)
-        sets[name] = DesignedSet(
-            tuple(place.label for place in study.places),
-            one.texts,
-            one.attitudes,
-            one.merit,
-            one.of_found,
-            one.of_bound,
-            one.of_cardinal,
-            one.schedule.total,
-            residual_ratios(study, name),
-            design.predicted if design is not None else (),
-        )
-    claims = [
-        note
-        for name, design in study.sets["planned"].designs.items()
-        if name != study.sight.name and not design.blocks
-        for note in design.notes
-    ]
-    return DesignContext(
-        checked.plan.title,
-        study.sight.name,
-        study.sight.others,
-        study.sight.terms,
-        study.options.criterion,
-        study.options.orientations,
-        sets,
-        study.best,
-        {name: one.merit for name, one in study.bounds.items()},
-        {name: one.certificate for name, one in study.bounds.items()},
-        study.search,
-        study.dwells,
-        study.dwell_gain,
-        {"Plan": checked.file, "Bench": checked.bench.name, **site_facts(checked.models.site)},
-        tuple(claims),
-    )
-
-
-def _print(context: DesignContext) -> None:
-    from planrunner.cli.printing import printable
-    from planrunner.reporting import design_page, terminal
-
-    console = terminal.console()
-    console.print(printable(f"{context.estimate}: {design_page.facts(context)['Searched for']}; {context.search}"))
-    for table in design_page.tables(context):
-        console.print(terminal.data_table(table))
-    for note in (*context.notes, *design_page.notes(context)):
-        console.print(printable(f"note: {note}"), style="dim")

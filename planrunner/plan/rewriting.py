@@ -1,4 +1,4 @@
-"""A plan's text with other orientations, dwells or moves: only the places that state them change; comments and layout stay.
+"""A plan's text with other orientations, dwells, moves or rates: only the places that state them change; comments and layout stay.
 
 Orientations are written as the nearest orientation in words and turns about the sensor's own axes, so that a reviewer can picture them.
 """
@@ -144,6 +144,52 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
     # A list in lines of its own ends with its last entry; what follows may be a comment.
     end = node.end_mark.index if node.flow_style else node.value[-1].end_mark.index
     return text[: node.start_mark.index] + "[" + joint.join(rows) + "]" + text[end:]
+
+
+def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: Sequence[int] | None = None) -> str:
+    """The text with the sweep over rates that begins at (line, column), both from 1, replaced by others.
+
+    turns: a dwell in whole turns for each rate; the segment that holds the sweep is then written once a rate. Raises `RewriteError`
+    where no sweep begins there.
+    """
+    for item in _mappings(yaml.compose(text)):
+        node = _child(_child(item, "for_each"), "rate")
+        if node is not None and (node.start_mark.line + 1, node.start_mark.column + 1) == place:
+            break
+    else:
+        raise RewriteError(f"line {place[0]}: no sweep over rates is written here; write it as `for_each: {{rate: …}}`")
+    begin, end = item.start_mark.index, item.end_mark.index
+    end = begin + len(text[begin:end].rstrip())
+    if turns is None:
+        written = _changed(text, begin, end, [(node, f'"{", ".join(rates)}"')])
+    else:
+        dwell = _child(item, "dwell")
+        copies = []
+        for rate, count in zip(rates, turns, strict=True):
+            changes = [(node, f'"{rate}"')] + ([(dwell, f"{{turns: {count}}}")] if dwell is not None else [])
+            copy = _changed(text, begin, end, changes)
+            if dwell is None:
+                copy = _with_key(copy, f"dwell: {{turns: {count}}}", item)
+            copies.append(copy)
+        written = ("\n" + " " * (item.start_mark.column - 2) + "- ").join(copies)
+    return text[:begin] + written + text[end:]
+
+
+def _changed(text: str, begin: int, end: int, changes: Sequence[tuple[yaml.Node, str]]) -> str:
+    """The part of the text from `begin` to `end` with some nodes in it replaced."""
+    part = text[begin:end]
+    for node, new in sorted(changes, key=lambda change: -change[0].start_mark.index):
+        first, last = node.start_mark.index - begin, node.end_mark.index - begin
+        last = first + len(part[first:last].rstrip())
+        part = part[:first] + new + part[last:]
+    return part
+
+
+def _with_key(part: str, entry: str, item: yaml.Node) -> str:
+    """A mapping's text with one more key."""
+    if isinstance(item, yaml.MappingNode) and item.flow_style:
+        return part.rstrip().removesuffix("}").rstrip() + f", {entry}}}"
+    return part + "\n" + " " * item.start_mark.column + entry
 
 
 def _of(text: str, node: yaml.Node) -> str:

@@ -19,6 +19,11 @@ from planrunner.reporting.view import named, table_view
 
 POINTS = 1500  # of a course, as drawn
 ROUNDS = 3  # cycles of the longest that are drawn
+FOOTER = (
+    "Not modulated: the share of a constant horizontal error that acts on as if the sensor stood still. Schuler drive: the free Schuler "
+    "oscillation that the cycle builds up of a constant gyro drift within the dwell, over the one that the same drift makes without "
+    "rotation; 0 for cycles much shorter than 84.4 min."
+)
 TITLES = {"planned": "as planned", "same order": "same order of stops", "free order": "free order of stops"}
 
 
@@ -37,13 +42,15 @@ class CycleContext:
     facts: Mapping[str, str] = field(default_factory=dict)
 
 
-def render_cycles(context: CycleContext, folder: Path | None = None) -> str:
+def render_page(context: CycleContext, folder: Path | None = None) -> str:
     """One self-contained HTML page. Raises `ReportError`."""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import plot_svg
 
     given = {
+        "kicker": "Design of a rotation cycle",
+        "footer": FOOTER,
         "title": context.title,
         "facts": named({**context.facts, **facts(context)}),
         "tables": [table_view(table) for table in tables(context)],
@@ -53,7 +60,12 @@ def render_cycles(context: CycleContext, folder: Path | None = None) -> str:
         ],
         "notes": notes(context),
     }
-    return render("design-cycle.html", given, folder)
+    return render("design-study.html", given, folder)
+
+
+def heading(context: CycleContext) -> str:
+    said = facts(context)
+    return f"cycle of '{context.label}': stops of {said['Stops']}, turns at {said['Turns']}"
 
 
 def facts(context: CycleContext) -> dict[str, str]:

@@ -62,7 +62,7 @@ class DesignContext:
     notes: tuple[str, ...] = ()
 
 
-def render_design(context: DesignContext, folder: Path | None = None) -> str:
+def render_page(context: DesignContext, folder: Path | None = None) -> str:
     """One self-contained HTML page. Raises `ReportError`."""
     return render("design.html", design_view(context), folder)
 
@@ -86,7 +86,7 @@ def design_view(context: DesignContext) -> dict[str, Any]:
         "facts": named({**context.facts, **facts(context)}),
         "tables": [table_view(table) for table in tables(context)],
         "pictures": pictures,
-        "notes": [*context.notes, *notes(context)],
+        "notes": notes(context),
     }
 
 
@@ -179,10 +179,14 @@ def _ratios(context: DesignContext) -> list[Table]:
     return [Table("Residual sums of squares to expect, against the set of this estimate", columns, tuple(rows))]
 
 
+def heading(context: DesignContext) -> str:
+    return f"{context.estimate}: {facts(context)['Searched for']}; {context.search}"
+
+
 def notes(context: DesignContext) -> list[str]:
-    """What the figures mean, in sentences."""
+    """What the plan's estimates claim and what the figures mean, in sentences."""
     chosen, planned = context.sets[context.chosen], context.sets["planned"]
-    said = []
+    said = list(context.notes)
     if not planned.merit.sound:
         said.append(
             f"The planned positions have rank {planned.merit.rank} of {len(context.terms)}: they cannot tell all terms apart."
@@ -228,7 +232,7 @@ def to_json(context: DesignContext) -> dict[str, Any]:
         },
         "dwells_s": list(context.dwells),
         "equal_dwells_efficiency": context.dwell_gain,
-        "notes": [*context.notes, *notes(context)],
+        "notes": notes(context),
     }
 
 

@@ -1,0 +1,96 @@
+"""Choosing among bundles: candidates that add several observations at once, such as a pair of equal and opposite rates.
+
+A bundle adds the information matrix B_i (p, p); what is not chosen, such as rest segments, adds F. D asks for the largest |F + Σ B_i|, A
+for the smallest trace of its inverse. Bundles are few and p is small, so that exchange recomputes whole matrices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def loss(matrix: Array, criterion: str) -> float:
+    """−ln|M| (D) or tr M⁻¹ (A) of an information matrix (p, p); infinite where it is singular."""
+    sign, logarithm = np.linalg.slogdet(matrix)
+    size = float(np.trace(matrix)) / len(matrix)
+    if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):
+        return math.inf
+    return -float(logarithm) if criterion == "D" else float(np.trace(np.linalg.inv(matrix)))
+
+
+def choose(
+    bundles: Array,
+    fixed: Array,
+    count: int,
+    criterion: str = "D",
+    kept: Sequence[int] = (),
+    restarts: int = 20,
+    seed: int = 0,
+) -> tuple[int, ...]:
+    """Indices (count,), ascending, of different bundles (N, p, p): exchange from seeded starts, those in `kept` always among them.
+
+    Raises ValueError where there are fewer bundles than wanted, or none of the choices gives all terms.
+    """
+    if count > len(bundles) or len(kept) > count:
+        raise ValueError(f"{count} different ones cannot be chosen out of {len(bundles)}")
+    random = np.random.default_rng(seed)
+    others = np.setdiff1d(np.arange(len(bundles)), kept)
+    best, least = None, math.inf
+    for _ in range(restarts):
+        free = random.choice(others, count - len(kept), replace=False)
+        found, reached = _settle(bundles, fixed + bundles[list(kept)].sum(axis=0), free, others, criterion)
+        if reached < least:
+            best, least = found, reached
+    if best is None:
+        raise ValueError("no choice tells all terms apart")
+    return tuple(sorted((*kept, *best)))
+
+
+def _settle(bundles: Array, fixed: Array, start: Array, others: Array, criterion: str) -> tuple[list[int], float]:
+    chosen = [int(index) for index in start]
+    ridge = 1e-9 * float(np.trace(bundles.sum(axis=0))) / len(bundles) * np.eye(bundles.shape[1])
+    least = loss(fixed + ridge + bundles[chosen].sum(axis=0), criterion)
+    improved = True
+    while improved:
+        improved = False
+        for place in range(len(chosen)):
+            rest = fixed + ridge + bundles[chosen[:place] + chosen[place + 1 :]].sum(axis=0)
+            for candidate in others:
+                if candidate in chosen:
+                    continue
+                reached = loss(rest + bundles[candidate], criterion)
+                if reached < least - 1e-12 * abs(least):
+                    chosen[place], least, improved = int(candidate), reached, True
+    return chosen, loss(fixed + bundles[chosen].sum(axis=0), criterion)
+
+
+def shares(
+    bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
+) -> tuple[Array, float]:
+    """The best shares (N,), adding up to 1, of a resource of which every bundle (N, p, p) is what its whole would add, and the excess of
+    the largest derivative over its mean that is left (0 at the optimum: Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
+
+    fixed: (p, p), there whatever the shares are. Raises ValueError where the bundles cannot give all terms.
+    """
+    count = len(bundles)
+    part = np.full(count, 1.0 / count)
+    if not math.isfinite(loss(fixed + np.tensordot(part, bundles, 1), criterion)):
+        raise ValueError("the candidates cannot tell all terms apart")
+    excess = math.inf
+    for _ in range(most_steps):
+        inverse = np.linalg.inv(fixed + np.tensordot(part, bundles, 1))
+        middle = inverse if criterion == "D" else inverse @ inverse
+        gain = np.einsum("ij,nji->n", middle, bundles)
+        mean = float(part @ gain)
+        excess = float(gain.max()) / mean - 1.0
+        if excess <= tolerance:
+            break
+        part = part * (gain / mean) ** (1.0 if criterion == "D" else 0.5)
+        part /= part.sum()
+    return part, excess

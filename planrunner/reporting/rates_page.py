@@ -1,0 +1,209 @@
+"""What a design study of rates says, as tables for the terminal, as plain data, and as a page with the variance over rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Coefficient, Plot, Table
+from planrunner.reporting import words
+from planrunner.reporting.templates import render
+from planrunner.reporting.view import named, table_view
+
+TITLES = {"planned": "as planned", "best": "best found"}
+FOOTER = (
+    "Rates are judged on the estimator’s terms and, unless left out, |rate| and rate³, which asymmetry and nonlinearity rest on, with the "
+    "noise that the sensor declares for each recording. Efficiencies are by the criterion, per coefficient."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ShownRates:
+    """One set: rates (n,), rad/s, and dwells (n,), s, largest rate first; the rest as in `planrunner.designing_rates.RateSet`."""
+
+    rates: tuple[float, ...]
+    dwells: tuple[float, ...]
+    efficiency: float
+    per_hour: float
+    variance: NDArray[np.float64]
+    predicted: tuple[Coefficient, ...]
+    total: float
+
+
+@dataclass(frozen=True, slots=True)
+class RatesContext:
+    """time: the budget [s], None without one. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess:
+    what is left of the bound's certificate."""
+
+    title: str
+    estimate: str
+    output: str
+    terms: tuple[str, ...]
+    criterion: str
+    time: float | None
+    repeats: int
+    sets: Mapping[str, ShownRates]
+    course: NDArray[np.float64]
+    excess: float
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+
+def render_page(context: RatesContext, folder: Path | None = None) -> str:
+    """One self-contained HTML page. Raises `ReportError`."""
+    from markupsafe import Markup
+
+    from planrunner.reporting.plots import plot_svg
+
+    given = {
+        "kicker": "Design of rates",
+        "footer": FOOTER,
+        "title": context.title,
+        "facts": named({**context.facts, **facts(context)}),
+        "tables": [table_view(table) for table in tables(context)],
+        "plots": [
+            {"title": plot.title, "svg": Markup(plot_svg(plot, f"rates-{number}"))}
+            for number, plot in enumerate(plots(context), start=1)
+        ],
+        "notes": notes(context),
+    }
+    return render("design-study.html", given, folder)
+
+
+def facts(context: RatesContext) -> dict[str, str]:
+    return {
+        "Estimate": f"{context.estimate} ({context.output})",
+        "Terms": ", ".join(context.terms),
+        "Searched for": f"{context.criterion}-optimal sets of {len(context.sets['planned'].rates)} rates",
+        "Repeats": str(context.repeats),
+    }
+
+
+def heading(context: RatesContext) -> str:
+    return f"{context.estimate}: {facts(context)['Searched for']} for {', '.join(context.terms)}"
+
+
+def tables(context: RatesContext) -> list[Table]:
+    """Efficiencies, the rates with their recording times, and what to expect."""
+    compared = tuple(
+        (TITLES[name], _percent(one.efficiency), _percent(one.per_hour), words.duration(one.total))
+        for name, one in context.sets.items()
+    )
+    return [
+        Table(
+            "What the rates tell",
+            ("Rates", "Of the best found", "Of the best use of their time", "Plan takes"),
+            compared,
+        ),
+        _rates(context),
+        *_uncertainties(context),
+    ]
+
+
+def _rates(context: RatesContext) -> Table:
+    planned, best = context.sets["planned"], context.sets["best"]
+    rows = [
+        (_degrees(a), words.duration(x), _degrees(b), words.duration(y))
+        for a, x, b, y in zip(planned.rates, planned.dwells, best.rates, best.dwells, strict=True)
+    ]
+    return Table("Rates [°/s]", ("As planned", "recorded for", "Best found", "recorded for"), tuple(rows))
+
+
+def _pairs(context: RatesContext) -> dict[str, tuple[Coefficient, Coefficient]]:
+    """Coefficients as both sets promise them, by name."""
+    after = {item.name: item for item in context.sets["best"].predicted}
+    return {item.name: (item, after[item.name]) for item in context.sets["planned"].predicted if item.name in after}
+
+
+def _alike(before: Coefficient, now: Coefficient) -> bool:
+    return abs(now.standard_uncertainty - before.standard_uncertainty) <= 0.01 * before.standard_uncertainty
+
+
+def _uncertainties(context: RatesContext) -> list[Table]:
+    """Of the coefficients whose uncertainty changes."""
+    rows = [
+        (name, f"{before.standard_uncertainty:.3g}", f"{now.standard_uncertainty:.3g}", now.unit)
+        for name, (before, now) in _pairs(context).items()
+        if not _alike(before, now)
+    ]
+    columns = ("Coefficient", "as planned", "best found", "Unit")
+    return [Table("Standard uncertainties to expect, where they change", columns, tuple(rows))] if rows else []
+
+
+def notes(context: RatesContext) -> list[str]:
+    """What the figures mean, in sentences."""
+    planned, best = context.sets["planned"], context.sets["best"]
+    said = []
+    if len(planned.variance) and len(best.variance):
+        said.append(
+            "Against the planned rates, the worst variance of a predicted output over the rates becomes "
+            f"{best.variance.max() / planned.variance.max():.3g} times as large, the mean "
+            f"{best.variance.mean() / planned.variance.mean():.3g} times."
+        )
+    stay = [name for name, (before, now) in _pairs(context).items() if _alike(before, now)]
+    if stay:
+        more = f" and {len(stay) - 6} more" if len(stay) > 6 else ""
+        said.append(
+            f"{', '.join(stay[:6])}{more} stay within 1 %: something else than noise rules their uncertainty; the budgets in the "
+            "estimate's report show what."
+        )
+    said.append(
+        "A straight line alone wants every rate at the largest; interior rates are there to see asymmetry and nonlinearity, and the lowest "
+        "for threshold and resolution."
+    )
+    if context.excess > 1e-4:
+        said.append(f"The bound is certified to {context.excess:.2g} only.")
+    if context.time is not None:
+        said.append(
+            "Recording times are whole turns; every rate keeps at least a quarter of an equal share, or one turn."
+        )
+    return said
+
+
+def plots(context: RatesContext) -> list[Plot]:
+    series = {
+        TITLES[name]: tuple(np.round(one.variance, 6).tolist())
+        for name, one in context.sets.items()
+        if len(one.variance)
+    }
+    if not series:
+        return []
+    x = tuple(np.round(np.degrees(context.course), 6).tolist())
+    words_y = "variance, of one recording at the largest rate = 1"
+    return [Plot("Variance of a predicted output over rate", "rate [°/s]", words_y, x, series, lines=True)]
+
+
+def to_json(context: RatesContext) -> dict[str, Any]:
+    """The study as plain data."""
+    return {
+        "estimate": context.estimate,
+        "output": context.output,
+        "terms": list(context.terms),
+        "criterion": context.criterion,
+        "sets": {
+            name: {
+                "rates_deg_per_s": [round(math.degrees(rate), 9) for rate in one.rates],
+                "dwells_s": list(one.dwells),
+                "efficiency": one.efficiency,
+                "efficiency_per_time": one.per_hour,
+                "total_s": one.total,
+                "standard_uncertainties": {item.name: [item.standard_uncertainty, item.unit] for item in one.predicted},
+            }
+            for name, one in context.sets.items()
+        },
+        "excess": context.excess,
+        "notes": notes(context),
+    }
+
+
+def _degrees(rate: float) -> str:
+    return f"±{round(math.degrees(rate), 6):g}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
