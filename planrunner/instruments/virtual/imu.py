@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
 from planrunner.instruments.virtual.noise import Counter, Flicker, RandomWalk, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
-from planrunner.instruments.virtual.world import World
+from planrunner.instruments.virtual.world import Components, World
 from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS, unit
@@ -37,6 +37,16 @@ REFERENCE = {
 }
 MODES = ("powered", "unpowered")
 _SWITCH_ON = 1  # second part of the key of a generator: apart from those of segments, which have one part
+
+
+@dataclass(frozen=True, slots=True)
+class _Dwell:
+    """One segment's recording. chances: (axes, 2), drawn at switch-on for bias and scale factor; counters: of counted outputs."""
+
+    sampling: Sampling
+    draw: np.random.Generator
+    chances: Array
+    counters: Mapping[str, Counter]
 
 
 class VirtualImu:
@@ -99,11 +109,12 @@ class VirtualImu:
         for axis in self.axes:
             self.flicker[axis.name].begin(sampling.start, draw)
             self.walk[axis.name].begin(sampling.start, draw)
-        counters = {axis.name: Counter(axis.step_of_sample(sampling.rate)) for axis in self.axes if axis.counted}
-        drawn = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
-        return sampling.blocks(
-            self.world, lambda first, length: self._block(sampling, first, length, draw, drawn, counters)
-        )
+        counters = {
+            axis.name: Counter(axis.step_of_sample(sampling.rate)) for axis in self.axes if axis.counted and axis.step
+        }
+        chances = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
+        dwell = _Dwell(sampling, draw, chances, counters)
+        return sampling.blocks(self.world, lambda first, length: self._block(dwell, first, length))
 
     def read(self) -> Mapping[str, float]:
         kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
@@ -138,68 +149,49 @@ class VirtualImu:
 
     # -- how it does it --------------------------------------------------------------------------------------------
 
-    def _block(
-        self,
-        sampling: Sampling,
-        first: int,
-        length: int,
-        draw: np.random.Generator,
-        drawn: Array,
-        counters: Mapping[str, Counter],
-    ) -> Block:
+    def _block(self, dwell: _Dwell, first: int, length: int) -> Block:
         """Samples first … first + length − 1. Temperature and slow noise are those of the middle of each second."""
-        hold = sampling.hold
+        sampling = dwell.sampling
         middles = sampling.middles(first, length)
         kelvin = self.world.sensor(middles)
-        readings: dict[str, Array] = {}
         if self.powered:
-            felt = interval_means(self.world, sampling, first, length)
-            for axis, chance in zip(self.axes, drawn, strict=True):
-                level = self._level(axis, felt, kelvin, middles, sampling, chance, draw)
-                readings[axis.name] = self._read_out(axis, level, length, sampling, draw, counters.get(axis.name))
+            means = interval_means(self.world, sampling, first, length)
+            readings = {
+                axis.name: self._samples(axis, chance, dwell, means, kelvin, middles, length)
+                for axis, chance in zip(self.axes, dwell.chances, strict=True)
+            }
         else:
             readings = {axis.name: np.zeros(length) for axis in self.axes}
         thermometer = Readout(self.parameters.thermometer_noise.value)
-        readings[THERMOMETER] = thermometer.samples(draw, kelvin - ZERO_CELSIUS, length, hold)
+        readings[THERMOMETER] = thermometer.samples(dwell.draw, kelvin - ZERO_CELSIUS, length, sampling.hold)
         time = sampling.times(first, length, delay=1)
         if self.parameters.reference:
             truth = zip(REFERENCE.items(), self.world.position(time), strict=True)
             readings |= {name: np.broadcast_to(value / unit(text).factor, length) for (name, text), value in truth}
         return Block(time, readings)
 
-    def _level(
+    def _samples(
         self,
         axis: InertialAxis,
-        means: Any,
+        chance: Array,
+        dwell: _Dwell,
+        means: tuple[Components, Components],
         kelvin: Array,
         middles: Array,
-        sampling: Sampling,
-        chance: Array,
-        draw: np.random.Generator,
+        length: int,
     ) -> Array:
-        """Output of one axis without white noise."""
-        off = kelvin - self.parameters.reference_temperature.value
+        """What one axis gives for mean rates and forces; kelvin, middles: temperature and time of every second."""
+        sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
+        off = kelvin - self.parameters.reference_temperature.value
         drift = axis.drift(off, middles - self.switched_on, axis.bias_repeatability * chance[0])
         drift = drift + self.flicker[axis.name].advance(off.size, step, draw)
         drift += self.walk[axis.name].advance(off.size, step, draw)
         scale = axis.scale(off, axis.error_repeatability * chance[1])
-        return axis.level(axis.felt(*means), drift, scale, sampling.hold)
-
-    def _read_out(
-        self,
-        axis: InertialAxis,
-        level: Array,
-        length: int,
-        sampling: Sampling,
-        draw: np.random.Generator,
-        counter: Counter | None,
-    ) -> Array:
-        """Samples of one axis around its level."""
+        level = axis.level(axis.felt(*means), drift, scale, sampling.hold)
         sigma = axis.white * axis.nominal * math.sqrt(sampling.rate)
-        step = 0.0 if axis.counted else axis.step
-        readout = Readout(sigma, step, axis.full_scale * axis.nominal)
+        readout = Readout(sigma, 0.0 if axis.counted else axis.step, axis.full_scale * axis.nominal)
         samples = readout.samples(draw, level, length, sampling.hold)
-        if counter is not None and counter.step > 0:
-            counter.count(samples)
+        if axis.name in dwell.counters:
+            dwell.counters[axis.name].count(samples)
         return samples
