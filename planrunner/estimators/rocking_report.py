@@ -118,16 +118,18 @@ def method_error(request: EstimateRequest, seconds: float) -> Table:
 
 
 def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
+    """For each axis, the sizes of the drifts by both methods in rising order."""
     return [
         Plot(
             f"Rocking drift about {AXES[pairs.axis]} over random pairings",
-            "pair",
-            "rocking drift, deg/h",
-            tuple(range(1, len(pairs.accelerometers) + 1)),
+            "share of the pairs with a smaller drift, %",
+            "size of the rocking drift, deg/h",
+            tuple(100 * (number + 0.5) / len(pairs.gimbals) for number in range(len(pairs.gimbals))),
             {
-                "by gimbal angles": tuple(map(float, pairs.gimbals)),
-                "by accelerometers": tuple(map(float, pairs.accelerometers)),
+                "by gimbal angles": tuple(sorted(map(abs, pairs.gimbals.tolist()))),
+                "by accelerometers": tuple(sorted(map(abs, pairs.accelerometers.tolist()))),
             },
+            lines=True,
         )
         for pairs in pairings
     ]
@@ -143,4 +145,5 @@ def leak_note(request: EstimateRequest, seconds: float) -> str:
 
 
 def _figure(value: float) -> str:
-    return "" if not math.isfinite(value) else f"{value:.4f}" if abs(value) >= 0.001 or value == 0 else f"{value:.2e}"
+    digits = 4 if abs(value) >= 0.001 or value == 0 else 5
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""

@@ -1,0 +1,22 @@
+"""The stated 95 % intervals of rocking drifts hold the truth about as often as they say; docs/platform-rocking.md has long campaigns."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import rocking_coverage
+import rocking_window_coverage
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("campaign", "count"), [(rocking_coverage.campaign, 150), (rocking_window_coverage.campaign, 1500)]
+)
+def test_intervals_of_rocking_drifts_hold_the_truth(campaign, count) -> None:
+    """From whole records, and from what the filter leaves of them in the windows; three standard errors of a binomial share."""
+    held = campaign(count, seed=11)
+    assert len(held) == 6
+    for name, (inside, of) in held.items():
+        assert of == count
+        assert abs(inside / of - 0.95) < 3 * math.sqrt(0.95 * 0.05 / count), name
