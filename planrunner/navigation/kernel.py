@@ -72,10 +72,12 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _earth_at(latitude, height, turn, rate, factor):  # type: ignore[no-untyped-def]
-    """At latitude + turn (a small angle): 1/(radius + height) in the meridian and in the prime vertical, cosine and tangent of the
-    latitude, gravity, and the Earth's rate north and up."""
+def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped-def]
+    """What the Earth is like `north` metres north of a latitude: 1/(radius + height) in the meridian and in the prime vertical, cosine
+    and tangent of the latitude, gravity, and the Earth's rate north and up."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
+    w = 1.0 - ECCENTRICITY_SQUARED * sine * sine
+    turn = north / (SEMI_MAJOR_AXIS * (1.0 - ECCENTRICITY_SQUARED) / (w * math.sqrt(w)) + height)
     sine, cosine = sine + turn * (cosine - 0.5 * turn * sine), cosine - turn * (sine + 0.5 * turn * cosine)
     squared = sine * sine
     w = 1.0 - ECCENTRICITY_SQUARED * squared
@@ -132,11 +134,11 @@ def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
     ve, vn, vu = v
     de, dn, du = d
     to_north, to_east, _, tangent, gravity, earth_n, earth_u = place
-    # to the middle, for the transport rate and the Coriolis acceleration there
-    e, n, u = -vn * to_north, 2.0 * earth_n + ve * to_east, 2.0 * earth_u + ve * to_east * tangent
-    me = ve + 0.5 * (de + dt * (u * vn - n * vu))
-    mn = vn + 0.5 * (dn + dt * (e * vu - u * ve))
-    mu = vu if held else vu + 0.5 * (du + dt * (n * ve - e * vn - gravity))
+    # half of the change leads to the middle, whose transport rate and Coriolis acceleration then give all of it
+    e, n, u = -vn * to_north, earth_n + ve * to_east, earth_u + ve * to_east * tangent
+    me = ve + 0.5 * (de - 0.5 * dt * (n * du - u * dn) + dt * ((u + earth_u) * vn - (n + earth_n) * vu))
+    mn = vn + 0.5 * (dn - 0.5 * dt * (u * de - e * du) + dt * (e * vu - (u + earth_u) * ve))
+    mu = vu if held else vu + 0.5 * (du - 0.5 * dt * (e * dn - n * de) + dt * ((n + earth_n) * ve - e * vn - gravity))
     e, n, u = -mn * to_north, earth_n + me * to_east, earth_u + me * to_east * tangent
     new_e = ve + de - 0.5 * dt * (n * du - u * dn) + dt * ((u + earth_u) * mn - (n + earth_n) * mu)
     new_n = vn + dn - 0.5 * dt * (u * de - e * du) + dt * (e * mu - (u + earth_u) * me)
@@ -164,7 +166,7 @@ def advance(state, increments, interval, aiding, earth, gains, held, every, knot
         u = (increments[3, k], increments[4, k], increments[5, k])
         rotation, d = _body_increments(t, u, a, b)
         a, b = t, u
-        place = _earth_at(latitude, height + 0.5 * vu * dt, 0.5 * vn * dt / SEMI_MAJOR_AXIS, earth[0], earth[1])
+        place = _earth_at(latitude, height + 0.5 * vu * dt, 0.5 * vn * dt, earth[0], earth[1])
         new_e, new_n, new_u, e, n, up = _new_velocity((ve, vn, vu), _turned(q, d), place, dt, held)
         if not held:
             error = height - aiding[min(k, aiding.size - 1)]
