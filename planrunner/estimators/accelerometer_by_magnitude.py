@@ -217,7 +217,7 @@ def _bases_table(
         for spreads, freedom in parts:
             row += [float(spreads[k]), freedom, expanded_uncertainty(float(spreads[k]), freedom)]
         rows.append(tuple(row))
-    return Table("Uncertainties on either basis", tuple(columns), tuple(rows))
+    return Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows))
 
 
 def _pose_table(poses: _Poses, fit: GravityFit) -> Table:

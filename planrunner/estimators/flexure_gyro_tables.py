@@ -87,4 +87,4 @@ def both_bases(found: PhysicalSet, fit: OutputsFit, chosen: str) -> tuple[Table,
         for spread, freedom, wide in per_basis:
             row += [float(spread[q]), float(freedom[q]), wide[q]]
         rows.append(tuple(row))
-    return (Table("Uncertainties on either basis", tuple(columns), tuple(rows)),)
+    return (Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows)),)

@@ -98,4 +98,4 @@ def both_bases(found: Reported, bases: Sequence[str], spread: Callable[[str], tu
         for u, freedom in cells:
             row += [float(u[q]), float(freedom[q]), expanded_uncertainty(float(u[q]), float(freedom[q]))]
         rows.append(tuple(row))
-    return Table("Uncertainties on either basis", tuple(columns), tuple(rows))
+    return Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows))

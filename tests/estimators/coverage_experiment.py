@@ -102,7 +102,7 @@ def coverage(
         for n in range(min(chunk, runs - start)):
             segments = experiment(rng, white, ratio, tilt, slow[n])
             found = FlexureGyroStatic().estimate(EstimateRequest("d", segments, parameters, SITE, model))
-            table = next(table for table in found.tables if table.title == "Uncertainties on either basis")
+            table = next(table for table in found.tables if table.title == "Uncertainties of the data, on either basis")
             rows = {row[0]: row for row in table.rows}
             values = np.array([rows[name][2] for name in NAMES])
             for basis, counts in hits.items():
