@@ -170,7 +170,7 @@ def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) ->
     _check_sensor(plan, checked.models, log)
     if not stated:
         return
-    schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log)
+    schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log, plan.mounting)
     if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
         checked.schedule = schedule
         if checked.models.sensor is not None:

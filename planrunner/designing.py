@@ -330,7 +330,7 @@ class _Designer:
             changed = new.get((mark.line, mark.column)) if mark else None
             stated.append(replace(item, state={**item.state, "orientation": changed}) if changed else item)
         log = Findings()
-        schedule = build_schedule(stated, self.models, log)
+        schedule = build_schedule(stated, self.models, log, self.plan.mounting)
         if log.errors:
             raise EstimationError(f"the bench cannot do it: {log.errors[0].message}")
         assert self.models.sensor is not None

@@ -22,7 +22,6 @@ from planrunner.physics.kinematics import (
     spin_up_time,
 )
 from planrunner.plan.findings import Findings, Mark
-from planrunner.plan.orientation import Orientation
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 
 # A part of a turn left over biases the mean rate by the horizontal Earth rate; below this share of the rate nobody notices.
@@ -40,7 +39,7 @@ class TableState:
 def start_motion(
     motion: Motion,
     dwell: float | None,
-    orientation: Orientation,
+    input_axes: Array | None,
     state: TableState,
     models: BenchModels,
     at: Place,
@@ -48,7 +47,8 @@ def start_motion(
 ) -> tuple[float, TableState]:
     """Seconds until the table is in motion, and its state after the dwell. What it cannot do is a finding where the plan says so.
 
-    at: the mark of one of the motion's keys, or, for an empty one, of the motion.
+    input_axes: (n, 3), where the sensor's input axes point as the motion begins, East-North-Up; None where that is not known. at: the mark
+    of one of the motion's keys, or, for an empty one, of the motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
@@ -58,7 +58,7 @@ def start_motion(
             no_table("move the sensor", mark, log)
         return 0.0, state
     if isinstance(motion, Spin):
-        return _spin(table, motion, dwell, orientation, state, models, mark, log)
+        return _spin(table, motion, dwell, input_axes, state, models, mark, log)
     if isinstance(motion, Rock):
         return _rock(table, motion, mark, log), state
     joints = state.joints.copy()
@@ -74,7 +74,7 @@ def _spin(
     table: TableModel,
     motion: Spin,
     dwell: float | None,
-    orientation: Orientation,
+    input_axes: Array | None,
     state: TableState,
     models: BenchModels,
     mark: Mark,
@@ -91,7 +91,7 @@ def _spin(
         log.error("physics-rate", mark, message, "lower the rate")
         return 0.0, state
     if dwell is not None:
-        _whole_turns(motion, dwell, orientation, models, mark, log)
+        _whole_turns(motion, dwell, input_axes, models, mark, log)
         state = _turn_away(axis, index, motion.rate * dwell, state, mark, log)
     seconds = spin_up_time(axis, motion.rate)
     return seconds, replace(state, stopping=seconds)
@@ -112,16 +112,16 @@ def _turn_away(axis: TableAxis, index: int, angle: float, state: TableState, mar
 
 
 def _whole_turns(
-    motion: Spin, dwell: float, orientation: Orientation, models: BenchModels, mark: Mark, log: Findings
+    motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
     """Warns where part of a turn leaves Earth rate in the mean of an axis that is tilted from the rotation axis."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
-    if abs(turns - round(turns)) < 1e-3 or orientation.attitude is None:
+    if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return
     about = np.array(motion.about)
     earth = models.site.earth_rate_enu
     across = float(np.linalg.norm(earth - about * (earth @ about)))
-    cosines = np.abs(orientation.attitude @ about)
+    cosines = np.abs(input_axes @ about)
     leftover = across * abs(math.sin(math.pi * turns)) / (math.pi * turns)
     worst = max(
         (leftover * math.sqrt(max(0.0, 1 - c * c)) / (abs(motion.rate) * c) for c in cosines if c > 0.05),

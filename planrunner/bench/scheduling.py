@@ -26,9 +26,17 @@ from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
 
-def build_schedule(stated: Sequence[StatedSegment], models: BenchModels, log: Findings) -> Schedule:
-    """The schedule of the sound segments; each segment with an error is left out, the others are still checked."""
-    planner = _Planner(models, log)
+def build_schedule(
+    stated: Sequence[StatedSegment],
+    models: BenchModels,
+    log: Findings,
+    mounting: Mapping[str, model.MountedAxis] | None = None,
+) -> Schedule:
+    """The schedule of the sound segments; each segment with an error is left out, the others are still checked.
+
+    mounting: how the sensor's input axes stand in its frame, where the plan says so; otherwise they are taken for the frame's own.
+    """
+    planner = _Planner(models, log, mounting or {})
     segments: list[Segment] = []
     for item in stated:
         segment = planner.segment(len(segments), item)
@@ -40,8 +48,9 @@ def build_schedule(stated: Sequence[StatedSegment], models: BenchModels, log: Fi
 class _Planner:
     """Follows the bench from state to state."""
 
-    def __init__(self, models: BenchModels, log: Findings):
+    def __init__(self, models: BenchModels, log: Findings, mounting: Mapping[str, model.MountedAxis]):
         self.models = models
+        self.input_axes = np.array([axis.direction for axis in mounting.values()]) if mounting else np.eye(3)
         self.log = log
         self.time = 0.0
         self.temperature: float | None = models.chamber.ambient if models.chamber else None
@@ -232,7 +241,8 @@ class _Planner:
         def at(key: str) -> Mark:
             return stated.at(key) if key and isinstance(stated, model.Motion) else whole
 
-        seconds, self.state = start_motion(motion, dwell, orientation, self.state, self.models, at, self.log)
+        seen = None if orientation.attitude is None else self.input_axes @ orientation.attitude
+        seconds, self.state = start_motion(motion, dwell, seen, self.state, self.models, at, self.log)
         return seconds
 
 

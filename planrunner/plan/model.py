@@ -5,6 +5,7 @@ These records are the one source of the reader, the JSON Schema in `schemas/` an
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -83,8 +84,18 @@ class MountedAxis(Record):
         QuantityOf("angle"), "Angle between the input axis and the rotation axis.", "54.7356 deg ± 20 arcsec"
     )
     azimuth: Quantity | None = key(
-        QuantityOf("angle"), "Azimuth of the input axis about the rotation axis, at home.", "120 deg", None
+        QuantityOf("angle"),
+        "Azimuth of the input axis about the rotation axis, at home: from the sensor's x axis, right-handed about z.",
+        "120 deg",
+        None,
     )
+
+    @property
+    def direction(self) -> tuple[float, float, float]:
+        """Unit vector in the sensor's frame, whose z axis lies along the rotation axis; an azimuth that is not stated counts as zero."""
+        angle, azimuth = self.angle.value, self.azimuth.value if self.azimuth else 0.0
+        across = math.sin(angle)
+        return across * math.cos(azimuth), across * math.sin(azimuth), math.cos(angle)
 
 
 # -- segments --------------------------------------------------------------------------------------------------------

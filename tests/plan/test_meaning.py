@@ -172,12 +172,12 @@ def test_the_language_says_the_other_methods(path: object) -> None:
 
 def test_the_tilted_axes_plan_expands_as_its_method_says() -> None:
     """Six repeats of three temperatures, each with two zeros, both signs of six rates, and the power taken off."""
-    plan, log = load_plan(next(path for path in METHOD_PLANS if path.stem == "scale_factor_tilted"))
+    plan, log = load_plan(next(path for path in SHIPPED_PLANS if path.stem == "scale_factor_tilted"))
     assert plan is not None
     labels = [segment.label for segment in expand(plan, log)]
     assert len(labels) == 6 * 3 * (2 + 12 + 1)
-    assert labels[:4] == ["r1/-40degC/start-zero", "r1/-40degC/R+300", "r1/-40degC/R-300", "r1/-40degC/R+150"]
-    assert labels[-2:] == ["r6/+60degC/end-zero", "r6/+60degC/power-down"]
+    assert labels[:4] == ["-40degC/r1/start-zero", "-40degC/r1/R+300", "-40degC/r1/R-300", "-40degC/r1/R+150"]
+    assert labels[-2:] == ["+60degC/r6/end-zero", "+60degC/r6/power-down"]
     assert plan.mounting["x"].angle.standard_uncertainty == pytest.approx(20 / 3600 * 3.141592653589793 / 180)
     assert plan.mounting["z"].angle.standard_uncertainty == pytest.approx(30 / 3600 * 3.141592653589793 / 180 / 3**0.5)
 

@@ -1,0 +1,145 @@
+"""Input axes in a tilted fixture: which output belongs to which axis of `mounting`, and where the axes point in the fixture.
+
+The fixture's frame is the sensor's frame of the plan's orientations: angles count from its z axis, which lies along the rotation axis of
+the table, and azimuths right-handed about z from x.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import EstimationError
+from planrunner.plan.findings import closest
+from planrunner.plan.schedule import Segment, Spin
+
+Array = NDArray[np.float64]
+
+BLIND = 1e-3  # cosine (89.94 deg) below which an axis sees nothing of the rotation that could be told from its mounting
+ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axis, as planned
+
+
+@dataclass(frozen=True, slots=True)
+class MountedAxes:
+    """m input axes. names: as in `mounting`; outputs: their channels. angles, azimuths: (m,), rad, NaN for an azimuth that is not stated;
+    tilt: (2,), rad, small rotation of all axes about the fixture's x and y, for sensitivities."""
+
+    names: tuple[str, ...]
+    outputs: tuple[str, ...]
+    angles: Array
+    azimuths: Array
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def directions(self) -> Array:
+        """Unit vectors in the fixture's frame, shape (m, 3); an azimuth that is not stated counts as zero."""
+        azimuths = np.nan_to_num(self.azimuths)
+        across = np.sin(self.angles)
+        plain = np.column_stack([across * np.cos(azimuths), across * np.sin(azimuths), np.cos(self.angles)])
+        return plain + np.cross(np.array([*self.tilt, 0.0]), plain)
+
+    def require_azimuths(self, why: str) -> None:
+        """Raises `EstimationError` when an azimuth is not stated; `why` ends the sentence."""
+        for name, azimuth in zip(self.names, self.azimuths, strict=True):
+            if math.isnan(azimuth):
+                raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
+
+
+def mounted_axes(mounting: Mapping[str, Any], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:
+    """The axes whose outputs are `chosen` (all of `mounting` without a choice); an output belongs to the axis that its name ends with.
+
+    mounting: name → `planrunner.plan.model.MountedAxis`; available: the channels that there are. Raises `EstimationError` for an axis
+    without output and an output without axis.
+    """
+    if not mounting:
+        raise EstimationError(
+            "the plan has no `mounting`: say how each input axis stands, such as `x: {angle: 54.7356 deg, azimuth: 0 deg}`"
+        )
+    pairs = [_axis_of(output, available, mounting) for output in chosen] if chosen else _outputs_of(mounting, available)
+    names, outputs = tuple(axis for axis, _ in pairs), tuple(output for _, output in pairs)
+    for axis in names:
+        if names.count(axis) > 1:
+            twins = " and ".join(output for one, output in pairs if one == axis)
+            raise EstimationError(f"{twins} all belong to mounting.{axis}: give each axis one output in `outputs`")
+    return MountedAxes(
+        names,
+        outputs,
+        np.array([mounting[axis].angle.value for axis in names]),
+        np.array([math.nan if mounting[axis].azimuth is None else mounting[axis].azimuth.value for axis in names]),
+    )
+
+
+def seeing(axes: MountedAxes) -> MountedAxes:
+    """The same axes. Raises `EstimationError` for one that lies across the rotation axis."""
+    for name, angle in zip(axes.names, axes.angles, strict=True):
+        if abs(math.cos(angle)) < BLIND:
+            raise EstimationError(
+                f"mounting.{name}: at {math.degrees(angle):.6g} deg the axis lies across the rotation axis and sees nothing of its "
+                "rate: mount it nearer to the rotation axis"
+            )
+    return axes
+
+
+def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
+    """Direction that each segment spins about, in the fixture's frame, shape (n, 3); zero for one at rest.
+
+    An unknown orientation is taken for one with z along the rotation axis. along_z: raise `EstimationError` where z does not lie along it,
+    because the angles of the mounting count from z.
+    """
+    found = np.zeros((len(segments), 3))
+    for row, segment in enumerate(segments):
+        if not isinstance(segment.motion, Spin):
+            continue
+        about = np.asarray(segment.motion.about, dtype=float)
+        seen = (
+            np.array([0.0, 0.0, 1.0])
+            if segment.attitude is None
+            else segment.attitude @ (about / np.linalg.norm(about))
+        )
+        off = math.atan2(math.hypot(seen[0], seen[1]), abs(seen[2]))
+        if along_z and off > ALONG:
+            raise EstimationError(
+                f"in segment '{segment.label}' the fixture's z axis stands {math.degrees(off):.4g} deg from the rotation axis; the angles "
+                "of `mounting` count from z: choose an orientation with z along the rotation axis"
+            )
+        found[row] = seen
+    return found
+
+
+def turned_by(axes: MountedAxes, **changes: Any) -> MountedAxes:
+    return replace(axes, **changes)
+
+
+def _belongs(output: str, axis: str) -> bool:
+    return output == axis or output.endswith(f"_{axis}")
+
+
+def _axis_of(output: str, available: Sequence[str], mounting: Mapping[str, Any]) -> tuple[str, str]:
+    if output not in available:
+        raise EstimationError(f"there is no output '{output}': {closest(output, available)}")
+    found = [axis for axis in mounting if _belongs(output, axis)]
+    if not found:
+        held = ", ".join(mounting)
+        raise EstimationError(
+            f"output '{output}' has no axis in `mounting` ({held}): an axis is found by the end of the output's name, gyro_x by x"
+        )
+    return max(found, key=len), output
+
+
+def _outputs_of(mounting: Mapping[str, Any], available: Sequence[str]) -> list[tuple[str, str]]:
+    pairs = []
+    for axis in mounting:
+        found = [output for output in available if _belongs(output, axis)]
+        if not found:
+            raise EstimationError(
+                f"mounting.{axis} has no output: none of {', '.join(available)} ends with '_{axis}'; name `outputs` or correct `mounting`"
+            )
+        if len(found) > 1:
+            raise EstimationError(f"mounting.{axis} fits {' and '.join(found)}: name the one to use in `outputs`")
+        pairs.append((axis, found[0]))
+    return pairs

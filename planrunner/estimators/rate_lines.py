@@ -1,0 +1,64 @@
+"""Straight lines through series of rates, many at once: F_j = K·x_j + F_0 + ν_j by ordinary least squares, as M2's source fits them.
+
+Also the two half-lines that meet at zero rate, for asymmetry, and the change of output between the lowest rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ENOUGH = 3  # different rates that asymmetry needs beside both signs
+
+
+@dataclass(frozen=True, slots=True)
+class RateLines:
+    """Of q series on m axes. slope, offset: (q, m); residuals: (q, n, m); asymmetry: (q, m), 2·(K₊ − K₋)/(K₊ + K₋), NaN where rates do
+    not allow it; response: (q, m), change of output between the lowest rates over the change that the line leads one to expect."""
+
+    slope: Array
+    offset: Array
+    residuals: Array
+    asymmetry: Array
+    response: Array
+
+
+def fit_lines(x: Array, f: Array) -> RateLines:
+    """x: what each axis felt, (q, n, m), rad/s; f: outputs less the rest value, (q, n, m). The rates must differ."""
+    centre = x.mean(axis=1, keepdims=True)
+    off = x - centre
+    slope = np.sum(off * f, axis=1) / np.sum(off * off, axis=1)
+    offset = f.mean(axis=1) - slope * centre[:, 0]
+    residuals = f - offset[:, None] - slope[:, None] * x
+    return RateLines(slope, offset, residuals, _asymmetry(x, f), _response(x, f, slope))
+
+
+def lowest_pair(x: Array) -> tuple[int, int]:
+    """Rows of the lowest positive and negative rate of a series (n,); of the two lowest rates where they have one sign."""
+    order = np.argsort(np.abs(x), kind="stable")
+    positive, negative = [k for k in order if x[k] > 0], [k for k in order if x[k] < 0]
+    first, second = (positive[0], negative[0]) if positive and negative else (order[1], order[0])
+    return int(first), int(second)
+
+
+def _response(x: Array, f: Array, slope: Array) -> Array:
+    high, low = lowest_pair(x[0, :, 0])
+    return np.asarray((f[:, high] - f[:, low]) / (slope * (x[:, high] - x[:, low])))
+
+
+def _asymmetry(x: Array, f: Array) -> Array:
+    """By normal equations of columns divided by the largest rate, whose condition is that of the rates' spread."""
+    first = x[0, :, 0]
+    if not (np.any(first > 0) and np.any(first < 0) and np.unique(first).size >= ENOUGH):
+        return np.full((x.shape[0], x.shape[2]), np.nan)
+    scaled = np.moveaxis(x / np.abs(x).max(), 1, 2)
+    columns = np.stack([np.ones_like(scaled), np.maximum(scaled, 0), np.minimum(scaled, 0)], axis=-1)
+    normal = np.einsum("qmni,qmnj->qmij", columns, columns)
+    right = np.einsum("qmni,qnm->qmi", columns, f)
+    solved = np.linalg.solve(normal, right[..., None])[..., 0]
+    plus, minus = solved[..., 1], solved[..., 2]
+    return np.asarray(2 * (plus - minus) / (plus + minus))

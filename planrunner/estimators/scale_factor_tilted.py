@@ -1,0 +1,289 @@
+"""Scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical, 2022).
+
+Per temperature and repeat F_r is the mean of the zeros before and after the rates, and F_j − F_r = K·cos θ·ω_j + F_0 + ν_j is fitted by
+ordinary least squares over the rates. Metrics in the wording of IEEE 952 and 1431. The Earth's rotation, which the source passes over: its
+part along the rotation axis cancels with F_r; the rest turns with the table and is averaged out by whole turns, but stays in the zeros at
+home, so that F_0 holds it unless it is corrected for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import tilted_planning
+from planrunner.estimators.fixture_calibration import calibrated_axes
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
+from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
+from planrunner.estimators.rate_series import RateSeries, by_temperature, split_series, temperature_label
+from planrunner.estimators.slope_units import rate_and_output
+from planrunner.estimators.tilted_evaluation import Conditions, Group, evaluate, make_group, worst_of
+from planrunner.estimators.tilted_influences import Rounding, Situation, common_rate, influences
+from planrunner.estimators.tilted_report import report
+from planrunner.estimators.tilted_results import HEADLINE, coefficients, items, shown_covariance, shown_influences
+from planrunner.estimators.tilted_scatter import BASES, Noise, scatter_between_repeats, scatter_of_means, whole
+from planrunner.estimators.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
+from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.units import unit
+
+Array = NDArray[np.float64]
+
+THERMOMETER = "sensor_temperature"
+
+
+class ScaleFactorTiltedParameters(Record):
+    """Keys of the estimator scale_factor_tilted."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
+        ["gyro_x", "gyro_y", "gyro_z"],
+        default_factory=tuple,
+    )
+    zero: tuple[str, ...] = key(
+        ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"), minimum=1, single=True),
+        "Labels of the segments at rest before and after the rates.",
+        ["start-zero", "end-zero"],
+        ("start-zero", "end-zero"),
+    )
+    earth_rate: str = key(
+        Choice(("corrected", "averaged", "ignored")),
+        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; averaged by whole turns, "
+        "which are then required; or ignored. Only where corrected is it kept out of F0.",
+        "corrected",
+        "corrected",
+    )
+    rate_unit: str = key(
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+    )
+    rate_uncertainty: Quantity | None = key(
+        QuantityOf("ratio", "not negative"),
+        "Relative standard uncertainty of the table's rate, common to all rates; how well each is held stands in the bench file.",
+        "50 ppm",
+        None,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the repeats, that of the rates about the line, or the noise within the segments.",
+        "repeats",
+        "repeats",
+    )
+    reference_temperature: Quantity = key(
+        QuantityOf("temperature"),
+        "The tested temperature nearest to it gives K_x, and temperature coefficients refer to it.",
+        "20 degC",
+        parse_quantity("20 degC"),
+    )
+    temperature: str | None = key(
+        Text("", "a channel's name"),
+        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the planned temperatures.",
+        THERMOMETER,
+        None,
+    )
+    remounting: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "Time to bring the chamber to room temperature, mount and align, for comparing with one mounting an axis.",
+        "2 h",
+        parse_quantity("2 h"),
+    )
+
+
+class ScaleFactorTilted:
+    """The plug-in."""
+
+    summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"
+    Parameters = ScaleFactorTiltedParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """Lines through the planned rates, what uncertainties to expect, and what the plan lacks. Raises `EstimationError`."""
+        return tilted_planning.design(request)
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """From the recorded means. Raises `EstimationError`."""
+        parameters: ScaleFactorTiltedParameters = request.parameters
+        if not request.segments:
+            raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
+        channels = request.segments[0].statistics.channels
+        axes, fixture = calibrated_axes(
+            seeing(mounted_axes(request.setup.mounting, channels, parameters.outputs)), request.uses
+        )
+        kept, series, warnings = _complete(request)
+        observations = observe(kept, axes.outputs, request.sensor)
+        seconds = tuple(recorded_seconds(one) for one in kept)
+        conditions, segments = _conditions(request, kept, axes, seconds)
+        groups = _groups(request, kept, series, observations)
+        reference = _reference(groups, parameters)
+        found = evaluate(groups, conditions, reference)
+        worst = worst_of(groups, found, reference)
+        home = kept[0].segment.orientation
+        situation = Situation(
+            groups,
+            conditions,
+            found,
+            worst,
+            reference,
+            segments,
+            seconds,
+            request.site,
+            home,
+            observations.units,
+            fixture,
+        )
+        noise = _noise(groups, observations)
+        within = scatter_of_means(groups, conditions, found, worst, reference, noise, "within_segment")
+        scatter = (
+            scatter_between_repeats(found)
+            if parameters.uncertainty == "repeats"
+            else scatter_of_means(groups, conditions, found, worst, reference, noise, parameters.uncertainty)
+        )
+        covariance, freedom = whole(found, groups, scatter, reference, worst)
+        acting = influences(
+            situation,
+            request.setup.inputs,
+            common_rate(request.name, parameters.rate_uncertainty),
+            parameters.uncertainty,
+            _rounding(request, kept, axes),
+        )
+        units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
+        shown = items(found, groups, axes, units, reference)
+        made = Estimate(
+            request.name,
+            "scale_factor_tilted",
+            coefficients(found, shown, covariance, freedom),
+            shown_covariance(shown, covariance),
+            tuple(item.name for word in HEADLINE for item in shown if item.reference and item.quantity == word),
+            {
+                "uncertainty": parameters.uncertainty,
+                "earth_rate": parameters.earth_rate,
+                "reference_temperature": groups[reference].label or "not stated",
+                "fixture_angles": "calibrated" if fixture else "as stated",
+            },
+            warnings=tuple(warnings),
+            segments=tuple(one.label for one in kept),
+            influences=shown_influences(shown, acting),
+        )
+        return report(made, situation, units, scatter, within, noise, acting, parameters)
+
+
+def _complete(request: EstimateRequest) -> tuple[list[Any], tuple[RateSeries, ...], list[str]]:
+    """The recorded segments of whole series, those series, and warnings of the others."""
+    recorded = request.segments
+    series = split_series([one.segment for one in recorded], request.parameters.zero)
+    whole_ones: list[tuple[RateSeries, str]] = []
+    lacking: list[tuple[RateSeries, str]] = []
+    for repeats in by_temperature(series).values():
+        rates = [tuple(recorded[index].segment.rate for index in one.spins) for one in repeats]
+        most = max(rates, key=len)
+        for one, own in zip(repeats, rates, strict=True):
+            cut = [recorded[index].label for index in one.segments if recorded[index].truncated]
+            why = (one.lacks and f"has no {one.lacks}") or (cut and f"is cut short in '{cut[0]}'") or ""
+            if not why and own != most:
+                why = (
+                    f"has {len(own)} of {len(most)} rates" if len(own) < len(most) else "has other rates than the rest"
+                )
+            (lacking if why else whole_ones).append((one, why))
+    warnings = [f"Series {one.name} {why}: it is left out." for one, why in lacking]
+    if not whole_ones:
+        one, why = lacking[0]
+        raise EstimationError(
+            f"no series is complete: {one.name} {why}. Each needs a zero before the rates and one after, at rest, labelled as in `zero` "
+            f"({', '.join(request.parameters.zero)})"
+        )
+    rates_at = {tuple(recorded[index].segment.rate for index in one.spins) for one, _ in whole_ones}
+    if any(len(set(rates)) < 2 for rates in rates_at):
+        raise EstimationError("a series has one rate only, so a line cannot be told from a constant: add rates")
+    order = sorted(index for one, _ in whole_ones for index in one.segments)
+    place = {index: row for row, index in enumerate(order)}
+
+    def moved(indices: Sequence[int]) -> tuple[int, ...]:
+        return tuple(place[index] for index in indices)
+
+    kept = tuple(
+        replace(one, start=moved(one.start), spins=moved(one.spins), end=moved(one.end)) for one, _ in whole_ones
+    )
+    return [recorded[index] for index in order], kept, warnings
+
+
+def _conditions(
+    request: EstimateRequest, kept: Sequence[Any], axes: MountedAxes, seconds: Sequence[float | None]
+) -> tuple[Conditions, tuple[Any, ...]]:
+    planned = [one.segment for one in kept]
+    along = rotation_axis(planned)
+    commanded = np.array([segment.rate for segment in planned])
+    how = request.parameters.earth_rate
+    if how == "corrected":
+        axes.require_azimuths("`earth_rate: corrected` needs; or write `earth_rate: averaged`")
+        begun = as_recording_begins(planned, request.site, request.setup.table)
+        return Conditions(axes, commanded, along, mean_rates(begun, request.site, seconds)), begun
+    if how == "averaged":
+        intervals = [1 / (segment.sample_rate or request.sensor.sample_rate) for segment in planned]
+        parts = part_turns(planned, seconds, intervals)
+        if parts:
+            label, turns = parts[0]
+            raise EstimationError(
+                f"'{label}' covers {turns:.4g} turns, not whole ones, so the Earth's rotation is not averaged out: write "
+                "`earth_rate: corrected`, or `dwell: {turns: 1, at_least: …}`"
+            )
+    return Conditions(axes, commanded, along, None), tuple(planned)
+
+
+def _groups(
+    request: EstimateRequest, kept: Sequence[Any], series: Sequence[RateSeries], observations: Observations
+) -> tuple[Group, ...]:
+    commanded = np.array([one.segment.rate for one in kept])
+    made = []
+    for planned, repeats in by_temperature(series).items():
+        rows = [index for one in repeats for index in one.segments]
+        kelvin = _measured(request, [kept[row] for row in rows], planned)
+        made.append(make_group(repeats, temperature_label(planned), kelvin, commanded, observations.mean))
+    return tuple(made)
+
+
+def _measured(request: EstimateRequest, recorded: Sequence[Any], planned: float | None) -> float:
+    """Mean temperature of the sensor [K]; as planned where it is not recorded; NaN where neither is known."""
+    wanted = request.parameters.temperature
+    channel = wanted or THERMOMETER
+    if wanted is None and any(channel not in one.statistics.channels for one in recorded):
+        return math.nan if planned is None else planned
+    observed = observe(recorded, [channel], request.sensor)
+    own = unit(observed.units[0])
+    if own.dimension != unit("K").dimension:
+        raise EstimationError(f"the channel '{channel}' is in {own.text}, which is no temperature: name another")
+    return own.to_si(float(observed.mean[:, 0].mean()))
+
+
+def _reference(groups: Sequence[Group], parameters: ScaleFactorTiltedParameters) -> int:
+    off = [abs(group.kelvin - parameters.reference_temperature.value) for group in groups]
+    return int(np.nan_to_num(off, nan=math.inf).argmin())
+
+
+def _noise(groups: Sequence[Group], observations: Observations) -> Noise:
+    """Of the means over the repeats. An output whose noise cannot be seen counts as noiseless here; `report` says so."""
+    known = [within_segment_noise(observations, k) for k in range(len(observations.channels))]
+    sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
+    rates, rest = [], []
+    for group in groups:
+        q = len(group.names)
+        rates.append(np.sqrt(np.sum(sigma[group.spins] ** 2, axis=0)) / q)
+        ends = [np.sum(sigma[[*rows]] ** 2, axis=0) / len(rows) ** 2 for pair in group.zeros for rows in pair]
+        rest.append(np.sqrt(np.sum(ends, axis=0)) / (2 * q))
+    freedom = np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
+    return Noise(tuple(rates), np.array(rest), observations.correlation, freedom)
+
+
+def _rounding(request: EstimateRequest, kept: Sequence[Any], axes: MountedAxes) -> dict[str, Rounding]:
+    """A count of the samples' average where noise dithers them, else of the whole mean."""
+    found = {}
+    for output in axes.outputs:
+        variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]
+        dithering = all(dithered(request.sensor, output, variance) for variance in variances)
+        share = 1 / math.sqrt(min(one.statistics.count for one in kept)) if dithering else 1.0
+        found[output] = Rounding(share, min(variances) > 0)
+    return found

@@ -1,0 +1,104 @@
+"""What the axes of a fixture felt on average over each segment, the Earth's rotation included, in the fixture's frame.
+
+Recording begins where spin-up and settling have carried the table: half of rate × spin-up time, as it speeds up evenly, and rate × settling
+time after it. Over whole turns where it began makes no difference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import EstimationError
+from planrunner.instruments.models import TableModel
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import Unreachable, joint_angles, rotation_about, spin_axis
+from planrunner.physics.stimulus import StimulusError, segment_means
+from planrunner.plan.schedule import Segment, Spin
+
+Array = NDArray[np.float64]
+
+WHOLE = 1e-3  # of a turn, by which a dwell in whole turns may miss
+
+
+def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableModel | None) -> tuple[Segment, ...]:
+    """The segments with the attitude that they have when recording begins."""
+    known: dict[object, float] = {}
+    return tuple(_carried(segment, site, table, known) for segment in segments)
+
+
+def off_north(segments: Sequence[Segment], angle: float) -> tuple[Segment, ...]:
+    """The segments on a bench whose azimuth is larger by `angle` [rad] than believed."""
+    turn = rotation_about((0.0, 0.0, 1.0), -angle)
+    found = []
+    for segment in segments:
+        motion = segment.motion
+        if isinstance(motion, Spin):
+            east, north, up = (turn @ np.asarray(motion.about)).tolist()
+            motion = Spin(motion.rate, (east, north, up))
+        attitude = None if segment.attitude is None else np.asarray(segment.attitude @ turn.T)
+        found.append(replace(segment, attitude=attitude, motion=motion))
+    return tuple(found)
+
+
+def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[float | None]) -> Array:
+    """Mean angular rate relative to inertial space in the fixture's frame, shape (n, 3), rad/s, of segments as recording begins.
+
+    durations: s, as recorded. Raises `EstimationError` for an unknown orientation.
+    """
+    try:
+        return segment_means(segments, site, durations).omega
+    except StimulusError as error:
+        raise EstimationError(f"{error}; or write `earth_rate: ignored`") from None
+
+
+def recorded_seconds(recorded: RecordedSegment) -> float | None:
+    """How long the mean was taken: each sample stands for one interval."""
+    statistics = recorded.statistics
+    if statistics.count < 2:
+        return recorded.segment.dwell
+    return (statistics.end - statistics.start) * statistics.count / (statistics.count - 1)
+
+
+def part_turns(
+    segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
+) -> list[tuple[str, float]]:
+    """Label and turns of the spins that do not cover whole turns. intervals: s between samples, by which a dwell may miss."""
+    found = []
+    for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
+        if not isinstance(segment.motion, Spin) or seconds is None:
+            continue
+        turns = abs(segment.rate) * seconds / (2 * math.pi)
+        allowed = WHOLE + abs(segment.rate) * interval / (2 * math.pi)
+        if round(turns) < 1 or abs(turns - round(turns)) > allowed:
+            found.append((segment.label, turns))
+    return found
+
+
+def _carried(segment: Segment, site: Site, table: TableModel | None, known: dict[object, float]) -> Segment:
+    motion = segment.motion
+    if segment.attitude is None or not isinstance(motion, Spin):
+        return segment
+    key = (segment.attitude.tobytes(), motion.about)
+    if key not in known:
+        known[key] = _acceleration(segment.attitude, motion, site, table)
+    about = np.asarray(motion.about, dtype=float)
+    turned = motion.rate * (segment.settle + abs(motion.rate) / known[key] / 2)
+    turn = rotation_about(tuple(about / np.linalg.norm(about)), math.fmod(turned, 2 * math.pi))
+    return replace(segment, attitude=np.asarray(segment.attitude @ turn.T))
+
+
+def _acceleration(attitude: Array, motion: Spin, site: Site, table: TableModel | None) -> float:
+    """Of the table's axis that spins [rad/s²]; infinite where nothing is known of the table."""
+    if table is None:
+        return math.inf
+    try:
+        joints = joint_angles(table.axes, attitude, np.zeros(len(table.axes)), site.azimuth)
+        return table.axes[spin_axis(table.axes, joints, motion.about, site.azimuth)].max_acceleration
+    except Unreachable:
+        return math.inf
