@@ -62,6 +62,12 @@ def errors_over_time(
     return np.arange(1, count + 1) * np.float64(STEP), found[:, :2, 0]
 
 
+def horizontal(errors: Array, attitude: Array) -> Array:
+    """Constant errors (6,) without their part along the vertical, which turning about it does not modulate."""
+    up = attitude[:, 2]
+    return errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
+
+
 def periodic_amplitudes(
     errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
 ) -> tuple[float, float]:

@@ -27,9 +27,8 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.modulation_fit import PeriodicPart, TooLittleError, periodic_part
 from planrunner.estimators.modulation_navigations import Navigation, compared, rotation
-from planrunner.estimators.modulation_prediction import errors_over_time, periodic_amplitudes
+from planrunner.estimators.modulation_prediction import errors_over_time, horizontal, periodic_amplitudes
 from planrunner.estimators.navigation_errors import HOUR, NAUTICAL_MILE
-from planrunner.instruments.models import TableModel
 from planrunner.plan.kinds import ListOf, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -75,7 +74,11 @@ class ModulationResidual:
             message = "the comparison needs a navigation with rotation and one without, and the segments of both"
             hint = "name both in `uses` and their segments in `segments`"
             return Design((), remarks=(Remark("physics-modulation", message, hint, "uses", error=True),))
-        return Design((), notes=tuple(_left(segment, request.setup.table) for segment in moving))
+        followed = {segment.index - 1: segment.motion for segment in moving}
+        told = [
+            segment for segment in moving if followed.get(segment.index) != segment.motion
+        ]  # an alignment belongs to what follows
+        return Design((), notes=tuple(_left(segment, request) for segment in told))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """The comparison. Raises `EstimationError`."""
@@ -224,13 +227,11 @@ def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> l
     for item in navigations:
         if item.attitude is None:
             continue
-        across = item.attitude[:, 2]
-        horizontal = declared - np.concatenate([across * (part @ across) for part in (declared[:3], declared[3:])])
         radial = [
             np.hypot(
                 *errors_over_time(errors, item.attitude, item.cycle, item.aligned, item.seconds, request.site)[1].T
             )
-            for errors in (declared, horizontal)
+            for errors in (declared, horizontal(declared, item.attitude))
         ]
         rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
         rows.append((item.name, item.rms, *rms))
@@ -262,8 +263,18 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
     )
 
 
-def _left(segment: Segment, table: TableModel | None) -> str:
+def _left(segment: Segment, request: DesignRequest) -> str:
+    """What the cycle of a planned segment leaves, and what the declared horizontal errors then make of a position."""
+    table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None
-    share = 100 * abs(cycle.residual) / cycle.period
-    return f"'{segment.label}': {share:.3g} % of a constant horizontal error is not modulated by its cycle of {cycle.period:.1f} s."
+    share = 0.0 if cycle.balanced else 100 * abs(cycle.residual) / cycle.period
+    left = f"'{segment.label}': {share:.3g} % of a constant horizontal error is not modulated by its cycle of {cycle.period:.1f} s"
+    if declared is None or segment.attitude is None or not segment.dwell:
+        return f"{left}."
+    before = next((item for item in request.segments if item.index == segment.index - 1), None)
+    aligned = rotation(before.motion, table) if before is not None else None
+    errors = horizontal(declared, segment.attitude)
+    position = errors_over_time(errors, segment.attitude, cycle, aligned, segment.dwell, request.site)[1]
+    rms = float(np.sqrt(np.mean(np.sum(position**2, axis=1))))
+    return f"{left}; the declared horizontal errors make {rms:.3g} m rms of position error over {segment.dwell / HOUR:.3g} h."

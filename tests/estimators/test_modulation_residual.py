@@ -271,3 +271,14 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
     design = ModulationResidual().design(replace(asked, uses=both))
     assert not design.remarks
     assert "1.47 %" in design.notes[0]
+    declared = parse_quantity("0.02 deg/h", "angular rate"), parse_quantity("0 deg/h", "angular rate")
+    upright = replace(
+        asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[1], declared[1], declared[0]))
+    )
+    assert all(
+        "make 0 m rms" in note for note in ModulationResidual().design(upright).notes
+    )  # about the vertical alone
+    level = replace(
+        asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[0], declared[1], declared[1]))
+    )
+    assert not any("make 0 m rms" in note for note in ModulationResidual().design(level).notes)
