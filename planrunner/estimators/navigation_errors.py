@@ -74,10 +74,10 @@ class ErrorRecord:
         if not len(time):
             return
         radial, speed = np.hypot(errors[0], errors[1]), np.hypot(errors[2], errors[3])
-        self.squares += float(radial @ radial)
-        self.speed_squares += float(speed @ speed)
-        self.time_error += float(time @ radial)
-        self.time_squares += float(time @ time)
+        self.squares = _added(self.squares, radial * radial)
+        self.speed_squares = _added(self.speed_squares, speed * speed)
+        self.time_error = _added(self.time_error, time * radial)
+        self.time_squares = _added(self.time_squares, time * time)
         worst = int(np.argmax(radial))
         if radial[worst] > self.largest:
             self.largest, self.largest_at = float(radial[worst]), float(time[worst])
@@ -103,6 +103,11 @@ class ErrorRecord:
     def radial_rate(self) -> float:
         """m/s."""
         return self.time_error / self.time_squares
+
+
+def _added(total: float, values: Array) -> float:
+    """The sum, one after the other, so that it does not depend on how the values came in blocks."""
+    return float(np.add.accumulate(np.append(total, values))[-1])
 
 
 def difference(knots: Knots, truth: Truth) -> Array:

@@ -32,13 +32,13 @@ HIGHEST_LATITUDE = math.radians(
 )  # cos = 0.087: beyond, gyro errors turn into heading eleven times as much as at the equator
 STILL = 0.05  # m/s; a reference that moves faster is not at rest
 _COARSE = 300.0  # s at most that the coarse attitude is taken from, and the noise
-_BATCHES = 32
 _GRAVITY_TOLERANCE = 0.01
 _EARTH_TOLERANCE = (
     0.1  # of the Earth's rate: that much gyro error is 6 deg of heading at the equator, the end of small angles
 )
 _HEADING_LIMIT = math.radians(3)
-_WIDENED, _MOVED = 1.5, 20.0  # consistency from which uncertainties are widened, and from which the unit has moved
+_WIDENED = 1.5  # consistency from which uncertainties are widened
+_MOVED = 0.1  # m/s; what stands on a floor, or in a parked vehicle, does not do so within a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,18 +135,20 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, Array]:
-    """Mean (6,), rad/s and m/s², over the first so many seconds, and white noise (6,), rad/√s and m/s/√s, from the scatter of
-    batch means."""
+    """Mean (6,), rad/s and m/s², over the first so many seconds, and white noise (6,), rad/√s and m/s/√s: the Allan deviation of means over
+    one second, which slow motion does not enlarge."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
-    size = within // _BATCHES
+    batches = int(seconds)
+    size = within // batches
     if size == 0:
         return np.full(6, math.nan), np.zeros(6)
-    used = size * _BATCHES
-    times = interval[:used].reshape(_BATCHES, size).sum(axis=1)
-    means = values[:, :used].reshape(6, _BATCHES, size).sum(axis=2) / times
-    return values[:, :used].sum(axis=1) / times.sum(), means.std(axis=1, ddof=1) * math.sqrt(times.mean())
+    used = size * batches
+    times = interval[:used].reshape(batches, size).sum(axis=1)
+    means = values[:, :used].reshape(6, batches, size).sum(axis=2) / times
+    white = np.sqrt(np.mean(np.diff(means) ** 2, axis=1) / 2 * times.mean())
+    return values[:, :used].sum(axis=1) / times.sum(), white
 
 
 def to_navigation(rotation: Array, variances: Array) -> Array:
@@ -172,6 +174,8 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
         raise EstimationError(
             f"segment '{label}' turns all the time: alignment needs a stop, or a cycle of stops; align before the motion begins"
         )
+    if recorded.statistics.count == 0:
+        raise EstimationError(f"segment '{label}' holds no usable samples: record it again")
     if still < SHORTEST:
         what = "its first stop lasts" if seconds >= SHORTEST else "it has samples for"
         raise EstimationError(
@@ -213,10 +217,10 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
 def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tuple[str, ...]]:
     warnings: list[str] = []
     covariance = found.covariance
-    if found.consistency > _MOVED:
+    if found.largest > _MOVED:
         raise EstimationError(
-            f"segment '{label}': velocity departs from rest {found.consistency:.3g} times as far as noise explains: the unit moved "
-            "during alignment; align again while it stands still"
+            f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second: the unit moved during alignment; align again "
+            "while it stands still"
         )
     if found.consistency > _WIDENED:
         covariance = covariance * found.consistency**2

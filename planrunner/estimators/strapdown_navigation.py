@@ -235,6 +235,8 @@ def _run(
 ) -> Navigated:
     every = max(1, round(1 / reader.interval))
     lasting = sum(duration(item, reader.interval) for item in moving)
+    if not any(item.statistics.count for item in moving):
+        raise EstimationError("the segments to navigate hold no usable samples: record them again")
     if lasting < 2 * every * reader.interval:
         raise EstimationError(f"only {lasting:.3g} s are left to navigate: record longer")
     record = ErrorRecord(stride(int(lasting / (every * reader.interval))))
@@ -252,8 +254,7 @@ def _run(
             record.take(piece.time[at] - start, knots, truth)
             _check(navigator, item.label, float(piece.time[-1]) - start)
             time, truth = float(piece.time[-1]), _truth(piece, site, np.array([-1]))
-    if navigator is None or not record.knots:
-        raise EstimationError("the segments to navigate hold no usable samples: record them again")
+    assert navigator is not None
     velocity, place = navigator.velocity[None], navigator.position
     last = Knots(navigator.quaternion[None], velocity, *(np.array([value]) for value in place))
     final = difference(last, truth)[:, 0]

@@ -31,12 +31,13 @@ _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; the fi
 class Alignment:
     """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (13, 13) of the errors that remain, as in `error_equations`,
     then the constant sensor errors in body axes. constant: (6,), these as estimated, rad/s and m/s². consistency: root mean square of the
-    innovations over what the noise explains, 1 or less where all is well."""
+    innovations over what the noise explains, 1 or less where all is well. largest: of the innovations, m/s."""
 
     rotation: Array
     covariance: Array
     constant: Array
     consistency: float
+    largest: float
 
     @property
     def tilt_covariance(self) -> Array:
@@ -65,7 +66,7 @@ class FineAlignment:
         self._state = np.zeros(_ALL)
         before = np.zeros(INPUTS) if constant is None else constant
         self._covariance = np.diag([0.0, 0, STILLNESS**2, STILLNESS**2, *[_PRIOR**2] * 3, *before**2])
-        self._squares, self._count = 0.0, 0
+        self._squares, self._count, self._largest = 0.0, 0, 0.0
 
     def take(self, velocities: Array, rotations: Array) -> None:
         """velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as columns, the mean over the
@@ -85,9 +86,10 @@ class FineAlignment:
             self._covariance = kept @ covariance @ kept.T + STILLNESS**2 * gain @ gain.T
             self._squares += float(innovation @ np.linalg.solve(expected, innovation))
             self._count += 2
+            self._largest = max(self._largest, float(np.abs(innovation).max()))
 
     def finish(self, rotation: Array) -> Alignment:
         """The aligned attitude. rotation: the navigator's, (3, 3), within a knot's time after the last."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
-        return Alignment(aligned, self._covariance.copy(), self._state[SIZE:].copy(), consistency)
+        return Alignment(aligned, self._covariance.copy(), self._state[SIZE:].copy(), consistency, self._largest)
