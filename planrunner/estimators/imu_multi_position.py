@@ -18,7 +18,7 @@ from planrunner.estimators import imu_tables as tables
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.error_model import error_model, term_names
-from planrunner.estimators.imu_coefficients import Framed, Reported, Response, framed, reported
+from planrunner.estimators.imu_coefficients import PLURAL, Framed, Reported, Response, framed, reported
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -33,7 +33,7 @@ from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
-from planrunner.estimators.stated_influences import mean_stimulus, stated_influences
+from planrunner.estimators.stated_influences import mean_stimulus, position_scatter, stated_influences
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
 from planrunner.physics.terms import ErrorModel
@@ -153,7 +153,11 @@ class ImuMultiPosition:
         warnings: list[str] = []
         for one in triads:
             said, doubted = judge(one.fit, basis)
-            notes, warnings = notes + said, warnings + doubted
+            channels = tuple(f"{name}:" for name in one.observations.channels)
+            notes += [
+                text if text.startswith(channels) else f"{PLURAL[one.kind].capitalize()}: {text}" for text in said
+            ]
+            warnings += doubted
         if len(triads) == 2 and len(triads[0].segments) > len(triads[1].segments):
             notes.append("The accelerometers are fitted from the segments at rest alone.")
         bases = [
@@ -254,7 +258,11 @@ def _fit(request: EstimateRequest, kind: str, channels: Sequence[str], terms: Se
     observations = observe(recorded, channels, request.sensor)
     segments = tuple(one.segment for one in recorded)
     matrix = _matrix(model, segments, request.site)
-    fit = fit_outputs(matrix, observations, _magnitudes(model, matrix), model.names, basis)
+    magnitudes = _magnitudes(model, matrix)
+    fit = fit_outputs(matrix, observations, magnitudes, model.names, basis)
+    beside = position_scatter(model, segments, request.site, request.setup.inputs, fit.coefficients)
+    if beside is not None and all(noise.known for noise in fit.noises):
+        fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, beside=beside)
     require_basis(fit, basis, f"{request.name}, {kind} triad")
     return Triad(kind, model, segments, observations, fit, matrix)
 

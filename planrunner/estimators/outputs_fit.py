@@ -102,29 +102,34 @@ def fit_outputs(
     basis: str = "within_segment",
     pooled: bool = False,
     equal: bool = False,
+    beside: Array | None = None,
 ) -> OutputsFit:
     """Fit every observed channel by the same terms. Raises `EstimationError`.
 
     Weights come from the noise within the segments. On the residual basis, where that noise differs between segments and does not explain
     the residuals, a part between segments is added first: otherwise the quietest segment would draw the fit to itself although
     its error is as large as the others'. Outputs can be pooled only where their noise is known and needs no such part. equal: all segments
-    have the same weight instead.
+    have the same weight instead. beside: (m, n), standard uncertainties of the observations beside their noise, such as of the positions,
+    by which they are weighted as well.
     """
     noises = tuple(within_segment_noise(observations, k) for k in range(len(observations.channels)))
     within = np.array([noise.sigma for noise in noises])
-    sigma = within.copy()
+    sigma = within.copy() if beside is None else np.hypot(within, beside)
     fits, between, ratios = [], np.zeros(len(noises)), np.full(len(noises), np.nan)
     for k, noise in enumerate(noises):
         observed = observations.mean[:, k]
         found = least_squares.fit(matrix, observed, noise.sigma, magnitudes, names)
         ratios[k] = found.variance_factor
+        stated = beside is not None and bool(beside[k].any())
+        if stated:
+            found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
         if equal:
             typical = float(np.sqrt(np.mean(noise.sigma**2)))
             sigma[k] = typical
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
-        elif basis == "residual" and noise.unequal and exceeds_noise(found, noise):
-            between[k] = between_segments(matrix, observed, noise.sigma, magnitudes, names)
-            sigma[k] = np.hypot(noise.sigma, between[k])
+        elif basis == "residual" and (noise.unequal or stated) and exceeds_noise(found, noise):
+            between[k] = between_segments(matrix, observed, sigma[k], magnitudes, names)
+            sigma[k] = np.hypot(sigma[k], between[k])
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
         fits.append(found)
     # (AᵀWA)⁻¹·AᵀW: coefficients from observations.

@@ -87,6 +87,26 @@ def stated_influences(
     return tuple(found)
 
 
+def position_scatter(
+    model: ErrorModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
+) -> Array | None:
+    """What the table's stated position uncertainty adds to each observation, (m, n), in the outputs' units; None where nothing is stated.
+
+    It acts across a vector and not along it: an accelerometer that points up feels nothing of it, one that lies level all.
+    """
+    position = inputs.get("table position")
+    if position is None:
+        return None
+    variance = np.zeros((len(coefficients), len(segments)))
+    for k in range(3):
+        about = tuple(float(k == j) for j in range(3))
+        low, high = (
+            model.columns(mean_stimulus(_turned(segments, about, step, False), site)) for step in (-_STEP, _STEP)
+        )
+        variance += ((high - low) / (2 * _STEP) @ coefficients.T).T ** 2
+    return np.asarray(position.standard_uncertainty * np.sqrt(variance))
+
+
 def _by_part(influence: Influence) -> Influence:
     """One column for each name: segments at the same orientation share the table's error there."""
     names = tuple(dict.fromkeys(influence.parts))

@@ -6,7 +6,7 @@
 
 The order is chosen by leaving out whole temperatures, never single values, because values at one temperature share what went wrong
 there. The one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same
-book, 7.10.1).
+book, 7.10.1). No more coefficients are tried than half of the temperatures: among few, one of many curves fits by chance.
 """
 
 from __future__ import annotations
@@ -114,8 +114,26 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 
 def fold_of(group: Integers, folds: int) -> Integers:
-    """Which fold each temperature group is left out with: each alone for folds = 0, else every folds-th together."""
-    return group if folds == 0 else group % folds
+    """Which fold each temperature group is left out with: each alone for folds = 0, else that many adjoining ranges of temperature, so that
+    neighbours which share a slow drift do not foretell each other."""
+    return group if folds == 0 else group * folds // (int(group.max()) + 1)
+
+
+def correlation_time(residuals: Sequence[Array]) -> float:
+    """By how much resemblance between consecutive residuals increases the variance of what is fitted, at least one.
+
+    1 + 2·Σ r_k over the lags up to the first at which the autocorrelation r, pooled over the series, is not positive (Geyer, Statistical
+    Science 7, 1992, 473).
+    """
+    total = sum(float(one @ one) for one in residuals)
+    longest = max((len(one) for one in residuals), default=0)
+    time = 1.0
+    for lag in range(1, longest):
+        r = sum(float(one[lag:] @ one[:-lag]) for one in residuals if len(one) > lag) / total if total > 0 else 0.0
+        if r <= 0:
+            break
+        time += 2 * r
+    return time
 
 
 def groups_of(temperature: Array, width: float) -> Integers:
@@ -131,13 +149,15 @@ def groups_of(temperature: Array, width: float) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of that."""
+    """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of that; correlation: by how much it was widened because
+    consecutive residuals resemble each other."""
 
     curve: Curve
     fit: LinearFit
     covariance: Array
     degrees_of_freedom: float
     errors: tuple[HeldOut, ...]
+    correlation: float = 1.0
 
     def predict(self, temperature: Array) -> tuple[Array, Array]:
         """The curve and its standard uncertainty at temperatures [degC], both (n,)."""
@@ -158,17 +178,20 @@ def fit_curve(
     folds: int,
     rule: str,
     scatter: bool,
+    series: Integers,
 ) -> CurveFit:
     """Fit a curve of the order that is given, or of the one that held-out errors choose up to `highest`.
 
-    scatter: whether the covariance rests on the residuals' scatter, else on `sigma`. Raises `EstimationError`.
+    scatter: whether the covariance rests on the residuals' scatter, else on `sigma`. series: (n,), number of the ramp that each value
+    is of, in order, −1 for a value by itself. Raises `EstimationError`.
     """
     distinct = int(group.max()) + 1
     errors: tuple[HeldOut, ...] = ()
     if order is None:
         fold = fold_of(group, folds)
         left = distinct - max(len(np.unique(group[fold == one])) for one in np.unique(fold))
-        orders = range(0 if form == "polynomial" else 1, min(highest, left - 1) + 1)
+        most = min(highest, left - 1, (distinct + 1) // 2 - 1)
+        orders = range(0 if form == "polynomial" else 1, most + 1)
         if distinct < FEWEST or len(np.unique(fold)) < 2 or not len(orders):
             raise EstimationError(
                 f"{distinct} temperatures are too few to choose an order by: give `order` or add temperatures"
@@ -186,5 +209,12 @@ def fit_curve(
             f"{len(value)} values for {order + 1} coefficients leave no residual to take an uncertainty from: lower `order`, add "
             "temperatures or write `uncertainty: propagated`"
         )
-    factor = fit.variance_factor if scatter else 1.0
-    return CurveFit(made, fit, fit.cofactor * factor, float(fit.degrees_of_freedom) if scatter else np.inf, errors)
+    if not scatter:
+        return CurveFit(made, fit, fit.cofactor, np.inf, errors)
+    weighted = fit.residuals / sigma
+    time = correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
+    freedom = max(1.0, len(value) / time - (order + 1))
+    factor = fit.chi_squared / fit.degrees_of_freedom * time
+    return CurveFit(
+        made, fit, fit.cofactor * factor, freedom if time > 1 else float(fit.degrees_of_freedom), errors, time
+    )

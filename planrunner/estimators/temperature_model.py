@@ -67,7 +67,7 @@ class TemperatureModelParameters(Record):
     highest_order: int = key(Number(1, 12, integer=True), "Highest order that is tried.", 4, 4)
     folds: int = key(
         Number(0, 100, integer=True),
-        "Into how many parts the temperatures are divided to be held out in turn; 0 holds out each alone.",
+        "Into how many adjoining ranges the temperatures are divided to be held out in turn; 0 holds out each alone.",
         5,
         0,
     )
@@ -200,6 +200,7 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
             parameters.folds,
             parameters.rule,
             scatter,
+            points.series,
         )
     except EstimationError as error:
         raise EstimationError(f"'{points.name}': {error}") from None
@@ -325,9 +326,7 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
     name, fit = one.points.name, one.fit
     found = []
     if fit.errors:
-        held = (
-            "each temperature in turn" if parameters.folds == 0 else f"{parameters.folds} sets of temperatures in turn"
-        )
+        held = "each temperature in turn" if parameters.folds == 0 else f"{parameters.folds} adjoining ranges in turn"
         by = (
             "the simplest curve within one standard error of the smallest held-out error"
             if parameters.rule == "one_standard_error"
@@ -347,6 +346,11 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
     if parameters.uncertainty == "residual":
         found.append(
             f"{name}: the uncertainty rests on the scatter about the curve, with {fit.degrees_of_freedom:.0f} degrees of freedom."
+        )
+    if fit.correlation > 1:
+        found.append(
+            f"{name}: consecutive values along the ramps resemble each other; variances are {fit.correlation:.3g} times those of "
+            "independent ones, and degrees of freedom as many times fewer."
         )
     return found
 

@@ -34,6 +34,12 @@ class Points:
     labels: tuple[str, ...]
 
     @property
+    def series(self) -> NDArray[np.int64]:
+        """(n,): number of the ramp that each value is of, −1 at a held temperature."""
+        names = list(dict.fromkeys(self.labels))
+        return np.where(self.direction != 0, [names.index(label) for label in self.labels], -1)
+
+    @property
     def sigma(self) -> Array:
         """Positive weights' standard uncertainties: the known ones, or all alike."""
         known = np.isfinite(self.uncertainty).all() and bool((self.uncertainty > 0).all())

@@ -114,12 +114,13 @@ def recorded(
     tilt: float = 0.0,
     batches: int = 32,
 ) -> tuple[RecordedSegment, ...]:
-    """One recording in SI. noise: rad/√s and m/s²·√s, white; tilt: rad, of each orientation about each axis."""
-    found = []
+    """One recording in SI. noise: rad/√s and m/s²·√s, white; tilt: rad, of each orientation about each axis, the
+    same whenever it is taken."""
+    found, tilts = [], {}
     for segment in segments:
         turn = None
         if tilt and draw is not None:
-            a, b, c = tilt * draw.standard_normal(3)
+            a, b, c = tilts.setdefault(segment.orientation, tilt * draw.standard_normal(3))
             turn = np.eye(3) + np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
         values = np.concatenate(outputs(segment, truth, tilt=turn))
         error = np.full(6, 1e-12)
