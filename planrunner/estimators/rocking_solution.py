@@ -14,7 +14,6 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.rocking_attitude import (
     UP,
-    LevelState,
     earth_turn,
     encoder_attitude,
     rotation_vector,
@@ -37,7 +36,8 @@ class Conditions:
     installation: Array
     turned: float = 0.0
 
-    def earth_at(self, state: LevelState) -> Array:
+    @property
+    def felt_earth(self) -> Array:
         """Earth rate in the site axes that the planned orientation refers to."""
         east, north, up = self.earth
         c, s = np.cos(self.turned), np.sin(self.turned)
@@ -89,12 +89,13 @@ def reduce_run(
         if encoders:
             turn = _encoder_turn(run, columns[:, 3:], request)
             columns = np.column_stack([columns[:, :3], turn])
-        filtered = low_pass(replace(piece, values=columns), windows.cutoff)[within(piece, begin, windows.length)]
-        if not len(filtered):
+        inside = within(piece, begin, windows.length)
+        if not inside.any():
             raise EstimationError(
                 f"'{run.label}' has no sample in the window at {begin:g} s: it was cut short, or sampled too slowly"
             )
-        time = piece.time[within(piece, begin, windows.length)]
+        filtered = low_pass(replace(piece, values=columns), windows.cutoff)[inside]
+        time = piece.time[inside]
         made.append(Window(time, filtered[:, :3], filtered[:, 3:] if encoders else None))
     _plausible(run, made[0], request)
     return ReducedRun(run, made[0], made[1], parameters.azimuth == "nominal")
@@ -102,8 +103,7 @@ def reduce_run(
 
 def accelerometer_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
     """Steps 2 to 5: drift [rad/s] about the two level axes, in the order x, y, z, shape (2,)."""
-    state, gravity = reduced.run.state, conditions.gravity
-    earth = conditions.earth_at(state)
+    state, gravity, earth = reduced.run.state, conditions.gravity, conditions.felt_earth
     windows = (reduced.first, reduced.second)
     tilts = [state.tilts(conditions.compensated(window.readings), gravity) for window in windows]
     zero = float(reduced.first.time.mean())
@@ -118,9 +118,7 @@ def accelerometer_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
 
 def gimbal_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
     """Drift [rad/s] about the two level axes from the attitude that rings and gimbals show, shape (2,)."""
-    state = reduced.run.state
-    earth = conditions.earth_at(state)
-    assert reduced.first.turn is not None and reduced.second.turn is not None
+    state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())
     in_space = [
         turned_by(window.turn) @ state.nominal @ np.swapaxes(earth_turn(earth, window.time - zero), 1, 2)

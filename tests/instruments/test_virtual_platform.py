@@ -48,8 +48,8 @@ def read(record, text):
     return made
 
 
-def bench(seed=1, **changes):
-    surroundings = Surroundings(VirtualClock(), Site(LATITUDE, GRAVITY), seed=seed)
+def bench(seed=1, azimuth=0.0, **changes):
+    surroundings = Surroundings(VirtualClock(), Site(LATITUDE, GRAVITY, azimuth), seed=seed)
     table = VirtualTable.connect(read(VirtualTableParameters, f"{{axes: {AXES}}}"), surroundings)
     text = "\n".join(f"{name}: {value}" for name, value in (PERFECT | changes).items())
     platform = VirtualPlatform.connect(read(VirtualPlatformParameters, text), surroundings)
@@ -118,6 +118,11 @@ def test_a_perfect_element_is_fixed_in_inertial_space_whatever_the_base_does(mot
     assert off.max() < 1e-9
     if motion is not None:
         assert np.ptp(channels["gimbal_outer"]) > 3.0
+
+
+def test_on_a_table_that_looks_elsewhere_than_north_directions_are_true_ones():
+    _, platform, clock = bench(azimuth=0.5)
+    np.testing.assert_allclose(base_axes(platform.world, np.array([clock.now()]))[0], VERTICAL, atol=1e-9)
 
 
 def test_while_caged_it_goes_with_the_base():
