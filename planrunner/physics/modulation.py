@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from planrunner.physics.earth import Site
-from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.physics.rotation_cycle import ROUNDING, RotationCycle
 
 MEAN_RADIUS = 6_371_009.0  # m, of the Earth (IUGG)
 
@@ -26,22 +26,21 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
     """The largest free Schuler oscillation that a harmonic of the cycle builds up of a constant gyro drift within `seconds`, over the one
     that the same drift makes without rotation; 0 where the cycle is too short for a harmonic to be near the Schuler rate.
 
-    A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each free rate ω; without rotation that is |ε|/ω_s. Over n cycles the
-    integral is that of one cycle times |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
+    A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each of the two free rates ω, and the sum of both is the semi-major
+    axis of what the velocity goes round; without rotation that is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle times
+    |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
     """
     natural = schuler_rate(site)
+    if round(natural * cycle.period / (2 * math.pi)) == 0:
+        return 0.0
     turning = site.earth_rate * math.sin(site.latitude)
-    most = max(1, int(seconds / cycle.period))
-    largest = 0.0
+    counts = np.arange(1, max(1, int(seconds / cycle.period + ROUNDING)) + 1)
+    sizes = np.zeros(len(counts))
     for rate in (natural - turning, -natural - turning):
-        if round(rate * cycle.period / (2 * math.pi)) == 0:
-            continue
         half = math.remainder(rate * cycle.period, 2 * math.pi) / 2
-        # |sin(nx)| peaks at n = π/2|x|; before that it grows.
-        count = min(most, max(1, round(math.pi / 2 / abs(half)))) if half else most
-        growth = abs(math.sin(count * half) / math.sin(half)) if half else float(count)
-        largest = max(largest, abs(sum(cycle.integral(rate))) * growth)
-    return largest * natural
+        growth = np.abs(np.sin(counts * half) / math.sin(half)) if half else counts
+        sizes += abs(sum(cycle.integral(rate))) * growth
+    return float(sizes.max()) * natural / 2
 
 
 def forced_velocity(

@@ -27,6 +27,7 @@ from planrunner.estimators.modulation_prediction import errors_over_time, period
 from planrunner.estimators.modulation_residual import ModulationResidual, ModulationResidualParameters
 from planrunner.instruments.models import TableAxis, TableModel
 from planrunner.physics.earth import Site
+from planrunner.physics.modulation import schuler_drive
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest
@@ -161,6 +162,17 @@ def test_amplitudes_of_what_repeats_are_those_of_the_predicted_course() -> None:
     velocity, place = periodic_amplitudes(errors, np.eye(3), one, found.orders, SITE)
     assert found.largest_velocity() == pytest.approx(velocity, rel=0.05)
     assert found.largest_position() == pytest.approx(place, rel=0.05)
+
+
+@pytest.mark.parametrize("turns", [PRINTED, EIGHT])
+def test_the_oscillation_that_check_warns_of_is_that_of_the_error_equations(turns: tuple[int, ...]) -> None:
+    # Stops of 10 min: 24 h of an east drift of 0.02 deg/h, whose oscillation without rotation is R·ε = 0.62 m/s.
+    one, site = cycle(turns, stop=600), Site(45.78 * DEG, 9.806)
+    drift = 0.02 * DEG / 3600
+    seconds = round(86400 / one.period) * one.period
+    time, position = errors_over_time(np.array([drift, 0, 0, 0, 0, 0]), np.eye(3), one, one, seconds, site)
+    peak = float(np.hypot(*np.gradient(position, time, axis=0).T).max()) / (6_371_000 * drift)
+    assert schuler_drive(one, seconds, site) == pytest.approx(peak, rel=0.05)
 
 
 # -- the estimate --------------------------------------------------------------------------------------------------------

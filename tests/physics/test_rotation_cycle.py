@@ -181,7 +181,7 @@ def oscillation(one: RotationCycle, count: int) -> float:
     solved = solve_ivp(slope, (0, whole), [0j, 0j], t_eval=[whole], rtol=1e-8, atol=1e-4, max_step=4.0)
     velocity, change = solved.y[:, -1]
     forward, backward = (velocity + change / (1j * natural)) / 2, (velocity - change / (1j * natural)) / 2
-    return float(max(abs(forward), abs(backward)) / (0.5 / natural**2))
+    return float((abs(forward) + abs(backward)) * natural**2)
 
 
 @pytest.mark.parametrize(("turns", "stop", "count"), [(PRINTED + MIRRORED, 300.0, 4), (PRINTED, 600.0, 4)])
