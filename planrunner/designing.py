@@ -7,38 +7,30 @@ study.text                                        the plan with the chosen set i
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.bench.scheduling import build_schedule
 from planrunner.checking import Checked, check_plan
 from planrunner.design import continuous, direction_cosines, exchange, optimal, worst_variance
 from planrunner.design import places as positions
 from planrunner.design.efficiency import Efficiency, Merit, efficiency, merit, region_moment
 from planrunner.design.places import Place, Sight
+from planrunner.designed_plan import moved, with_positions
 from planrunner.estimators import rank
-from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Design, EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
-from planrunner.plan import source
-from planrunner.plan.expand import expand
-from planrunner.plan.findings import Findings, InputError
-from planrunner.plan.orientation import Orientation, in_words
+from planrunner.plan.findings import InputError
 from planrunner.plan.rewriting import (
     DECIMALS,
-    RewriteError,
     as_written,
     cardinal_orientations,
     orientation_text,
-    with_dwells,
-    with_orientations,
 )
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.selection import Detection
@@ -131,7 +123,8 @@ class _Designer:
         self._quick_rows = direction_cosines.quick(self.sight.rows)
         self.count = len(self.places)
         self.terms = len(self.sight.terms)
-        if self.count < self.terms:
+        self.fixed = self.sight.fixed.T @ self.sight.fixed if len(self.sight.fixed) else None
+        if self.fixed is None and self.count < self.terms:
             raise EstimationError(
                 f"'{self.sight.name}' has {self.terms} terms and {self.count} positions: add positions to the plan first"
             )
@@ -146,10 +139,12 @@ class _Designer:
             patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
             uses = {used: self.checked.designs[used] for used in spec.uses if used in self.checked.designs}
             try:
-                found = positions.places(self.schedule.segments, patterns)
+                found, spins = positions.places(self.schedule.segments, patterns)
                 sensor = self.models.sensor
                 assert sensor is not None
-                return found, positions.sight(name, spec, found, self.models.site, sensor, uses, self.options.output)
+                return found, positions.sight(
+                    name, spec, found, self.models.site, sensor, uses, self.checked.setup, spins, self.options.output
+                )
             except EstimationError as error:
                 problems.append(f"{name}: {error}")
         raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
@@ -166,7 +161,7 @@ class _Designer:
         weighting = self._weighting(self.options.criterion)
         found: dict[str, list[Array]] = {"planned": planned}
         how = []
-        if len(kept) and np.linalg.matrix_rank(cardinal_rows) == self.terms:
+        if len(kept) and self._merit(cardinal_rows).sound:
             chosen = self._cardinal(cardinal_rows, weighting)
             indices = self._flattened(cardinal_rows, chosen.indices)
             found["cardinal"] = self._ordered([kept[index] for index in indices])
@@ -175,11 +170,11 @@ class _Designer:
         starts = [self._settings(planned)]
         free = optimal.search(
             region, self.count, weighting, restarts=self.options.restarts, seed=self.options.seed, starts=starts,
-            progress=lambda part: self.progress("free orientations", part),
+            fixed=self.fixed, progress=lambda part: self.progress("free orientations", part),
         )  # fmt: skip
         settings = free.settings
         if self.options.criterion == "G":
-            settings = worst_variance.refine(region, settings, region.rows)
+            settings = worst_variance.refine(region, settings, region.rows, self.fixed)
         attitudes = positions.attitudes(self.axes, self._rounded(settings), self.azimuth)
         found["free"] = self._ordered([as_written(attitude, self._decimals) for attitude in attitudes])
         how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
@@ -198,7 +193,7 @@ class _Designer:
 
     def _require_rank(self) -> None:
         """Raises `EstimationError` where no orientation within the table's reach tells the terms apart."""
-        seen = rank.look(self.region_rows)
+        seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
             raise EstimationError(
@@ -238,14 +233,18 @@ class _Designer:
             self.progress("cardinal orientations", part)
 
         if self.count > len(rows):
-            return exchange.exchange(rows, self.count, weighting, seed=self.options.seed, repeats=True, progress=tell)
-        return exchange.choose(rows, self.count, weighting, seed=self.options.seed, progress=tell)
+            return exchange.exchange(
+                rows, self.count, weighting, seed=self.options.seed, repeats=True, fixed=self.fixed, progress=tell
+            )
+        return exchange.choose(rows, self.count, weighting, seed=self.options.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
         """For G, the choice with the worst variance lowered by exchanges; else the choice itself."""
         if self.options.criterion != "G":
             return indices
-        return worst_variance.exchange(rows, indices, self.region_rows, repeats=self.count > len(rows))
+        return worst_variance.exchange(
+            rows, indices, self.region_rows, repeats=self.count > len(rows), fixed=self.fixed
+        )
 
     def _ordered(self, attitudes: Sequence[Array]) -> list[Array]:
         try:
@@ -254,7 +253,7 @@ class _Designer:
             raise EstimationError(f"a position, rounded as it is written, lies beyond the table: {error}") from None
 
     def _merit(self, rows: Array) -> Merit:
-        return merit(rows, self.region_rows)
+        return merit(rows, self.region_rows, fixed=self.sight.fixed)
 
     def _references(
         self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
@@ -268,36 +267,48 @@ class _Designer:
             settings = free
             if criterion != self.options.criterion:
                 settings = optimal.search(
-                    region, self.count, weighting, restarts=3, seed=self.options.seed, starts=[free]
+                    region, self.count, weighting, restarts=3, seed=self.options.seed, starts=[free], fixed=self.fixed
                 ).settings
                 merits.append(self._merit(region.rows_of(settings)))
-            continuous_ones[criterion] = optimal.bound(region, settings, weighting)
-        merits.append(self._merit(region.rows_of(worst_variance.refine(region, free, region.rows))))
+            continuous_ones[criterion] = optimal.bound(region, settings, weighting, fixed=self._per_observation())
+        merits.append(self._merit(region.rows_of(worst_variance.refine(region, free, region.rows, self.fixed))))
         best = {"free": _best([one for one in merits if one.sound])}
         limits = {"free": self._bounds(continuous_ones)}
         if "cardinal" in found:
             sets = [
                 exchange.exchange(
                     cardinal_rows, self.count, self._weighting(name), seed=self.options.seed,
-                    repeats=self.count > len(cardinal_rows),
+                    repeats=self.count > len(cardinal_rows), fixed=self.fixed,
                 )
                 for name in _WITH_BOUND
             ]  # fmt: skip
             flattened = worst_variance.exchange(
-                cardinal_rows, sets[0].indices, self.region_rows, repeats=self.count > len(cardinal_rows)
+                cardinal_rows,
+                sets[0].indices,
+                self.region_rows,
+                repeats=self.count > len(cardinal_rows),
+                fixed=self.fixed,
             )
             own = [self._merit(cardinal_rows[chosen]) for chosen in (*(one.indices for one in sets), flattened)]
             best["cardinal"] = _best([self._merit(self.sight.rows(np.array(found["cardinal"]))), *own])
             limits["cardinal"] = self._bounds(
-                {name: continuous.solve(cardinal_rows, self._weighting(name)) for name in _WITH_BOUND}
+                {
+                    name: continuous.solve(cardinal_rows, self._weighting(name), fixed=self._per_observation())
+                    for name in _WITH_BOUND
+                }
             )
         self.progress("bounds", 1.0)
         return best, limits
 
+    def _per_observation(self) -> Array | None:
+        return None if self.fixed is None else self.fixed / self.count
+
     def _bounds(self, designs: Mapping[str, continuous.Continuous]) -> Bounds:
         n, p = self.count, self.terms
+        # The bound of G is that of D's equivalence theorem, which holds where nothing is fixed.
+        least = p / n if self.fixed is None else math.nan
         limit = Merit(
-            n, p, p, designs["D"].determinant_bound(n), designs["A"].trace_bound(n), p / n, designs["I"].trace_bound(n)
+            n, p, p, designs["D"].determinant_bound(n), designs["A"].trace_bound(n), least, designs["I"].trace_bound(n)
         )
         return Bounds(limit, designs["D"].largest_variance)
 
@@ -312,37 +323,15 @@ class _Designer:
             place.segments[0].orientation if name == "planned" else orientation_text(one, self._decimals)
             for place, one in zip(self.places, attitudes, strict=True)
         )
-        schedule, designs = (self.schedule, self.checked.designs) if name == "planned" else self._scheduled(attitudes)
+        schedule, designs = (
+            (self.schedule, self.checked.designs)
+            if name == "planned"
+            else moved(self.checked, dict(zip((place.mark for place in self.places), attitudes, strict=True)))
+        )
         return PositionSet(
             tuple(attitudes), texts, own, efficiency(own, best["free"]), efficiency(own, limits["free"].merit),
             efficiency(own, best["cardinal"]) if words and "cardinal" in best else None, schedule, designs,
         )  # fmt: skip
-
-    def _scheduled(self, attitudes: Sequence[Array]) -> tuple[Schedule, dict[str, Design]]:
-        """The plan with other orientations, with real transition times, and what its estimates could learn."""
-        new = {
-            place.mark: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))
-            for place, attitude in zip(self.places, attitudes, strict=True)
-        }
-        stated = []
-        for item in expand(self.plan, Findings()):
-            mark = item.marks.get("orientation")
-            changed = new.get((mark.line, mark.column)) if mark else None
-            stated.append(replace(item, state={**item.state, "orientation": changed}) if changed else item)
-        log = Findings()
-        schedule = build_schedule(stated, self.models, log, self.plan.mounting)
-        if log.errors:
-            raise EstimationError(f"the bench cannot do it: {log.errors[0].message}")
-        assert self.models.sensor is not None
-        designs: dict[str, Design] = {}
-        for name, spec in self.plan.estimates.items():
-            with contextlib.suppress(EstimationError):  # an estimate that is not designed for may make no sense here
-                design = design_of(
-                    name, spec, schedule.segments, self.models.site, self.models.sensor, designs, self.checked.setup
-                )
-                if design is not None:
-                    designs[name] = design
-        return schedule, designs
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
         """Dwells within the time budget, by place, and the D-efficiency of equal dwells against them."""
@@ -361,28 +350,16 @@ class _Designer:
         rows = self.sight.rows(np.array(chosen.attitudes))
         if not chosen.merit.sound:
             raise EstimationError("dwells cannot make up for positions that do not tell all terms apart")
-        shares = optimal.allocate(rows, self._weighting(self.options.criterion))
-        equal = merit(rows, self.region_rows)
-        allotted = merit(rows, self.region_rows, shares * self.count)
+        shares = optimal.allocate(rows, self._weighting(self.options.criterion), fixed=self._per_observation())
+        equal = self._merit(rows)
+        allotted = merit(rows, self.region_rows, shares * self.count, self.sight.fixed)
         gain = getattr(efficiency(equal, allotted), self.options.criterion)
         return tuple(float(math.floor(available * share)) for share in shares), float(gain)
 
     def _text(self, chosen: PositionSet, dwells: Sequence[float]) -> str:
-        text = source.decode(self.checked.plan_bytes, self.checked.file)
         marks = [place.mark for place in self.places]
-        try:
-            if dwells:
-                # Orientations first keep their lines, so that the dwells' places are still right afterwards.
-                text = with_dwells(
-                    text,
-                    {mark: f"{dwell:g} s" for mark, dwell in zip(marks, dwells, strict=True)},
-                    {} if self.options.orientations == "planned" else dict(zip(marks, chosen.texts, strict=True)),
-                )
-            elif self.options.orientations != "planned":
-                text = with_orientations(text, dict(zip(marks, chosen.texts, strict=True)))
-        except RewriteError as error:
-            raise EstimationError(f"{self.checked.file}: {error}") from None
-        return text
+        texts = {} if self.options.orientations == "planned" else dict(zip(marks, chosen.texts, strict=True))
+        return with_positions(self.checked, texts, dict(zip(marks, dwells, strict=True)) if dwells else {})
 
 
 def residual_ratios(study: Study, name: str) -> dict[str, float]:

@@ -79,4 +79,5 @@ def context(study: Study) -> DesignContext:
         study.dwell_gain,
         {"Plan": checked.file, "Bench": checked.bench.name, **site_facts(checked.models.site)},
         tuple(claims),
+        len(study.sight.fixed),
     )

@@ -25,26 +25,30 @@ NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 @dataclass(frozen=True, slots=True)
 class Continuous:
     """shares: (N,), adding up to 1. matrix: (p, p), M per observation. excess: the largest value of the derivative over its mean, less
-    one: 1e-6 says that nothing is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹)."""
+    one: 1e-6 says that nothing is better by more than one part in a million. value: |M| (D) or tr(W·M⁻¹). mean: of the derivative; p (D)
+    or the value itself, less where information is there whatever the shares are."""
 
     shares: Array
     matrix: Array
     excess: float
     value: float
     weighting: Array | None
+    mean: float
 
     @property
     def largest_variance(self) -> float:
-        """The certificate of a D-optimal design: max d(x) over the candidates, p at the optimum."""
-        return len(self.matrix) * (1.0 + self.excess)
+        """The certificate of a D-optimal design: max d(x) over the candidates, at the optimum p (`mean` beside fixed information)."""
+        return self.mean * (1.0 + self.excess)
 
     def determinant_bound(self, observations: int) -> float:
         """No set of so many observations has a larger determinant (D designs)."""
-        return float((observations * (1.0 + self.excess)) ** len(self.matrix) * self.value)
+        # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
+        return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
     def trace_bound(self, observations: int) -> float:
         """No set of so many observations has a smaller tr(W·M⁻¹) (linear criteria)."""
-        return self.value / (observations * (1.0 + self.excess))
+        # tr(W·M⁻¹) is convex, likewise.
+        return (self.value - self.mean * self.excess) / observations
 
 
 def derivative(rows: Array, matrix: Array, weighting: Array | None) -> Array:
@@ -62,52 +66,59 @@ def solve(
     tolerance: float = 1e-6,
     most_steps: int = 20_000,
     start: Array | None = None,
+    fixed: Array | None = None,
 ) -> Continuous:
     """The best shares on the candidates `rows`, shape (N, p), which must have rank p.
 
-    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: every candidate keeps this share. start: shares to begin with. Ends when the
+    weighting: None for D, W (p, p) for tr(W·M⁻¹). least: every candidate keeps this share. start: shares to begin with.
+    fixed: (p, p), information per observation that is there whatever the shares are. Ends when the
     excess is below `tolerance` or after `most_steps`; the excess that is left is told and the bounds allow for it.
     Raises ValueError when the candidates cannot give all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape
-    if np.linalg.matrix_rank(rows) < p:
+    always = np.zeros((p, p)) if fixed is None else fixed
+    plain = least == 0.0 and fixed is None
+    if np.linalg.matrix_rank(information(rows) + always) < p:
         raise ValueError("the candidates cannot tell all terms apart")
     if not 0.0 <= least * count < 1.0:
         raise ValueError("the least shares add up to all that there is")
     free = np.full(count, 1.0 / count) if start is None else np.maximum(start, 1e-6 / count)
     free /= free.sum()
-    fixed, loose = least * information(rows), 1.0 - least * count
+    held, loose = least * information(rows) + always, 1.0 - least * count
     alive = np.arange(count)
     for step in range(most_steps):
         kept = rows[alive]
-        gain = derivative(kept, fixed + loose * information(kept, free), weighting)
+        gain = derivative(kept, held + loose * information(kept, free), weighting)
         mean = float(free @ gain)
         excess = float(gain.max()) / mean - 1.0
         if excess <= tolerance:
             break
-        if weighting is None and least == 0.0 and step >= 30:
+        if weighting is None and plain and step >= 30:
             free = _step(free, gain, p)
         else:
             free = free * (gain / mean) ** (1.0 if weighting is None else 0.5)
             free /= free.sum()
-        if weighting is None and least == 0.0 and step % 20 == 19:
+        if weighting is None and plain and step % 20 == 19:
             keep = _needed(gain, p, excess)
             alive, free = alive[keep], free[keep] / free[keep].sum()
     shares = np.zeros(count)
     shares[alive] = np.where(free > NEGLIGIBLE, free, 0.0)
     shares = least + loose * shares / shares.sum()
-    return judged(rows, shares, weighting, least)
+    return judged(rows, shares, weighting, least, fixed)
 
 
-def judged(rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0) -> Continuous:
+def judged(
+    rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
+) -> Continuous:
     """Given shares with their certificate over `rows`."""
-    matrix = information(rows, shares)
+    matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least
-    excess = max(0.0, float(gain.max()) / float(free @ gain / free.sum()) - 1.0)
+    mean = float(free @ gain / free.sum())
+    excess = max(0.0, float(gain.max()) / mean - 1.0)
     value = np.linalg.det(matrix) if weighting is None else np.trace(weighting @ np.linalg.inv(matrix))
-    return Continuous(shares, matrix, excess, float(value), weighting)
+    return Continuous(shares, matrix, excess, float(value), weighting, mean)
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
@@ -140,7 +151,13 @@ Climb = Callable[[Array, Array | None], tuple[Array, Array]]
 
 
 def solve_with_climbing(
-    rows: Array, climb: Climb, weighting: Array | None = None, *, tolerance: float = 2e-4, most_rounds: int = 6
+    rows: Array,
+    climb: Climb,
+    weighting: Array | None = None,
+    *,
+    tolerance: float = 2e-4,
+    most_rounds: int = 6,
+    fixed: Array | None = None,
 ) -> Continuous:
     """The best shares over a continuous region: candidates, then whatever better points are found by climbing, until none is.
 
@@ -151,12 +168,12 @@ def solve_with_climbing(
     shares: Array | None = None
     best: Continuous | None = None
     for _ in range(most_rounds):
-        found = solve(known, weighting, tolerance=tolerance / 3, most_steps=1000, start=shares)
+        found = solve(known, weighting, tolerance=tolerance / 3, most_steps=1000, start=shares, fixed=fixed)
         tops, gains = climb(found.matrix, weighting)
-        mean = len(found.matrix) if weighting is None else found.value
+        mean = found.mean
         excess = max(found.excess, float(gains.max()) / mean - 1.0)
         if best is None or excess < best.excess:
-            best = Continuous(found.shares, found.matrix, excess, found.value, weighting)
+            best = Continuous(found.shares, found.matrix, excess, found.value, weighting, mean)
         if excess <= tolerance:
             break
         kept = found.shares > 0

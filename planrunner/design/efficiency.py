@@ -68,15 +68,18 @@ def variances(rows: Array, matrix: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", rows @ np.linalg.inv(matrix), rows))
 
 
-def merit(rows: Array, region: Array, weights: Array | None = None) -> Merit:
-    """The criteria of a set. region: rows over which predictions are wanted; weights: of each observation, one without them."""
+def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array | None = None) -> Merit:
+    """The criteria of a set. region: rows over which predictions are wanted; weights: of each observation, one without them; fixed: rows
+    (k, p) that are observed whatever the set is, which `observations` does not count."""
     n, p = rows.shape
     used = rows if weights is None else rows * np.sqrt(weights)[:, None]
+    if fixed is not None:
+        used = np.concatenate([used, fixed])
     singular = np.linalg.svd(used, compute_uv=False)
-    rank = int(np.sum(singular > SINGULAR * singular[0])) if n and singular[0] > 0 else 0
+    rank = int(np.sum(singular > SINGULAR * singular[0])) if len(used) and singular[0] > 0 else 0
     if rank < p:
         return Merit(n, p, rank, 0.0, math.inf, math.inf, math.inf)
-    matrix = information(rows, weights)
+    matrix = information(used)
     felt = variances(region, matrix)
     trace = float(np.trace(np.linalg.inv(matrix)))
     return Merit(n, p, rank, float(np.prod(singular**2)), trace, float(felt.max()), float(felt.mean()))

@@ -2,7 +2,7 @@
 
 Exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980): each point in turn gives way to the candidate that is
 best beside the others, until none does. With S the inverse information of the others and d = xᵀSx, adding x multiplies the determinant by
-1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d).
+1 + d and lowers tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is information that is there whatever is chosen.
 """
 
 from __future__ import annotations
@@ -36,14 +36,22 @@ class Chosen:
     exhaustive: bool
 
 
-def loss(rows: Array, weighting: Array | None = None) -> float:
+def loss(rows: Array, weighting: Array | None = None, fixed: Array | None = None) -> float:
     """What is minimised for one set of rows, (n, p)."""
+    if fixed is not None:
+        rows = np.concatenate([rows, root(fixed)])
     singular = np.linalg.svd(rows, compute_uv=False)
     if len(rows) < rows.shape[1] or singular[-1] <= 1e-9 * singular[0]:
         return math.inf
     if weighting is None:
         return float(-2.0 * np.sum(np.log(singular)))
     return float(np.trace(weighting @ np.linalg.inv(rows.T @ rows)))
+
+
+def root(information: Array) -> Array:
+    """Rows (p, p) whose information is the given matrix."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
 
 def choose(
@@ -53,15 +61,22 @@ def choose(
     *,
     restarts: int = 30,
     seed: int = 0,
+    fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Chosen:
     """The best set of `count` different candidates: exhaustive where feasible, else by exchange."""
     if math.comb(len(rows), count) <= MOST_CHOICES:
-        return exhaust(rows, count, weighting, progress)
-    return exchange(rows, count, weighting, restarts=restarts, seed=seed, progress=progress)
+        return exhaust(rows, count, weighting, progress, fixed)
+    return exchange(rows, count, weighting, restarts=restarts, seed=seed, fixed=fixed, progress=progress)
 
 
-def exhaust(rows: Array, count: int, weighting: Array | None = None, progress: Progress | None = None) -> Chosen:
+def exhaust(
+    rows: Array,
+    count: int,
+    weighting: Array | None = None,
+    progress: Progress | None = None,
+    fixed: Array | None = None,
+) -> Chosen:
     """The best of all choices of `count` different candidates."""
     p = rows.shape[1]
     outers = np.einsum("ni,nj->nij", rows, rows).reshape(len(rows), p * p)
@@ -70,7 +85,8 @@ def exhaust(rows: Array, count: int, weighting: Array | None = None, progress: P
     for chunk in _chunks(len(rows), count):
         member = np.zeros((len(chunk), len(rows)))
         np.put_along_axis(member, chunk, 1.0, axis=1)
-        losses = _losses((member @ outers).reshape(-1, p, p), weighting)
+        matrices = (member @ outers).reshape(-1, p, p)
+        losses = _losses(matrices if fixed is None else matrices + fixed, weighting)
         least = int(np.argmin(losses))
         if losses[least] < best_loss:
             best, best_loss = chunk[least], float(losses[least])
@@ -110,10 +126,14 @@ def exchange(
     restarts: int = 30,
     seed: int = 0,
     repeats: bool = False,
+    fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Chosen:
     """The best set found by exchange from `restarts` random sets. repeats: whether a candidate may be taken more than once."""
-    return exchange_all(rows, count, weighting, restarts=restarts, seed=seed, repeats=repeats, progress=progress)[0]
+    found = exchange_all(
+        rows, count, weighting, restarts=restarts, seed=seed, repeats=repeats, fixed=fixed, progress=progress
+    )
+    return found[0]
 
 
 def exchange_all(
@@ -124,6 +144,7 @@ def exchange_all(
     restarts: int = 30,
     seed: int = 0,
     repeats: bool = False,
+    fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> list[Chosen]:
     """What every restart ended in, the best first. The same seed gives the same sets."""
@@ -133,16 +154,18 @@ def exchange_all(
     found = []
     for turn in range(restarts):
         start = random.choice(len(rows), size=count, replace=repeats or count > len(rows))
-        indices = np.sort(_settle(rows, start, weighting, repeats))
-        found.append(Chosen(indices, loss(rows[indices], weighting), restarts, False))
+        indices = np.sort(_settle(rows, start, weighting, repeats, fixed))
+        found.append(Chosen(indices, loss(rows[indices], weighting, fixed), restarts, False))
         if progress:
             progress((turn + 1) / restarts)
     return sorted(found, key=lambda chosen: (chosen.loss, *chosen.indices.tolist()))
 
 
-def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool) -> Indices:
+def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool, fixed: Array | None = None) -> Indices:
     indices = start.copy()
     ridge = _RIDGE * max(float(np.mean(rows**2)), 1e-300) * np.eye(rows.shape[1])
+    if fixed is not None:
+        ridge = ridge + fixed
     matrix = rows[indices].T @ rows[indices] + ridge
     for _ in range(200):
         before = indices.copy()

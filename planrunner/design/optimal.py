@@ -66,18 +66,20 @@ def search(
     restarts: int = 30,
     seed: int = 0,
     starts: Sequence[Array] = (),
+    fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Found:
     """The best `count` settings found: exchange among the candidates, then every set is improved locally.
 
-    starts: settings (count, k) to improve as well, such as those of a plan. The same seed gives the same settings.
+    starts: settings (count, k) to improve as well, such as those of a plan. fixed: (p, p), information that is there in any
+    case. The same seed gives the same settings.
     """
-    sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True)
+    sets = exchange.exchange_all(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)
     begun = [*starts, *(over.settings[chosen.indices] for chosen in sets)]
     best, losses = begun[0], []
     for turn, start in enumerate(begun):
-        settings = refine(over, start, weighting)
-        losses.append(exchange.loss(over.rows_of(settings), weighting))
+        settings = refine(over, start, weighting, fixed)
+        losses.append(exchange.loss(over.rows_of(settings), weighting, fixed))
         if losses[-1] <= min(losses):
             best = settings
         if progress:
@@ -87,15 +89,16 @@ def search(
     return Found(best, least, len(begun), sum(one <= near for one in losses))
 
 
-def refine(over: Region, start: Array, weighting: Array | None = None) -> Array:
+def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Array | None = None) -> Array:
     """The nearest local optimum, shape of `start` (n, k), by L-BFGS-B with the exact gradient in the rows."""
     from scipy.optimize import minimize
 
     shape = start.shape
+    always = 1e-12 * np.eye(over.rows.shape[1]) + (0.0 if fixed is None else fixed)
 
     def value(flat: Array) -> tuple[float, Array]:
         rows, slopes = with_slopes(over.rows_of, flat.reshape(shape))
-        matrix = rows.T @ rows + 1e-12 * np.eye(rows.shape[1])
+        matrix = rows.T @ rows + always
         inverse = np.linalg.inv(matrix)
         if weighting is None:
             return -float(np.linalg.slogdet(matrix)[1]), -2.0 * np.einsum("nkp,np->nk", slopes, rows @ inverse).ravel()
@@ -138,20 +141,31 @@ def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[
     return rows, derivative(rows, matrix, weighting)
 
 
-def bound(over: Region, begin: Array, weighting: Array | None = None, *, tolerance: float = 1e-5) -> Continuous:
+def bound(
+    over: Region,
+    begin: Array,
+    weighting: Array | None = None,
+    *,
+    tolerance: float = 1e-5,
+    fixed: Array | None = None,
+) -> Continuous:
     """The continuous optimum over the region, with its certificate as far as climbing from the candidates can see.
 
     begin: (m, k), settings to begin with, such as the best sets found; the nearer they are to the optimum, the sooner it is certified.
     """
     spots = over.rows[np.argsort(-np.sum(over.rows**2, axis=1), kind="stable")[: len(over.rows) // 20]]
     rows = np.vstack([over.rows_of(begin), spots])
-    return solve_with_climbing(rows, lambda matrix, w: climb(over, matrix, w), weighting, tolerance=tolerance)
+    return solve_with_climbing(
+        rows, lambda matrix, w: climb(over, matrix, w), weighting, tolerance=tolerance, fixed=fixed
+    )
 
 
-def allocate(rows: Array, weighting: Array | None = None, *, least_share: float = 0.25) -> Array:
+def allocate(
+    rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
+) -> Array:
     """Shares (n,) of the total recording time on given positions, adding up to 1, for observations whose variance falls as one over
     the time. least_share: every position keeps this part of an equal share, so that none is lost for checking the model."""
-    return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9).shares
+    return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 
 def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:

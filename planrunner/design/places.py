@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner import plugins
-from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError
+from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Setup
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, transition_time
-from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import select
 
 Array = NDArray[np.float64]
@@ -43,7 +43,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What one output of an estimate sees: its terms, and the estimator asked at any attitude."""
+    """What one output of an estimate sees: its terms, and the estimator asked at any attitude.
+
+    magnitudes: (p,), by which columns are divided. fixed: rows (k, p) of what stays as it is, such as spins, in units of a position's
+    noise.
+    """
 
     name: str
     spec: Any
@@ -54,24 +58,31 @@ class Sight:
     site: Site
     sensor: SensorModel
     uses: Mapping[str, Design]
+    setup: Setup
+    magnitudes: Array
+    fixed: Array
 
     def rows(self, attitudes: Array) -> Array:
         """Rows of the design matrix, (m, p), columns divided by their magnitudes, for attitudes (m, 3, 3)."""
         segments = tuple(replace(self.template, attitude=attitude) for attitude in attitudes)
-        block = self._block(_design(self.name, self.spec, segments, self.site, self.sensor, self.uses))
-        return np.asarray(block.matrix / block.magnitudes)
+        design = _design(self.name, self.spec, segments, self.site, self.sensor, self.uses, self.setup)
+        return np.asarray(self._block(design).matrix / self.magnitudes)
 
     def _block(self, design: Design | None) -> DesignBlock:
         assert design is not None
         return next(block for block in design.blocks if block.output == self.output)
 
 
-def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[Place, ...]:
-    """The places of the segments that an estimate uses. Raises `EstimationError` for what no design of positions can move."""
+def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[Place, ...], tuple[Segment, ...]]:
+    """The places of the segments that an estimate uses, and its segments that spin, which stay. Raises `EstimationError` for what no
+    design of positions can move."""
     chosen = set(select([segment.label for segment in segments], patterns))
     groups: dict[tuple[int, int], list[Segment]] = {}
+    spins = tuple(segments[index] for index in sorted(chosen) if isinstance(segments[index].motion, Spin))
     for index in sorted(chosen):
         segment = segments[index]
+        if isinstance(segment.motion, Spin) and len(spins) < len(chosen):
+            continue
         if not isinstance(segment.motion, Rest) or segment.attitude is None:
             why = "has no known orientation" if segment.attitude is None else "moves while it records"
             raise EstimationError(
@@ -87,7 +98,7 @@ def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[Place,
     sizes = {len(group) for group in groups.values()}
     if len(sizes) > 1:
         raise EstimationError("the positions are recorded a different number of times; record each equally often")
-    return tuple(Place(mark, tuple(group)) for mark, group in groups.items())
+    return tuple(Place(mark, tuple(group)) for mark, group in groups.items()), spins
 
 
 def sight(
@@ -97,10 +108,13 @@ def sight(
     site: Site,
     sensor: SensorModel,
     uses: Mapping[str, Design],
+    setup: Setup,
+    spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """What an estimate sees at the places. output: which one, where they differ. Raises `EstimationError`."""
-    design = _design(name, spec, tuple(place.segments[0] for place in found), site, sensor, uses)
+    """What an estimate sees at the places, beside spins that stay. output: which one, where they differ. Raises `EstimationError`."""
+    at_rest = tuple(place.segments[0] for place in found)
+    design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:
         raise EstimationError(f"'{name}' ({spec.estimator}) has no design matrix to improve")
     names = [block.output for block in design.blocks]
@@ -117,14 +131,39 @@ def sight(
             f"the outputs of '{name}' see different things: choose one of {', '.join(names)} with --output"
         )
     template = found[0].segments[0]
-    return Sight(name, spec, block.output, alike, tuple(block.terms), template, site, sensor, uses)
+    moved = {segment.label for segment in at_rest}
+    stays = np.array([label not in moved for label in block.labels], dtype=bool)
+    noise = np.asarray(block.sigma, dtype=float)
+    typical = float(np.sqrt(np.mean(noise[~stays] ** 2))) if (~stays).any() else 0.0
+    relative = typical / noise[stays] if typical > 0 and np.all(noise[stays] > 0) else np.ones(int(stays.sum()))
+    share = relative / np.sqrt(len(found[0].segments))  # spins run once beside positions that are run several times
+    return Sight(
+        name,
+        spec,
+        block.output,
+        alike,
+        tuple(block.terms),
+        template,
+        site,
+        sensor,
+        uses,
+        setup,
+        np.asarray(block.magnitudes, dtype=float),
+        _scaled(block)[stays] * share[:, None],
+    )
 
 
 def _design(
-    name: str, spec: Any, segments: tuple[Segment, ...], site: Site, sensor: SensorModel, uses: Mapping[str, Design]
+    name: str,
+    spec: Any,
+    segments: tuple[Segment, ...],
+    site: Site,
+    sensor: SensorModel,
+    uses: Mapping[str, Design],
+    setup: Setup,
 ) -> Design | None:
     estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
-    design: Design | None = estimator.design(DesignRequest(name, segments, spec.parameters, site, sensor, uses))
+    design: Design | None = estimator.design(DesignRequest(name, segments, spec.parameters, site, sensor, uses, setup))
     return design
 
 

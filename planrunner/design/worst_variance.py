@@ -20,25 +20,29 @@ Indices = NDArray[np.intp]
 NORMS = (4.0, 16.0, 64.0, 256.0)
 
 
-def worst(rows: Array, region: Array) -> float:
-    """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite where M is singular."""
-    matrix = rows.T @ rows
-    if len(rows) < rows.shape[1] or np.linalg.cond(matrix) > 1e14:
+def worst(rows: Array, region: Array, fixed: Array | None = None) -> float:
+    """The largest xᵀM⁻¹x over the rows of `region` (N, p) for a set `rows` (n, p); infinite where M is singular.
+
+    fixed: (p, p), information that is there in any case.
+    """
+    matrix = rows.T @ rows + (0.0 if fixed is None else fixed)
+    if np.linalg.matrix_rank(matrix) < len(matrix) or np.linalg.cond(matrix) > 1e14:
         return math.inf
     return float(np.einsum("ij,ij->i", region @ np.linalg.inv(matrix), region).max())
 
 
-def refine(over: Region, start: Array, region: Array) -> Array:
+def refine(over: Region, start: Array, region: Array, fixed: Array | None = None) -> Array:
     """Settings (n, k) near `start` with a smaller worst variance over the rows of `region`; `start` itself where there are none."""
     from scipy.optimize import minimize
 
-    shape, best, least = start.shape, start, worst(over.rows_of(start), region)
+    shape, best, least = start.shape, start, worst(over.rows_of(start), region, fixed)
+    always = 1e-12 * np.eye(over.rows.shape[1]) + (0.0 if fixed is None else fixed)
     current = start
     for norm in NORMS:
 
         def value(flat: Array, norm: float = norm) -> tuple[float, Array]:
             rows, slopes = with_slopes(over.rows_of, flat.reshape(shape))
-            inverse = np.linalg.inv(rows.T @ rows + 1e-12 * np.eye(rows.shape[1]))
+            inverse = np.linalg.inv(rows.T @ rows + always)
             variance = np.einsum("ij,ij->i", region @ inverse, region)
             top = float(variance.max())
             powers = (variance / top) ** norm
@@ -52,16 +56,16 @@ def refine(over: Region, start: Array, region: Array) -> Array:
             value, current.ravel(), jac=True, method="L-BFGS-B", bounds=boxed(over, shape[0]), options={"maxiter": 100}
         )
         current = np.asarray(done.x).reshape(shape)
-        reached = worst(over.rows_of(current), region)
+        reached = worst(over.rows_of(current), region, fixed)
         if reached < least:
             best, least = current, reached
     return best
 
 
-def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False) -> Indices:
+def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False, fixed: Array | None = None) -> Indices:
     """Indices (n,) of the candidates `rows` (N, p), reached from `start` by exchanges that lower the worst variance, until none does."""
     chosen = list(map(int, start))
-    least = worst(rows[chosen], region)
+    least = worst(rows[chosen], region, fixed)
     improved = True
     while improved:
         improved = False
@@ -70,7 +74,7 @@ def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False) 
                 if candidate in chosen and not repeats:
                     continue
                 tried = [*chosen[:place], candidate, *chosen[place + 1 :]]
-                reached = worst(rows[tried], region)
+                reached = worst(rows[tried], region, fixed)
                 if reached < least * (1 - 1e-9):
                     chosen, least, improved = tried, reached, True
     return np.sort(np.array(chosen, dtype=np.intp))

@@ -60,6 +60,7 @@ class DesignContext:
     dwell_gain: float = 1.0
     facts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    spins: int = 0
 
 
 def render_page(context: DesignContext, folder: Path | None = None) -> str:
@@ -119,7 +120,8 @@ def _criteria(context: DesignContext) -> Table:
 
 
 def _figures(merit: Merit) -> tuple[str, ...]:
-    return tuple(words.number(value, 6) for value in (merit.determinant, merit.trace, merit.worst, merit.mean))
+    values = (merit.determinant, merit.trace, merit.worst, merit.mean)
+    return tuple("–" if math.isnan(value) else words.number(value, 6) for value in values)
 
 
 def _efficiencies(context: DesignContext) -> Table:
@@ -140,7 +142,7 @@ def _four(shares: Efficiency) -> tuple[float, float, float, float]:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
+    return "–" if math.isnan(share) else f"{100 * share:.2f} %"
 
 
 def _positions(context: DesignContext) -> Table:
@@ -195,10 +197,16 @@ def notes(context: DesignContext) -> list[str]:
         said.append("No set of cardinal positions tells all terms apart.")
     certificate = context.certificates["free"]
     p = len(context.terms)
-    said.append(
-        f"Bound: at the continuous D-optimum the largest variance over all reachable orientations is {certificate:.6g}; it is {p} "
-        "at the optimum itself (Kiefer and Wolfowitz), and the bound allows for the difference."
-    )
+    if context.spins:
+        said.append(
+            f"{context.spins} segments of the estimate spin: they stay as they are and count in every set. The bound of the worst variance "
+            "is not known beside them."
+        )
+    else:
+        said.append(
+            f"Bound: at the continuous D-optimum the largest variance over all reachable orientations is {certificate:.6g}; it is {p} "
+            "at the optimum itself (Kiefer and Wolfowitz), and the bound allows for the difference."
+        )
     share = chosen.of_bound.D
     if share > 0.9999:
         said.append(
