@@ -35,6 +35,8 @@ from planrunner.plan.schedule import Segment
 
 Array = NDArray[np.float64]
 
+LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted for
+
 
 class ModulationResidualParameters(Record):
     """Keys of the estimator modulation_residual."""
@@ -270,11 +272,12 @@ def _left(segment: Segment, request: DesignRequest) -> str:
     assert cycle is not None
     share = 0.0 if cycle.balanced else 100 * abs(cycle.residual) / cycle.period
     left = f"'{segment.label}': {share:.3g} % of a constant horizontal error is not modulated by its cycle of {cycle.period:.1f} s"
-    if declared is None or segment.attitude is None or not segment.dwell:
+    dwell = segment.dwell or 0.0
+    if declared is None or segment.attitude is None or not 0 < dwell <= LONGEST:
         return f"{left}."
     before = next((item for item in request.segments if item.index == segment.index - 1), None)
     aligned = rotation(before.motion, table) if before is not None else None
     errors = horizontal(declared, segment.attitude)
-    position = errors_over_time(errors, segment.attitude, cycle, aligned, segment.dwell, request.site)[1]
+    position = errors_over_time(errors, segment.attitude, cycle, aligned, dwell, request.site)[1]
     rms = float(np.sqrt(np.mean(np.sum(position**2, axis=1))))
-    return f"{left}; the declared horizontal errors make {rms:.3g} m rms of position error over {segment.dwell / HOUR:.3g} h."
+    return f"{left}; the declared horizontal errors make {rms:.3g} m rms of position error over {dwell / HOUR:.3g} h."

@@ -37,6 +37,7 @@ from planrunner.plan.units import UnknownUnitError, unit
 Array = NDArray[np.float64]
 
 _STEP = 60.0  # s, over which the error equations are driven by a mean
+_LONGEST = 7 * 86400.0  # s that errors are predicted for
 _FINE = 60  # angles in each such step
 _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
 
@@ -131,6 +132,8 @@ def _expected(
         return (), (
             "No errors are predicted: neither noise nor gyro_uncertainty and accelerometer_uncertainty are known.",
         )
+    if sum(dwell or 0.0 for dwell in dwells) > _LONGEST:
+        return (), (f"No errors are predicted for navigations of more than {_LONGEST / 86400:g} days.",)
     equations = ErrorEquations.at(request.site)
     rotation = np.asarray(stop.attitude, dtype=float).T
     density = to_navigation(rotation, white**2)

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import cmath
 import math
+import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from recorded import from_means, segment, sensor
 from scipy.integrate import solve_ivp
 
+from planrunner.checking import check_plan
 from planrunner.estimators.interface import (
     Coefficient,
     DesignRequest,
@@ -294,3 +297,13 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
         asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[0], declared[1], declared[1]))
     )
     assert not any("make 0 m rms" in note for note in ModulationResidual().design(level).notes)
+
+
+def test_a_plan_for_years_is_checked_at_once(tmp_path: Path) -> None:
+    plan = (Path(__file__).resolve().parents[2] / "plans" / "rotation_stop_navigation.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "years.yaml"
+    path.write_text(plan.replace("cycles: 1, at_least: 24 h", "cycles: 1000000"), encoding="utf-8")
+    begun = time.process_time()
+    checked = check_plan(path)
+    assert checked.ok
+    assert time.process_time() - begun < 5
