@@ -6,14 +6,14 @@ The template words the page; here stand names, figures and dates. A missing figu
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
-from planrunner.reporting.budgets import freedom, shown_unit
+from planrunner.reporting.budgets import freedom, shown_unit, two_digits
 from planrunner.reporting.rounding import format_pair
 from planrunner.uncertainty.decision import coverage_factor
 
@@ -94,7 +94,7 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
         "replayed": facts.replayed,
         "results": results,
         "has_before": any(row["before"] for one in results for row in one["rows"]),
-        "rules": sorted({limit.rule for limit in limits}),
+        "rules": _rules(limits),
         "conformity": [_conformity(limit) for limit in limits],
         "warnings": [f"{one.name}: {text}" for one in shown for text in one.warnings],
     }
@@ -155,6 +155,26 @@ def _results(estimate: Estimate, before: Estimate | None, probability: float) ->
     return {"name": estimate.name, "estimator": estimate.estimator, "rows": rows, "segments": list(estimate.segments)}
 
 
+def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
+    """The rules that were used, each once. factor: r of the guard band r·U; percent: coverage of U; risk: the most, in percent, by which
+    an accepted value can be wrong beyond one limit, for r ≥ 1."""
+    used = sorted({(limit.rule, limit.guard_factor, limit.coverage) for limit in limits})
+    return [
+        {
+            "rule": rule,
+            "factor": words.number(factor),
+            "percent": words.number(100 * coverage),
+            "risk": words.number(50 * (1 - coverage), 3) if factor >= 1 else "",
+        }
+        for rule, factor, coverage in used
+    ]
+
+
+def guard_band(limit: LimitVerdict) -> str:
+    """Its width in the limit's unit; nothing where results of an earlier version do not say."""
+    return "" if math.isnan(limit.guard_band) else two_digits(limit.guard_band)
+
+
 def _split(name: str, description: str) -> tuple[str, str]:
     """`gyro_x: scale factor …` of K_gyro_x as subject and words, so that the words can be translated."""
     subject, colon, rest = description.partition(": ")
@@ -171,10 +191,12 @@ def _conformity(limit: LimitVerdict) -> dict[str, str]:
         "expanded": width,
         "unit": shown_unit(limit.unit),
         "rule": limit.rule,
-        "guard": width if limit.rule == "guarded" else "0",
+        "guard": guard_band(limit),
         "verdict": limit.verdict,
         "probability": words.probability(limit.probability),
-        "false_acceptance": words.probability(1 - limit.probability) if limit.verdict == "pass" else "",
+        "wrong": words.probability(limit.false_decision),
+        "consumer_risk": "" if math.isnan(limit.consumer_risk) else words.probability(limit.consumer_risk),
+        "producer_risk": "" if math.isnan(limit.producer_risk) else words.probability(limit.producer_risk),
     }
 
 

@@ -35,7 +35,9 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
     for message in catalogue:
         if message.id and not message.fuzzy:
             said = message.string
-            if all(said) if isinstance(said, tuple) else said:
+            if isinstance(said, list | tuple):
+                said = tuple(said) if all(said) else None
+            if said:
                 found[message.id[0] if isinstance(message.id, list | tuple) else message.id] = said
     return found
 

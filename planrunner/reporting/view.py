@@ -8,7 +8,7 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
     limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
-                                      factor, probability, reason, rule_in_words, false, consumer, producer}
+                                      factor, guard, probability, reason, rule_in_words, false, consumer, producer}
     estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
                                       correlation, budgets, strong_correlations, notes, warnings, segments}
       coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
@@ -37,7 +37,7 @@ from planrunner.estimators.interface import Coefficient, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
-from planrunner.reporting.certificate import certificate_view
+from planrunner.reporting.certificate import certificate_view, guard_band
 from planrunner.reporting.context import ReportContext, SegmentSummary, site_facts
 from planrunner.reporting.rounding import format_pair
 from planrunner.uncertainty.decision import coverage_factor
@@ -167,6 +167,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "expanded": width,
         "unit": shown_unit(limit.unit),
         "factor": f"{limit.coverage_factor:.2f}",
+        "guard": guard_band(limit),
         "probability": words.probability(limit.probability),
         "false": words.probability(limit.false_decision),
         "consumer": words.probability(limit.consumer_risk),

@@ -68,8 +68,11 @@ FACTS = CertificateFacts(
 
 def context(**changes: object) -> ReportContext:
     """The report's example with everything that a certificate states; changes: of the facts."""
-    limits = [
-        replace(limit, lower=-5.0, upper=5.0, probability=p)
-        for limit, p in zip(example.context().limits, (0.9996, 0.42), strict=True)
-    ]
-    return example.context(limits=tuple(limits), certificate=replace(FACTS, **changes))  # type: ignore[arg-type]
+    met, failed = example.context().limits
+    met = replace(met, probability=0.9996, false_decision=0.0004, consumer_risk=0.012, producer_risk=0.034)
+    failed = replace(failed, probability=0.42, false_decision=0.42)
+    limits = tuple(
+        replace(one, lower=-5.0, upper=5.0, guard_band=one.expanded_uncertainty, guard_factor=1.0)
+        for one in (met, failed)
+    )
+    return example.context(limits=limits, certificate=replace(FACTS, **changes))  # type: ignore[arg-type]

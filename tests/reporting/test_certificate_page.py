@@ -86,15 +86,22 @@ def test_results_before_and_after_stand_side_by_side_with_the_same_unit() -> Non
 
 def test_conformity_names_rule_guard_band_and_risk() -> None:
     met, failed = certificate_view(example.context())["conformity"]
-    assert (met["rule"], met["guard"], met["probability"], met["false_acceptance"]) == (
-        "guarded",
-        "0.048",
-        "> 99.9 %",
-        "< 0.1 %",
-    )
-    assert (failed["verdict"], failed["false_acceptance"]) == ("fail", "")
+    assert (met["rule"], met["guard"], met["probability"], met["wrong"]) == ("guarded", "0.048", "> 99.9 %", "< 0.1 %")
+    assert (failed["verdict"], failed["probability"], failed["wrong"]) == ("fail", "42.0 %", "42.0 %")
     text = words(render_report(example.context(), "certificate.html"))
     assert "8.2): the item conforms" not in text, "only the rules that were used are explained"
+    # U of 95 % leaves 2.5 % beyond either limit.
+    assert "1 times the expanded uncertainty U for a coverage probability of 95 %." in text
+    assert "a probability of at most 2.5 % beyond either limit" in text
+    assert "the global risk of the consumer is 1.2 % and that of the producer 3.4 %" in text
+
+
+def test_a_narrow_guard_band_promises_no_risk() -> None:
+    context = example.context()
+    narrow = tuple(replace(one, guard_factor=0.5, coverage=0.9) for one in context.limits)
+    text = words(render_report(replace(context, limits=narrow), "certificate.html"))
+    assert "0.5 times the expanded uncertainty U for a coverage probability of 90 %" in text
+    assert "wrongly accepted" not in text
 
 
 def test_only_the_certified_estimates_are_shown() -> None:

@@ -233,3 +233,15 @@ def test_only_budgets_of_headline_coefficients_are_open() -> None:
 def test_no_budget_where_only_the_data_contribute() -> None:
     lonely = replace(example.budgets()[0], lines=example.budgets()[0].lines[:1])
     assert budget_views(replace(example.estimate(), budgets=(lonely,))) == []
+
+
+def test_limits_show_guard_band_and_risks() -> None:
+    met = replace(
+        example.context().limits[0], guard_band=0.0241, guard_factor=0.5, probability=0.987, false_decision=0.013,
+        consumer_risk=0.002, producer_risk=0.031,
+    )  # fmt: skip
+    text = " ".join(" ".join(read(render_report(example.context(limits=(met,)), "report.html")).words).split())
+    assert "guarded (w = 0.5·U) global risks: consumer 0.2 %, producer 3.1 % 0.024 98.7 % 1.3 %" in text
+    simple = replace(met, rule="simple", guard_band=0.0, consumer_risk=math.nan, producer_risk=math.nan)
+    text = " ".join(" ".join(read(render_report(example.context(limits=(simple,)), "report.html")).words).split())
+    assert "simple 0 98.7 % 1.3 %" in text
