@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import TableAxis, limits_in_words
+from planrunner.physics.kinematics import SLACK, TableAxis, limits_in_words
 from planrunner.physics.modulation import MEAN_RADIUS, schuler_drive, schuler_rate
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.findings import Findings, Mark
@@ -62,11 +62,11 @@ def check_cycle(
 
 def _within_limits(axis: TableAxis, start: float, cycle: RotationCycle, mark: Mark, log: Findings) -> bool:
     low, high = cycle.reach
-    if high - low > axis.highest - axis.lowest:
+    if high - low > axis.highest - axis.lowest + SLACK:
         message = f"the cycle turns through {_deg(high - low)} deg; the {axis.name} axis allows {_deg(axis.highest - axis.lowest)} deg"
         log.error("physics-cable-wrap", mark, message, "choose turns that go back as they came")
         return False
-    if start + low < axis.lowest or start + high > axis.highest:
+    if start + low < axis.lowest - SLACK or start + high > axis.highest + SLACK:
         message = (
             f"the cycle reaches from {_deg(start + low)} to {_deg(start + high)} deg of the {axis.name} axis; "
             f"{limits_in_words(axis)}"
@@ -92,14 +92,17 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
 def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
     """Names what is held longer than its opposite."""
     angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
+    names: dict[float, str] = {}
     held: dict[float, float] = {}
     for move in motion.moves:
-        held[angles[move.start]] = held.get(angles[move.start], 0.0) + motion.stop
+        angle = angles[move.start]
+        names.setdefault(angle, move.start)
+        held[angle] = held.get(angle, 0.0) + motion.stop
     unlike = []
     for angle, seconds in held.items():
         opposite = held.get(round((angle + 180) % 360, 6) % 360, 0.0)
         if seconds > opposite:
-            unlike.append(f"{angle:g} deg for {seconds:g} s a cycle, the opposite side for {opposite:g} s")
+            unlike.append(f"{names[angle]} for {seconds:g} s a cycle, the opposite side for {opposite:g} s")
     message = f"the stops do not balance: {'; '.join(unlike)}"
     log.warning("physics-cycle-stops", mark, message, "stop as long on opposite sides")
 

@@ -101,7 +101,7 @@ def test_stops_that_do_not_balance_are_named(tmp_path: Path) -> None:
     found = {finding.code: finding for finding in check(tmp_path, (90, 90, -90, -90)).findings}
     assert set(found) == {"physics-cycle-residual", "physics-cycle-stops", "physics-cycle-angle"}
     # Stops at A, B, C, B: B twice, D never. 360 s across the error are left over them.
-    assert "90 deg for 360 s a cycle, the opposite side for 0 s" in found["physics-cycle-stops"].message
+    assert "B for 360 s a cycle, the opposite side for 0 s" in found["physics-cycle-stops"].message
     assert (
         "leaves +360.00 s across of a constant horizontal error over its stops"
         in found["physics-cycle-residual"].message
@@ -167,6 +167,7 @@ def test_dwells_in_what_the_motion_does_not_do(dwell: str, motion: str | None, w
 
 
 def test_cable_range_and_where_the_cycle_begins(tmp_path: Path) -> None:
+    assert not check(tmp_path, EIGHT, limits=", lowest: -180 deg, highest: 180 deg").findings.errors  # exactly
     limits = ", lowest: -200 deg, highest: 300 deg"
     assert not check(tmp_path, EIGHT, limits=limits).findings.errors
     # The printed cycle goes 270 deg to either side, 540 deg in all.
