@@ -19,6 +19,8 @@ NAMES = (
     "allan",
     "monte_carlo",
     "inertial_stream",
+    "strapdown",
+    "navigation_72h",
 )
 START, END = "<!-- figures -->", "<!-- end of figures -->"
 
