@@ -141,7 +141,11 @@ def _estimate(
     return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))
 
 
-_RESTS_ON = {"residual": "scatter of the segments about the model", "within_segment": "noise within the segments"}
+_RESTS_ON = {
+    "residual": "scatter of the segments about the model",
+    "within_segment": "noise within the segments",
+    "repeats": "scatter of the repeats",
+}
 
 
 def combined(estimate: Estimate) -> Estimate:

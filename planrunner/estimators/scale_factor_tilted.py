@@ -137,6 +137,11 @@ class ScaleFactorTilted:
             fixture,
         )
         noise = _noise(groups, observations)
+        if parameters.uncertainty == "within_segment" and not noise.degrees_of_freedom.all():
+            raise EstimationError(
+                f"{request.name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to "
+                "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
+            )
         within = scatter_of_means(groups, conditions, found, worst, reference, noise, "within_segment")
         scatter = (
             scatter_between_repeats(found)

@@ -137,7 +137,8 @@ def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
         cosine = abs(float(np.cos(axes.angles[axis])))
         own = noise.rates[situation.reference][[high, low], axis].max() * repeats
         freedom = float(noise.degrees_of_freedom[axis])
-        change = coverage_factor(freedom) * math.sqrt(2) * own / abs(found.means[situation.reference, axis, K])
+        rate = math.sqrt(2) * own / abs(found.means[situation.reference, axis, K]) / hour
+        change = float(coverage_factor(freedom) * rate) if freedom > 0 else None
         seen = abs(group.rates[[high, low]]).max() * cosine
         response = float(found.means[situation.reference, axis, RESPONSE])
         rows.append(
@@ -146,7 +147,7 @@ def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
                 float(seen / units[axis][0].factor),
                 response,
                 "yes" if response >= HALF else "no",
-                float(change / hour),
+                change,
             )
         )
     text = units[0][0].text
