@@ -134,18 +134,16 @@ def _sense(plan: model.Plan, label: str) -> float:
 def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
     """The moves of a cycle in the plan's sense, as the plan writes them, with its names."""
     first = motion.positions[motion.moves[0].start]
-    named: dict[float, str] = {}
-    for name, angle in motion.positions.items():
-        named.setdefault(_degrees(angle), name)
-    names = [named[_degrees(first + sign * float(angle))] for angle in (*cycle.stops, cycle.net_turn)]
+
+    def named(angle: float) -> str:
+        there = first + sign * angle
+        return min(motion.positions, key=lambda name: abs(math.remainder(motion.positions[name] - there, 2 * math.pi)))
+
+    names = [named(float(angle)) for angle in (*cycle.stops, cycle.net_turn)]
     return tuple(
-        f"{start} {round(math.degrees(turn), 6):+.9g} {end}"
+        f"{start} {round(math.degrees(turn), 9):+.12g} {end}"
         for start, turn, end in zip(names[:-1], cycle.turns, names[1:], strict=True)
     )
-
-
-def _degrees(angle: float) -> float:
-    return round(math.degrees(angle) % 360, 5) % 360
 
 
 def _text(checked: Checked, segment: Segment, moves: Sequence[str]) -> str:

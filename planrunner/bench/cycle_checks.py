@@ -14,14 +14,13 @@ import numpy as np
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import SLACK, TableAxis, limits_in_words
 from planrunner.physics.modulation import MEAN_RADIUS, schuler_drive, schuler_rate
-from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Cycle
 
 Place = Callable[[str], Mark]
 """The mark of one of the motion's keys."""
 
-NOTHING = 1e-6  # of a period: a part per million of an error that is known to some per cent is nothing
 _UPRIGHT = math.cos(math.radians(0.1))
 _DESIGN = "`planrunner design` finds cycles that leave nothing"
 

@@ -16,7 +16,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.physics.rotation_cycle import ROUNDING, RotationCycle
+from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
 
 Array = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
 
     Raises `CycleError` where the stops themselves do not balance, which no turn can mend, and where there are too many choices.
     """
-    if abs(planned.integral()[0]) > ROUNDING * planned.period:
+    if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError("the stops do not balance, and no turns can make up for it: stop as long on opposite sides")
     most = max(HALF_TURN, *(abs(turn) for turn in planned.turns)) + _ANGLE
     choices = [_ways(turn, most) for turn in planned.turns]
@@ -100,7 +100,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
 
 
 def _ways(turn: float, most: float) -> list[float]:
-    """The turns to the same position, `turn` first, of at most `most`; a full turn stays one."""
+    """The turns to the same position, `turn` first, of at most `most`; a full turn does not become a stop."""
     others = [turn + TURN * whole for whole in range(-2, 3) if whole]
     return [turn, *(other for other in others if abs(other) <= most and abs(other) > _ANGLE)]
 
@@ -117,7 +117,7 @@ def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[Rotati
         left += np.sum(np.exp(1j * begins) * where, axis=1) * part
         lasting += np.sum(where, axis=1) * seconds
     period = lasting + turns.shape[1] * planned.stop
-    balanced = np.abs(left) <= ROUNDING * period
+    balanced = np.abs(left) <= NOTHING * period
     wound = balanced & (np.abs(ends[:, -1]) > _ANGLE)
     low, high = np.minimum(0, ends.min(axis=1)), np.maximum(0, ends.max(axis=1))
     fits = (low >= cable.lowest - _ANGLE) & (high <= cable.highest + _ANGLE)
@@ -141,7 +141,7 @@ def free_order(
     angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
     if len(angles) < 2:
         raise CycleError("there is one position only: add positions that lie opposite each other")
-    if abs(sum(np.exp(1j * np.array(angles)))) > 1e-6 * len(angles):
+    if abs(sum(np.exp(1j * np.array(angles)))) > NOTHING * len(angles):
         shown = ", ".join(f"{math.degrees(angle):g}" for angle in angles)
         raise CycleError(f"the positions {shown} deg do not balance: add positions opposite to them")
     rounds: list[Round] = []
@@ -216,7 +216,7 @@ class _Search:
         self.tried += 1
         stop = self.planned.stop
         period = len(turns) * stop + math.fsum(self.seconds[turn] for turn in turns)
-        if abs(left) > ROUNDING * period:
+        if abs(left) > NOTHING * period:
             return
         self.balanced += 1
         if abs(math.fsum(turns)) > _ANGLE:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from planrunner.physics.earth import Site
-from planrunner.physics.rotation_cycle import ROUNDING, RotationCycle
+from planrunner.physics.rotation_cycle import RotationCycle
 
 MEAN_RADIUS = 6_371_009.0  # m, of the Earth (IUGG)
 
@@ -34,7 +34,7 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
     if round(natural * cycle.period / (2 * math.pi)) == 0:
         return 0.0
     turning = site.earth_rate * math.sin(site.latitude)
-    counts = np.arange(1, max(1, int(seconds / cycle.period + ROUNDING)) + 1)
+    counts = np.arange(1, max(1, int(seconds / cycle.period + 1e-9)) + 1)
     sizes = np.zeros(len(counts))
     for rate in (natural - turning, -natural - turning):
         half = math.remainder(rate * cycle.period, 2 * math.pi) / 2

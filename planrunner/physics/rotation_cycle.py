@@ -23,7 +23,7 @@ from planrunner.plan.schedule import Cycle
 Array = NDArray[np.float64]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
-ROUNDING = 1e-9  # of a period or of a turn; what is left below it is left by rounding
+NOTHING = 1e-6  # of a period: a part per million of an error that is known to some per cent is nothing
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ class RotationCycle:
 
     @property
     def balanced(self) -> bool:
-        """Whether nothing is left but rounding."""
-        return abs(self.residual) <= ROUNDING * self.period
+        """Whether nothing is left."""
+        return abs(self.residual) <= NOTHING * self.period
 
     # -- pieces in which the rate is constant or changes evenly --------------------------------------------------------
 

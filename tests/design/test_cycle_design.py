@@ -208,6 +208,23 @@ def test_a_plan_without_a_cycle_has_none_to_design(tmp_path: Path) -> None:
         design_cycle(path, CycleOptions())
 
 
+def test_positions_that_are_not_round_figures(plan: Path) -> None:
+    angles = [round(index * 360 / 7, 4) for index in range(7)]
+    cycle = ", ".join(f"P{index}: {angle} deg" for index, angle in enumerate(angles))
+    ends = [*angles, 0.0]
+    forth = [f"P{index} {ends[index + 1] - ends[index]:+.4f} P{index + 1}" for index in range(6)]
+    moves = [*forth, f"P6 {-angles[6]:+.4f} P0"]
+    start, end = PLAN.index("      cycle:"), PLAN.index("      # how fast")
+    plan.write_text(
+        f"{PLAN[:start]}      cycle: {{{cycle}}}\n      moves: [{', '.join(moves)}]\n{PLAN[end:]}", encoding="utf-8"
+    )
+    better = plan.with_name("better.yaml")
+    assert main(["design", str(plan), "--write", str(better), "--quiet"]) == 0
+    checked = check_plan(better)
+    assert checked.ok
+    assert "physics-cycle-residual" not in [finding.code for finding in checked.findings]
+
+
 def test_unbalanced_stops_are_told_and_the_free_order_still_found(
     plan: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
