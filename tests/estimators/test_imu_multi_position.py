@@ -360,3 +360,34 @@ def test_bad_recordings() -> None:
     flat = truth | {"A_a": np.array([[1.0, 0, 0], [1.0, 1e-6, 0], [0, 0, 1.0]])}
     with pytest.raises(EstimationError, match="right-handed triad"):
         calibrate(imu.recorded(imu.plan(), flat), accelerometers=imu.ACCELS, misalignment="lower_triangular")
+
+
+def test_a_term_of_another_package_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its column is the cube of the force along x; the truth has 2·10⁻⁶ of it in every output."""
+    from planrunner import plugins
+    from planrunner.physics.terms import Term
+
+    cube = Term(
+        "cubed_x", "Cube of the force along x.", 9.8**3, "m^3/s^6", lambda one: one.specific_force[:, 0] ** 3, 3
+    )
+    load = plugins.load
+    monkeypatch.setattr(plugins, "load", lambda group, name: cube if name == "cubed_x" else load(group, name))
+    truth = imu.drawn_truth(np.random.default_rng(1))
+    tilted = [
+        replace(imu.rest("east north up"), label=f"T{k}", attitude=attitude) for k, attitude in enumerate(_tilted())
+    ]
+    recorded = []
+    for segment in [*map(imu.rest, imu.POSITIONS), *tilted]:
+        _, accelerometers = imu.outputs(segment, truth)
+        cubed = 2e-6 * imu.felt(segment)[1][0] ** 3
+        means = dict(zip(imu.ACCELS, accelerometers + cubed, strict=True))
+        recorded.append(from_means(segment, means, "m/s^2", 1e-9))
+    terms = ("bias", "accel_x", "accel_y", "accel_z", "cubed_x")
+    found = calibrate(tuple(recorded), accelerometers=imu.ACCELS, accelerometer_terms=terms)
+    assert found["accel_cubed_x_y"].value == pytest.approx(2e-6 / 9.80665e-3, rel=1e-6)
+    assert found["accel_cubed_x_y"].unit == "mg/(m^3/s^6)"
+
+
+def _tilted() -> list[np.ndarray]:
+    angles = [math.radians(a) for a in (25, 50, 130, 155)]
+    return [np.array([[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]]) for a in angles]

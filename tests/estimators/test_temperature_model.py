@@ -12,7 +12,14 @@ import pytest
 from recorded import from_means, from_samples, real, segment, sensor
 
 from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
-from planrunner.estimators.temperature_curve import HeldOut, chosen, groups_of, held_out, natural_spline
+from planrunner.estimators.temperature_curve import (
+    HeldOut,
+    chosen,
+    correlation_time,
+    groups_of,
+    held_out,
+    natural_spline,
+)
 from planrunner.estimators.temperature_model import TemperatureModel, TemperatureModelParameters
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
@@ -264,3 +271,16 @@ def test_too_few_planned_temperatures_are_an_error_before_the_run() -> None:
         DesignRequest("curve", held, TemperatureModelParameters(channels=("gyro",), order=1), SITE, sensor("gyro"))
     )
     assert design is not None and not design.remarks
+
+
+def test_residuals_that_resemble_each_other() -> None:
+    """1 + 2·Σ r: of (1, 1, −1, −1) r₁ = 1/4 and r₂ is negative; alternating ones count as independent."""
+    assert correlation_time([np.array([1.0, 1.0, -1.0, -1.0])]) == pytest.approx(1.5)
+    assert correlation_time([np.array([1.0, -1.0, 1.0, -1.0])]) == 1.0
+    assert correlation_time([]) == 1.0
+    # A first-order autoregression of 0.8: (1 + 0.8)/(1 − 0.8) = 9.
+    draw = np.random.default_rng(1).standard_normal(20_000)
+    series = np.zeros(20_000)
+    for k in range(1, 20_000):
+        series[k] = 0.8 * series[k - 1] + draw[k]
+    assert correlation_time([series]) == pytest.approx(9, rel=0.2)
