@@ -5,7 +5,7 @@ a sample (Savage, "Strapdown Inertial Navigation Integration Algorithm Design", 
 Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
 
     rotation vector   φ  = Δθ + Δθ₋×Δθ/12                                  (coning, from this and the last increment)
-    velocity, body    Δv = Δu + Δθ×Δu/2 + (Δθ₋×Δu + Δu₋×Δθ)/12             (rotation and sculling)
+    velocity, body    Δv = Δu + Δθ×Δu/2 + Δθ×(Δθ×Δu)/6 + (Δθ₋×Δu + Δu₋×Δθ)/12   (rotation and sculling)
     velocity          v  ← v + (1 − ω_in·dt/2 ×)·C·Δv + [γ − (2ω_ie + ω_en)×v_mid]·dt
     attitude          q  ← q(−ω_in·dt) ∘ q ∘ q(φ)
     position          trapezoid of v, with radii and latitude of the middle of the interval
@@ -50,10 +50,11 @@ def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
         ty + (az * tx - ax * tz) / 12.0,
         tz + (ax * ty - ay * tx) / 12.0,
     )
+    rx, ry, rz = ty * uz - tz * uy, tz * ux - tx * uz, tx * uy - ty * ux
     velocity = (
-        ux + 0.5 * (ty * uz - tz * uy) + (ay * uz - az * uy + by * tz - bz * ty) / 12.0,
-        uy + 0.5 * (tz * ux - tx * uz) + (az * ux - ax * uz + bz * tx - bx * tz) / 12.0,
-        uz + 0.5 * (tx * uy - ty * ux) + (ax * uy - ay * ux + bx * ty - by * tx) / 12.0,
+        ux + 0.5 * rx + (ty * rz - tz * ry) / 6.0 + (ay * uz - az * uy + by * tz - bz * ty) / 12.0,
+        uy + 0.5 * ry + (tz * rx - tx * rz) / 6.0 + (az * ux - ax * uz + bz * tx - bx * tz) / 12.0,
+        uz + 0.5 * rz + (tx * ry - ty * rx) / 6.0 + (ax * uy - ay * ux + bx * ty - by * tx) / 12.0,
     )
     return rotation, velocity
 
