@@ -41,7 +41,7 @@ def _view(budget: Budget, headline: bool) -> dict[str, Any]:
 def _line(line: BudgetLine, variance: float) -> dict[str, Any]:
     value = rounded(line.value, line.standard_uncertainty)
     power = f"e{value.exponent}" if value.exponent else ""
-    share = f"{100 * line.contribution**2 / variance:.1f} %" if line.added and variance > 0 else "–"
+    share = words.probability(line.contribution**2 / variance) if line.added and variance > 0 else "–"
     return {
         "quantity": line.quantity if line.count == 1 else f"{line.quantity} ({line.count} ×)",
         "kind": line.kind,

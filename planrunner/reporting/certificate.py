@@ -93,7 +93,7 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
         "simulated": facts.simulated,
         "replayed": facts.replayed,
         "results": results,
-        "has_before": any(row["before"] for one in results for row in one["rows"]),
+        "has_before": any(one["has_before"] for one in results),
         "rules": _rules(limits),
         "conformity": [_conformity(limit) for limit in limits],
         "warnings": [f"{one.name}: {text}" for one in shown for text in one.warnings],
@@ -152,7 +152,8 @@ def _results(estimate: Estimate, before: Estimate | None, probability: float) ->
                 "before_expanded": older[1],
             }
         )
-    return {"name": estimate.name, "estimator": estimate.estimator, "rows": rows, "segments": list(estimate.segments)}
+    has_before = any(row["before"] for row in rows)
+    return {"name": estimate.name, "estimator": estimate.estimator, "rows": rows, "has_before": has_before}
 
 
 def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:

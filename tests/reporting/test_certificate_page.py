@@ -79,6 +79,7 @@ def test_results_before_and_after_stand_side_by_side_with_the_same_unit() -> Non
     row = next(row for row in rows if row["name"] == "D_X_F")
     assert (row["value"], row["expanded"], row["unit"], row["factor"]) == ("4.271", "0.048", "deg/h", "4.30")
     assert (row["before"], row["before_expanded"]) == ("4.271", "0.096")
+    assert [one["has_before"] for one in certificate_view(example.context())["results"]] == [True, False]
     single = certificate_view(example.context(before={}))
     assert not single["has_before"]
     assert "Before adjustment" not in words(render_report(example.context(before={}, told={}), "certificate.html"))
