@@ -57,7 +57,9 @@ def combine(
         if item.sensitivities.shape[0] != m or not np.isfinite(item.sensitivities).all():
             raise ValueError(f"the sensitivities to '{item.quantity.name}' do not fit the {m} coefficients")
     added = [item for item in acting if not item.in_scatter]
-    total = np.array(covariance, dtype=float) + sum((item.covariance for item in added), np.zeros((m, m)))
+    total = np.array(covariance, dtype=float)
+    for item in added:
+        total = total + item.covariance
     # What each input contributes to each coefficient, (m, inputs).
     sizes = np.array([item.quantity.standard_uncertainty * _root_sum(item.sensitivities) for item in acting])
     budgets = tuple(_budget(one, k, acting, sizes.reshape(-1, m)[:, k], source) for k, one in enumerate(measured))
@@ -83,6 +85,7 @@ def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
     return tuple(
         Influence(quantity, np.column_stack(list(held.values())), in_scatter, _named(held))
         for (quantity, in_scatter), held in columns.items()
+        if held
     )
 
 

@@ -141,6 +141,13 @@ def test_nothing_stated_leaves_the_estimate_as_it_is() -> None:
     assert [line.quantity for line in found.budgets[0].lines] == ["data"]
 
 
+def test_an_input_that_acts_nowhere_is_no_line() -> None:
+    nowhere = [influence("rate", 1.0, np.zeros((1, 0))), influence("latitude", 1.0, 0.0)]
+    found = combine([Measured("c", 1.0, "1", 0.1)], np.array([[0.01]]), nowhere)
+    assert [line.quantity for line in found.budgets[0].lines] == ["data"]
+    assert found.degrees_of_freedom[0] == math.inf
+
+
 def test_degrees_of_freedom_at_the_edges() -> None:
     assert effective_degrees_of_freedom([1.0, 1.0], [4.0, math.inf]) == pytest.approx(16.0)
     assert effective_degrees_of_freedom([1.0, 0.0], [4.0, 0.0]) == pytest.approx(4.0)
