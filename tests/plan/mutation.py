@@ -11,7 +11,6 @@ from typing import Any
 from planrunner.plan import source
 
 ROOT = Path(__file__).resolve().parents[2]
-METHOD_PLANS = sorted((Path(__file__).parent / "method_plans").glob("*.yaml"))
 SHIPPED_PLANS = sorted((ROOT / "plans").glob("*.yaml"))
 
 VALUES: tuple[Any, ...] = (
@@ -207,12 +206,8 @@ KEYS = (
 
 
 def examples() -> list[dict[str, Any]]:
-    """Plans as plain data: all shipped ones, and those of the methods without their estimates, whose estimators may not exist."""
-    shipped = [source.plain(source.load(path)) for path in SHIPPED_PLANS]
-    methods = [source.plain(source.load(path)) for path in METHOD_PLANS]
-    return shipped + [
-        {key: value for key, value in plan.items() if key not in ("estimates", "limits")} for plan in methods
-    ]
+    """The shipped plans as plain data."""
+    return [source.plain(source.load(path)) for path in SHIPPED_PLANS]
 
 
 def as_yaml(data: Any) -> str:
