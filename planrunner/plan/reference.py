@@ -50,7 +50,7 @@ _SECTIONS: tuple[tuple[str, str, Any], ...] = (
     ("`motion`", "", model.Motion),
     ("`motion`: `rock`", "", model.RockSpec),
     ("`temperature`: a ramp", "", model.Ramp),
-    ("`dwell`: whole turns", "", model.Turns),
+    ("`dwell`: whole turns or cycles", "", model.Turns),
     ("An estimate", "", model.EstimateSpec),
     ("`segments` found in the data", "", selection.Detection),
     ("A limit", "", model.Limit),
@@ -153,7 +153,7 @@ _RECORDS = {
     "Motion": "a motion",
     "RockSpec": "rocking",
     "Ramp": "a ramp",
-    "Turns": "whole turns",
+    "Turns": "whole turns or cycles",
     "EstimateSpec": "an estimate",
     "Limit": "a limit",
 }
