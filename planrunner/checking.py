@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import NormalDist
 
 from planrunner.bench.calibration import check_validity
-from planrunner.bench.inputs import stated_inputs
+from planrunner.bench.inputs import check_backed, stated_inputs
 from planrunner.bench.model import Bench, BenchModels, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.certificates import check_certificate
@@ -137,6 +137,8 @@ def check_plan(
             check_certificate(plan, checked.bench, checked.schedule, checked.findings)
             seconds = checked.schedule.total if checked.schedule else 0.0
             check_validity(checked.bench.calibrations(), today or date.today(), seconds, log)
+            if checked.models is not None:
+                check_backed(checked.bench, checked.models, log)
     return checked
 
 

@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterator, Mapping
 
 from planrunner.bench.calibration import Calibration
-from planrunner.bench.model import Bench, BenchModels, InstrumentEntry, driver_of
+from planrunner.bench.model import Bench, BenchModels, InstrumentEntry, driver_of, runs_on_virtual_clock
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
+from planrunner.plan.findings import Findings
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.units import unit
@@ -26,6 +27,22 @@ def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, Moun
         elif role == "sensor" and models.sensor is not None:
             found += _resolutions(models.sensor, source, day)
     return Inputs({item.name: item for item in found if item.standard_uncertainty > 0})
+
+
+def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
+    """A note for an instrument of a real bench whose stated uncertainties no calibration stands behind."""
+    if runs_on_virtual_clock(bench):
+        return
+    table, chamber = models.table, models.chamber
+    stated = {
+        "table": table is not None and any((table.position_uncertainty, table.orthogonality, table.rate_stability)),
+        "chamber": chamber is not None and chamber.temperature_uncertainty > 0,
+    }
+    for name, entry in bench.instruments.items():
+        if entry.calibration is None and stated.get(driver_of(entry).role):
+            message = f"'{name}' states uncertainties without a calibration, so budgets cannot say where they come from"
+            hint = "add calibration: {certificate: …, date: …}"
+            log.note("bench-no-calibration", entry.origin.mark, message, hint)
 
 
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:

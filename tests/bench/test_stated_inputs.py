@@ -159,3 +159,14 @@ def test_dates_that_cannot_be_are_errors_where_they_stand(wrong: str, message: s
     assert (error.code, error.message) == ("meaning-date", message)
     line = text.splitlines()[error.mark.line - 1]
     assert line[error.mark.column - 1 :].startswith({"date": wrong, "due": "2027-03-01"}[column])
+
+
+def test_figures_that_no_certificate_stands_behind_are_noted_on_a_real_bench(tmp_path: Path) -> None:
+    """The chamber of this bench has none; the simulated clock asks for none."""
+    assert findings(tmp_path, "2027-01-15") == []
+    real = BENCH.replace("clock: virtual", "clock: wall")
+    ((code, severity, _, message),) = findings(tmp_path, "2027-01-15", bench=real)
+    assert (code, severity) == ("bench-no-calibration", "note")
+    assert message.startswith("'chamber' states uncertainties")
+    without = real.replace("    temperature_uncertainty: 0.1 K\n", "")
+    assert findings(tmp_path, "2027-01-15", bench=without) == []
