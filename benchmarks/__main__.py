@@ -21,6 +21,7 @@ NAMES = (
     "inertial_stream",
     "strapdown",
     "navigation_72h",
+    "tilted_scale_factor",
 )
 START, END = "<!-- figures -->", "<!-- end of figures -->"
 

@@ -23,11 +23,19 @@ from planrunner.estimators.mounted_axes import MountedAxes, mounted_axes, rotati
 from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.estimators.rate_series import RateSeries, by_temperature, split_series, temperature_label
 from planrunner.estimators.slope_units import rate_and_output
-from planrunner.estimators.tilted_evaluation import Conditions, Group, evaluate, make_group, worst_of
+from planrunner.estimators.tilted_evaluation import Conditions, Group, answers_of, evaluate, make_group, worst_of
 from planrunner.estimators.tilted_influences import Rounding, Situation, common_rate, influences
 from planrunner.estimators.tilted_report import report
 from planrunner.estimators.tilted_results import HEADLINE, coefficients, items, shown_covariance, shown_influences
-from planrunner.estimators.tilted_scatter import BASES, Noise, scatter_between_repeats, scatter_of_means, whole
+from planrunner.estimators.tilted_scatter import (
+    BASES,
+    Noise,
+    gradient_of,
+    noise_of_means,
+    scatter_between_repeats,
+    scatter_of_means,
+    whole,
+)
 from planrunner.estimators.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -122,33 +130,31 @@ class ScaleFactorTilted:
         reference = _reference(groups, parameters)
         found = evaluate(groups, conditions, reference)
         worst = worst_of(groups, found, reference)
-        home = kept[0].segment.orientation
+        answers = answers_of(groups, conditions, worst)
+        gradient = gradient_of(found, groups, reference, worst)
         situation = Situation(
             groups,
             conditions,
             found,
             worst,
             reference,
+            answers,
+            gradient,
             segments,
             seconds,
             request.site,
-            home,
+            kept[0].segment.orientation,
             observations.units,
             fixture,
         )
-        noise = _noise(groups, observations)
-        if parameters.uncertainty == "within_segment" and not noise.degrees_of_freedom.all():
-            raise EstimationError(
-                f"{request.name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to "
-                "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
-            )
-        within = scatter_of_means(groups, conditions, found, worst, reference, noise, "within_segment")
+        noise = _noise(request, groups, observations)
+        within = scatter_of_means(groups, found, answers, noise, "within_segment")
         scatter = (
             scatter_between_repeats(found)
             if parameters.uncertainty == "repeats"
-            else scatter_of_means(groups, conditions, found, worst, reference, noise, parameters.uncertainty)
+            else scatter_of_means(groups, found, answers, noise, parameters.uncertainty)
         )
-        covariance, freedom = whole(found, groups, scatter, reference, worst)
+        covariance, freedom = whole(found, groups, scatter, gradient)
         acting = influences(
             situation,
             request.setup.inputs,
@@ -269,18 +275,17 @@ def _reference(groups: Sequence[Group], parameters: ScaleFactorTiltedParameters)
     return int(np.nan_to_num(off, nan=math.inf).argmin())
 
 
-def _noise(groups: Sequence[Group], observations: Observations) -> Noise:
-    """Of the means over the repeats. An output whose noise cannot be seen counts as noiseless here; `report` says so."""
+def _noise(request: EstimateRequest, groups: Sequence[Group], observations: Observations) -> Noise:
+    """Of the means over the repeats. An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""
     known = [within_segment_noise(observations, k) for k in range(len(observations.channels))]
+    if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
+        raise EstimationError(
+            f"{request.name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to "
+            "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
+        )
     sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
-    rates, rest = [], []
-    for group in groups:
-        q = len(group.names)
-        rates.append(np.sqrt(np.sum(sigma[group.spins] ** 2, axis=0)) / q)
-        ends = [np.sum(sigma[[*rows]] ** 2, axis=0) / len(rows) ** 2 for pair in group.zeros for rows in pair]
-        rest.append(np.sqrt(np.sum(ends, axis=0)) / (2 * q))
     freedom = np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
-    return Noise(tuple(rates), np.array(rest), observations.correlation, freedom)
+    return noise_of_means(groups, sigma, observations.correlation, freedom)
 
 
 def _rounding(request: EstimateRequest, kept: Sequence[Any], axes: MountedAxes) -> dict[str, Rounding]:

@@ -7,13 +7,13 @@ means or the conditions a little (JCGM 100:2008, 5.1.3, note 2), so that a formu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.mounted_axes import MountedAxes
-from planrunner.estimators.rate_lines import fit_lines
+from planrunner.estimators.rate_lines import RateLines, fit_lines
 from planrunner.estimators.rate_series import RateSeries
 
 Array = NDArray[np.float64]
@@ -39,14 +39,15 @@ class Conditions:
         turning = self.along * self.commanded[:, None] * (1.0 if self.felt is None else 0.0)
         felt = turning if self.felt is None else self.felt
         felt = felt + self.along * (self.rate_error * self.commanded)[:, None]
-        home = np.array([(felt[[*a]].mean(axis=0) + felt[[*b]].mean(axis=0)) / 2 for a, b in group.zeros])
+        home = group.rest @ felt
         return np.asarray((felt[group.spins] - home[:, None]) @ self.axes.directions.T)
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
     """q repeats of n rates at one temperature. kelvin: measured, or planned, NaN where neither is known. spins: (q, n) rows of the
-    segments; zeros: rows of the start and of the end zeros, for each repeat. outputs: F_j − F_r, (q, n, m). drift: end zero less start
+    segments; rest: (q, N), how each segment counts in the rest value of
+    a repeat, half for the zeros before and half for those after. outputs: F_j − F_r, (q, n, m). drift: end zero less start
     zero, (q, m)."""
 
     label: str
@@ -54,7 +55,7 @@ class Group:
     names: tuple[str, ...]
     rates: Array
     spins: NDArray[np.int64]
-    zeros: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]
+    rest: Array
     outputs: Array
     drift: Array
 
@@ -97,34 +98,33 @@ class Worst:
 def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commanded: Array, mean: Array) -> Group:
     """The repeats of one temperature. commanded: (N,); mean: (N, m), of all segments."""
     spins = np.array([one.spins for one in series])
-    first = np.array([mean[[*one.start]].mean(axis=0) for one in series])
-    last = np.array([mean[[*one.end]].mean(axis=0) for one in series])
-    rest = (first + last) / 2
-    return Group(
-        label,
-        kelvin,
-        tuple(one.name for one in series),
-        commanded[spins[0]],
-        spins,
-        tuple((one.start, one.end) for one in series),
-        mean[spins] - rest[:, None],
-        last - first,
+    before, after = (
+        _weights(series, [one.start for one in series], mean),
+        _weights(series, [one.end for one in series], mean),
     )
+    rest = (before + after) / 2
+    names, rates = tuple(one.name for one in series), commanded[spins[0]]
+    return Group(
+        label, kelvin, names, rates, spins, rest, mean[spins] - (rest @ mean)[:, None], (after - before) @ mean
+    )
+
+
+def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean: Array) -> Array:
+    weights = np.zeros((len(series), len(mean)))
+    for repeat, own in enumerate(rows):
+        weights[repeat, [*own]] = 1 / len(own)
+    return weights
 
 
 def evaluate(groups: Sequence[Group], conditions: Conditions, reference: int, worst: Worst | None = None) -> Findings:
     """reference: the group whose K the others are compared with. worst: held fixed while conditions are changed."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
-    rate = np.array([np.abs(one).argmax(axis=0) for one in residuals]) if worst is None else worst.rate
-    repeats = []
-    for k, (group, line) in enumerate(zip(groups, lines, strict=True)):
-        axes = np.arange(line.slope.shape[1])
-        at = line.residuals[:, rate[k], axes]
-        sign = np.sign(residuals[k][rate[k], axes]) if worst is None else worst.sign[k]
-        repeats.append(
-            np.stack([line.slope, line.offset, sign * at / group.full_scale, line.asymmetry, line.response], axis=-1)
-        )
+    held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
+    repeats = [
+        quantities(line, group.full_scale, held.rate[k], held.sign[k])
+        for k, (group, line) in enumerate(zip(groups, lines, strict=True))
+    ]
     means = np.array([one.mean(axis=0) for one in repeats])
     spread = [one[..., K].std(axis=0, ddof=1) if len(one) > 1 else np.full(one.shape[1], np.nan) for one in repeats]
     kelvin = np.array([group.kelvin for group in groups])
@@ -132,13 +132,22 @@ def evaluate(groups: Sequence[Group], conditions: Conditions, reference: int, wo
     return Findings(means, tuple(repeats), tuple(residuals), np.array(spread) / means[..., K], coefficient, sensitivity)
 
 
+def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
+    """`QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), of the largest residual."""
+    at = line.residuals[:, rate, np.arange(len(rate))]
+    return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
+
+
 def worst_of(groups: Sequence[Group], found: Findings, reference: int) -> Worst:
-    rate = np.array([np.abs(one).argmax(axis=0) for one in found.residuals])
-    axes = np.arange(rate.shape[1])
-    sign = np.array([np.sign(one[rate[k], axes]) for k, one in enumerate(found.residuals)])
     kelvin = np.array([group.kelvin for group in groups])
     size = np.abs(_relative_change(found.means[..., K], kelvin, reference))
-    return Worst(rate, sign, np.nan_to_num(size, nan=-1.0).argmax(axis=0))
+    return _worst(found.residuals, np.nan_to_num(size, nan=-1.0).argmax(axis=0))
+
+
+def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
+    rate = np.array([np.abs(one).argmax(axis=0) for one in residuals])
+    sign = np.array([np.sign(one[own, np.arange(len(own))]) for one, own in zip(residuals, rate, strict=True)])
+    return Worst(rate, np.where(sign == 0, 1.0, sign), temperature)
 
 
 def slope_weights(kelvin: Array) -> Array:
@@ -147,9 +156,25 @@ def slope_weights(kelvin: Array) -> Array:
     return np.asarray(off / np.sum(off * off))
 
 
-def with_outputs(groups: Sequence[Group], k: int, change: Array) -> list[Group]:
-    """The groups with `change`, which goes with (q, n, m), added to the outputs of group k."""
-    return [replace(group, outputs=group.outputs + change) if i == k else group for i, group in enumerate(groups)]
+def answers_of(groups: Sequence[Group], conditions: Conditions, worst: Worst) -> tuple[Array, ...]:
+    """How the quantities of each group answer to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m, 5)."""
+    return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
+
+
+def _answers(group: Group, conditions: Conditions, rate: NDArray[np.int64], sign: Array) -> Array:
+    x, full_scale = conditions.inputs(group), group.full_scale
+    n, m = x.shape[1:]
+    step = 1e-6 * full_scale
+    found = np.empty((n, m, len(QUANTITIES)))
+    for row in range(n):
+        change = np.zeros((n, m))
+        change[row] = step
+        up, down = (
+            quantities(fit_lines(x, group.outputs + sense * change), full_scale, rate, sign).mean(axis=0)
+            for sense in (1, -1)
+        )
+        found[row] = np.nan_to_num((up - down) / (2 * step[:, None]))
+    return found
 
 
 def _relative_change(values: Array, kelvin: Array, reference: int) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.fixture_gains import tilt_part
 from planrunner.estimators.mounted_axes import MountedAxes
-from planrunner.estimators.tilted_evaluation import Conditions, Findings, Group, K, Worst, evaluate, with_outputs
+from planrunner.estimators.tilted_evaluation import QUANTITIES, Conditions, Findings, Group, K, Worst, evaluate
 from planrunner.estimators.turning_rates import mean_rates, off_north
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import Quantity
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """All that the results come from. segments: as recording begins; seconds: recorded; home: the orientation in
-    words; units: of the outputs. fixture: influences
+    """All that the results come from. answers: of each group, (n, m, 5), by its outputs; gradient: of `Findings.vector` by the means of all
+    groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture: influences
     on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
 
     groups: tuple[Group, ...]
@@ -37,6 +37,8 @@ class Situation:
     found: Findings
     worst: Worst
     reference: int
+    answers: tuple[Array, ...]
+    gradient: Array
     segments: tuple[Segment, ...]
     seconds: tuple[float | None, ...]
     site: Site
@@ -44,9 +46,9 @@ class Situation:
     units: tuple[str, ...]
     fixture: tuple[Influence, ...] = ()
 
-    def again(self, conditions: Conditions | None = None, groups: Sequence[Group] | None = None) -> Array:
-        """The results' vector under other conditions or with other outputs."""
-        return evaluate(groups or self.groups, conditions or self.conditions, self.reference, self.worst).vector
+    def again(self, conditions: Conditions) -> Array:
+        """The results' vector under other conditions."""
+        return evaluate(self.groups, conditions, self.reference, self.worst).vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,18 +203,15 @@ def _by_courses(
     situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
 ) -> Influence:
     """An error of one output that takes a course over the n rates of a series, apart at each temperature."""
-    computed, parts = [], []
-    for k, group in enumerate(situation.groups):
+    columns, parts = [], []
+    width = situation.answers[0].shape[1] * len(QUANTITIES)
+    for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):
         for name, course in courses(len(group.rates)).items():
-            change = np.zeros((1, len(course), len(situation.conditions.axes.names)))
-            change[0, :, axis] = course
-            computed.append(_with_change(situation, k, change))
+            change = np.zeros(answers.shape[1:])
+            change[axis] = course @ answers[:, axis]
+            columns.append(situation.gradient[:, k * width : (k + 1) * width] @ change.ravel())
             parts.append(f"{group.label} {name}")
-    return _by_change(quantity, computed, parts)
-
-
-def _with_change(situation: Situation, k: int, change: Array) -> Callable[[float], Array]:
-    return lambda by: situation.again(groups=with_outputs(situation.groups, k, by * change))
+    return Influence(quantity, np.column_stack(columns), parts=tuple(parts))
 
 
 def _with_rates(situation: Situation, which: NDArray[Any]) -> Callable[[float], Array]:

@@ -23,10 +23,10 @@ from planrunner.estimators.rate_series import (
     temperature_label,
 )
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
-from planrunner.estimators.tilted_evaluation import Conditions, Group, evaluate, make_group, worst_of
+from planrunner.estimators.tilted_evaluation import Conditions, Group, answers_of, evaluate, make_group, worst_of
 from planrunner.estimators.tilted_influences import Situation, common_rate, influences
 from planrunner.estimators.tilted_results import coefficients, items
-from planrunner.estimators.tilted_scatter import Noise, scatter_of_means, whole
+from planrunner.estimators.tilted_scatter import Noise, gradient_of, noise_of_means, scatter_of_means, whole
 from planrunner.estimators.turning_rates import as_recording_begins, mean_rates, part_turns
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.budget import merged
@@ -168,11 +168,13 @@ def _predicted(
     found = evaluate(groups, conditions, reference)
     worst = worst_of(groups, found, reference)
     noise = _noise(request, axes, groups)
-    scatter = scatter_of_means(groups, conditions, found, worst, reference, noise, "within_segment")
+    answers = answers_of(groups, conditions, worst)
+    scatter = scatter_of_means(groups, found, answers, noise, "within_segment")
     k_spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(found.means.shape)[..., 0]
     repeats = np.sqrt([len(group.names) for group in groups])
     found = replace(found, repeatability=np.abs(k_spread * repeats[:, None] / found.means[..., 0]))
-    covariance, freedom = whole(found, groups, scatter, reference, worst)
+    gradient = gradient_of(found, groups, reference, worst)
+    covariance, freedom = whole(found, groups, scatter, gradient)
     seconds = tuple(segment.dwell for segment in planned)
     texts = tuple(own.text for _, own in units)
     situation = Situation(
@@ -181,6 +183,8 @@ def _predicted(
         found,
         worst,
         reference,
+        answers,
+        gradient,
         begun,
         seconds,
         request.site,
@@ -215,23 +219,14 @@ def _conditions(request: DesignRequest, axes: MountedAxes) -> tuple[Conditions, 
 
 
 def _noise(request: DesignRequest, axes: MountedAxes, groups: Sequence[Group]) -> Noise:
-    def of(indices: Sequence[int]) -> Array:
-        """Standard uncertainty of the mean of each segment, (k, m)."""
-        rows = []
-        for index in indices:
-            segment = request.segments[index]
-            rate = segment.sample_rate or request.sensor.sample_rate
-            models = [request.sensor.output(name) for name in axes.outputs]
-            rows.append(
-                [model.noise.standard_error(segment.dwell or 1.0, rate) for model in models if model is not None]
-            )
-        return np.array(rows)
-
-    rates = tuple(of(group.spins[0].tolist()) / math.sqrt(len(group.names)) for group in groups)
-    rest = [
-        np.hypot(*(np.sqrt(np.sum(of(rows) ** 2, axis=0)) / len(rows) for rows in group.zeros[0]))
-        / (2 * math.sqrt(len(group.names)))
-        for group in groups
-    ]
-    m = len(axes.names)
-    return Noise(rates, np.array(rest), np.eye(m), np.full(m, math.inf))
+    models = [model for name in axes.outputs if (model := request.sensor.output(name)) is not None]
+    sigma = np.array(
+        [
+            [
+                model.noise.standard_error(segment.dwell or 1.0, segment.sample_rate or request.sensor.sample_rate)
+                for model in models
+            ]
+            for segment in request.segments
+        ]
+    )
+    return noise_of_means(groups, sigma, np.eye(len(models)), np.full(len(models), math.inf))

@@ -17,14 +17,11 @@ from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.observations import variances_differ
 from planrunner.estimators.tilted_evaluation import (
     QUANTITIES,
-    Conditions,
     Findings,
     Group,
     K,
     Worst,
-    evaluate,
     slope_weights,
-    with_outputs,
 )
 
 Array = NDArray[np.float64]
@@ -79,20 +76,22 @@ def scatter_between_repeats(found: Findings) -> Scatter:
     return Scatter(covariance, freedom, same)
 
 
+def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> Noise:
+    """sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m); freedom: (m,), of sigma."""
+    rates = tuple(np.sqrt(np.sum(sigma[group.spins] ** 2, axis=0)) / len(group.names) for group in groups)
+    rest = np.array([np.sqrt(group.rest.mean(axis=0) ** 2 @ sigma**2) for group in groups])
+    return Noise(rates, rest, correlation, freedom)
+
+
 def scatter_of_means(
-    groups: Sequence[Group],
-    conditions: Conditions,
-    found: Findings,
-    worst: Worst,
-    reference: int,
-    noise: Noise,
-    basis: str,
+    groups: Sequence[Group], found: Findings, answers: Sequence[Array], noise: Noise, basis: str
 ) -> Scatter:
-    """From the residuals of the means, or from the noise within the segments. Raises `EstimationError` without residuals."""
+    """From the residuals of the means, or from the noise within the segments. answers: of each group, as `answers_of` gives them. Raises
+    `EstimationError` without residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
         n = len(group.rates)
-        gains = _gains(groups, k, conditions, worst, reference, found)
+        gains = answers[k]
         sigma = noise.rates[k]
         freedom = np.repeat(noise.degrees_of_freedom, len(QUANTITIES))
         if basis == "residual":
@@ -108,17 +107,22 @@ def scatter_of_means(
     return Scatter(np.array(covariances), np.array(freedoms), np.zeros(len(freedoms[0]), dtype=bool))
 
 
-def whole(
-    found: Findings, groups: Sequence[Group], scatter: Scatter, reference: int, worst: Worst
-) -> tuple[Array, Array]:
-    """Covariance of `Findings.vector` and degrees of freedom of its elements."""
+def gradient_of(found: Findings, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
+    """∂`Findings.vector`/∂(means of all groups), (count, g·m·5); the repeatability does not follow from the means."""
+    g, m, p = found.means.shape
+    each = m * p
+    gradient = np.zeros((len(found.vector), g * each))
+    gradient[: g * each] = np.eye(g * each)
+    if np.isfinite(found.coefficient).all():
+        kelvin = np.array([group.kelvin for group in groups])
+        _temperature_gradients(gradient[-2 * m :], found, kelvin, reference, worst)
+    return gradient
+
+
+def whole(found: Findings, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
+    """Covariance of `Findings.vector` and degrees of freedom of its elements. gradient: as `gradient_of` gives it."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
-    gradient = np.zeros((count, g * each))
-    gradient[: g * each] = np.eye(g * each)
-    kelvin = np.array([group.kelvin for group in groups])
-    if np.isfinite(found.coefficient).all():
-        _temperature_gradients(gradient[-2 * m :], found, kelvin, reference, worst)
     blocks = np.array(
         [gradient[:, k * each : (k + 1) * each] @ scatter.covariance[k] for k in range(g)]
     )  # (g, count, each)
@@ -153,26 +157,9 @@ def _temperature_gradients(rows: Array, found: Findings, kelvin: Array, referenc
         rows[axis, at[reference]] -= found.coefficient[axis] / base
         other = int(worst.temperature[axis])
         change = found.means[other, axis, K] - base
-        scale = np.sign(change / base) / (base * abs(kelvin[other] - kelvin[reference]))
+        scale = (np.sign(change / base) or 1.0) / (base * abs(kelvin[other] - kelvin[reference]))
         rows[m + axis, at[other]] = scale
         rows[m + axis, at[reference]] = -scale * found.means[other, axis, K] / base
-
-
-def _gains(
-    groups: Sequence[Group], k: int, conditions: Conditions, worst: Worst, reference: int, found: Findings
-) -> Array:
-    """∂(quantities of group k)/∂(output at a rate), shape (n, m, 5)."""
-    group = groups[k]
-    n, m = len(group.rates), group.outputs.shape[2]
-    step = 1e-6 * group.full_scale
-    gains = np.empty((n, m, len(QUANTITIES)))
-    for row in range(n):
-        change = np.zeros((1, n, m))
-        change[0, row] = step
-        up = evaluate(with_outputs(groups, k, change), conditions, reference, worst).means[k]
-        down = evaluate(with_outputs(groups, k, -change), conditions, reference, worst).means[k]
-        gains[row] = np.nan_to_num((up - down) / (2 * step[:, None]))
-    return gains
 
 
 def _correlation(products: Array) -> Array:

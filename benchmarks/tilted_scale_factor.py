@@ -1,0 +1,123 @@
+"""Scale factors of a triad in one tilted mounting from 10⁸ samples × 3 channels: estimating against merely reading the recording.
+
+`python -m benchmarks.tilted_scale_factor 10000000` measures fewer samples.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.recording_memory import peak_memory
+from planrunner.archive.run_folder import RunWriter
+from planrunner.archive.run_reader import RunReader
+from planrunner.estimators.analysis import combined
+from planrunner.estimators.interface import EstimateRequest, Setup
+from planrunner.estimators.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
+from planrunner.instruments.interfaces import Block
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.model import MountedAxis
+from planrunner.plan.quantity import parse_quantity
+from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
+
+AXES = {"x": 0, "y": 120, "z": 240}
+CHANNELS = {f"gyro_{axis}": "deg/s" for axis in AXES}
+RATES = tuple(sign * rate for rate in (300, 150, 60, 20, 10, 1) for sign in (1, -1))
+REPEATS = 6
+BLOCK = 100_000
+TURNS = 360.0  # s, whole turns at every rate
+
+
+def planned(samples: int) -> tuple[Segment, ...]:
+    steps = [(f"r{repeat}/{label}", rate) for repeat in range(1, REPEATS + 1) for label, rate in _series()]
+    hertz = samples / len(steps) / TURNS
+    return tuple(
+        Segment(index, label, np.eye(3), "home", Spin(math.radians(rate)) if rate else Rest(), TURNS, sample_rate=hertz)
+        for index, (label, rate) in enumerate(steps)
+    )
+
+
+def _series() -> list[tuple[str, float]]:
+    return [("start-zero", 0.0), *((f"R{rate:+d}", float(rate)) for rate in RATES), ("end-zero", 0.0)]
+
+
+def blocks(segment: Segment, draw: np.random.Generator) -> Iterator[Block]:
+    rate = segment.sample_rate or 1.0
+    count, level = round(TURNS * rate), math.degrees(segment.rate) / math.sqrt(3)
+    for start in range(0, count, BLOCK):
+        length = min(BLOCK, count - start)
+        values = level + 0.01 * draw.standard_normal((3, length))
+        yield Block((start + np.arange(length)) / rate, dict(zip(CHANNELS, values, strict=True)))
+
+
+def record(folder: Path, segments: tuple[Segment, ...]) -> Path:
+    draw = np.random.default_rng(0)
+    with RunWriter.create(folder, "tilted", b"", b"", {}, "flushed") as writer:
+        for segment in segments:
+            writer.begin(segment, 0.0, CHANNELS)
+            for block in blocks(segment, draw):
+                writer.append(block, 0.0)
+            writer.acknowledge(0.0, {}, {})
+        writer.finish()
+    return writer.path
+
+
+def merely_read(path: Path) -> float:
+    """Seconds to decode every sample once and look at nothing."""
+    began = time.perf_counter()
+    reader = RunReader.open(path)
+    for item in reader.acknowledged():
+        for _ in reader.blocks(item):
+            pass
+    return time.perf_counter() - began
+
+
+def estimate(path: Path, schedule: Schedule) -> tuple[float, float]:
+    """Seconds for statistics and estimate, and for the estimate alone."""
+    mounting = {
+        axis: MountedAxis(angle=parse_quantity("54.7356 deg"), azimuth=parse_quantity(f"{azimuth} deg"))
+        for axis, azimuth in AXES.items()
+    }
+    outputs = tuple(OutputModel(name, unit, noise=NoiseModel(1e-4)) for name, unit in CHANNELS.items())
+    sensor = SensorModel("gyro-triad", outputs, schedule.segments[0].sample_rate or 1.0)
+    began = time.perf_counter()
+    recording = RunReader.open(path).recording(schedule)
+    read = time.perf_counter()
+    request = EstimateRequest(
+        "scale", recording, ScaleFactorTiltedParameters(), Site(math.radians(40)), sensor, setup=Setup(None, mounting)
+    )
+    found = combined(ScaleFactorTilted().estimate(request))
+    assert abs(found["K_x"].value - 1) < 1e-5
+    done = time.perf_counter()
+    return done - began, done - read
+
+
+def run(samples: int = 10**8) -> dict[str, object]:
+    segments = planned(samples)
+    schedule = Schedule(segments, len(segments) * TURNS)
+    with tempfile.TemporaryDirectory() as folder:
+        path = record(Path(folder), segments)
+        # Alternating, so that neither finds the files warmer than the other.
+        pairs = [(merely_read(path), estimate(path, schedule)) for _ in range(3)]
+    reading = sorted(read for read, _ in pairs)[1]
+    whole = sorted(both for _, (both, _) in pairs)[1]
+    alone = sorted(own for _, (_, own) in pairs)[1]
+    return {
+        f"merely reading {samples:.0e} samples × 3 channels [s]": reading,
+        "reading them, statistics and scale factors [s]": whole,
+        "ratio, medians of three": whole / reading,
+        "of this, the estimate after the statistics [s]": alone,
+        "peak memory [MB]": peak_memory(),
+    }
+
+
+if __name__ == "__main__":
+    for what, figure in run(int(sys.argv[1]) if len(sys.argv) > 1 else 10**8).items():
+        print(f"{what}: {figure:.4g}")
