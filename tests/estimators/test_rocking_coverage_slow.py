@@ -8,7 +8,6 @@ import pytest
 import rocking_coverage
 import rocking_window_coverage
 
-
 CAUTION = 0.02  # by which Welch's formula with two states of two degrees of freedom each may hold the truth more often
 
 
