@@ -40,6 +40,7 @@ S = TypeVar("S")
 _HIGHEST_REACHED = math.radians(89)
 _GYRO = math.radians(0.1) / 3600  # rad/s
 _ACCELEROMETER = 1e-2  # m/s^2
+_FARTHEST = {"initial_latitude": math.pi / 2, "initial_longitude": 2 * math.pi, "initial_height": 1e5}
 _POSITION = {"initial_latitude": "angle", "initial_longitude": "angle", "initial_height": "length"}
 
 
@@ -170,17 +171,19 @@ def start_place(request: EstimateRequest, stop: RecordedSegment, factor: float) 
 
 
 def _told(name: str, text: str, dimension: str) -> float:
-    """A plain number is in degrees or metres, as receivers show it."""
+    """A plain number is in degrees or metres, as receivers show it. Raises `EstimationError` for what is no position."""
     try:
-        return math.radians(float(text)) if dimension == "angle" else float(text)
+        value = math.radians(float(text)) if dimension == "angle" else float(text)
     except ValueError:
-        pass
-    try:
-        return parse_quantity(text, dimension).value
-    except QuantityError as error:
-        raise EstimationError(
-            f"the run information {name} is '{text[:40]}': {error}; write for example 39.98 deg"
-        ) from None
+        try:
+            value = parse_quantity(text, dimension).value
+        except QuantityError as error:
+            raise EstimationError(
+                f"the run information {name} is '{text[:40]}': {error}; write for example 39.98 deg"
+            ) from None
+    if not abs(value) <= _FARTHEST[name]:
+        raise EstimationError(f"the run information {name} is '{text[:40]}', which is no place on Earth")
+    return value
 
 
 def navigate(request: EstimateRequest) -> Navigated:
@@ -240,24 +243,21 @@ def _run(
     if lasting < 2 * every * reader.interval:
         raise EstimationError(f"only {lasting:.3g} s are left to navigate: record longer")
     record = ErrorRecord(stride(int(lasting / (every * reader.interval))))
-    navigator, start, time, truth = None, math.nan, math.nan, Truth(*(np.zeros(0),) * 4)
+    navigator: Navigator | None = None
+    start, time, truth = math.nan, math.nan, None
     for item in moving:
         for piece in reader.blocks(item):
             if navigator is None:
                 start = float(piece.time[0] - piece.interval[0])
                 navigator, site = _begin(request, piece, site, factor, aligned, every)
-            begun = navigator.steps
-            height = piece.reference.get("reference_height")
-            knots = navigator.advance(piece.values, piece.interval, height)
-            at = np.arange(every - 1 - begun % every, piece.time.size, every)
-            truth = _truth(piece, site, at)
-            record.take(piece.time[at] - start, knots, truth)
+            at = np.arange(every - 1 - navigator.steps % every, piece.time.size, every)
+            knots = navigator.advance(piece.values, piece.interval, piece.reference.get("reference_height"))
+            record.take(piece.time[at] - start, knots, _truth(piece, site, at))
             _check(navigator, item.label, float(piece.time[-1]) - start)
             time, truth = float(piece.time[-1]), _truth(piece, site, np.array([-1]))
-    assert navigator is not None
-    velocity, place = navigator.velocity[None], navigator.position
-    last = Knots(navigator.quaternion[None], velocity, *(np.array([value]) for value in place))
-    final = difference(last, truth)[:, 0]
+    assert navigator is not None and truth is not None
+    place = (np.array([value]) for value in navigator.position)
+    final = difference(Knots(navigator.quaternion[None], navigator.velocity[None], *place), truth)[:, 0]
     return Navigated(site, aligned, record, final, time - start, start, gap, reader.bridged)
 
 
@@ -275,6 +275,8 @@ def _begin(
     }
     site = replace(site, **moved)
     velocity = np.array([first.get(f"reference_velocity_{name}", 0.0) for name in ("east", "north", "up")])
+    if parameters.vertical == "held":
+        velocity[2] = 0.0
     navigator = Navigator(
         attitude.quaternion(aligned.alignment.rotation),
         velocity,
@@ -313,6 +315,5 @@ def _check(navigator: Navigator, label: str, seconds: float) -> None:
     if not np.isfinite(navigator.state).all() or abs(navigator.position[0]) > _HIGHEST_REACHED:
         raise EstimationError(
             f"after {seconds:.0f} s of '{label}' the navigated position comes near a pole, where East-North-Up axes end: "
-            "check the sensors' "
-            "units and errors"
+            "check the sensors' units and errors"
         )

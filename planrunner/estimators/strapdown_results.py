@@ -15,8 +15,9 @@ from planrunner.estimators.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOU
 from planrunner.estimators.strapdown_navigation import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown_uncertainty import DEGREE, NAMES, RATE, SCHULER_PERIOD, Spread, influences
 from planrunner.navigation import attitude
-from planrunner.navigation.error_equations import ErrorEquations
+from planrunner.navigation.error_equations import SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
+from planrunner.plan.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def assemble(request: EstimateRequest, found: Navigated) -> Estimate:
         spread.covariance,
         ("heading", "radial_error", "largest_radial_error", "rms_radial_error", "radial_error_rate", "cep_rate"),
         _settings(request, found),
-        (_table(points, spread.radial),),
+        (_table(points, spread.radial), *_constants(request, found)),
         _plots(points),
         _notes(request, found, values),
         _warnings(found),
@@ -92,6 +93,7 @@ def _settings(request: EstimateRequest, found: Navigated) -> dict[str, object]:
         "start_height": f"{found.site.height:.2f} m",
         "alignment": f"{found.aligned.seconds:.6g} s",
         "navigation": f"{found.seconds:.6g} s",
+        "innovations over noise": f"{found.aligned.alignment.consistency:.2g}",
         "gyro noise seen": ", ".join(f"{value:.3g}" for value in white[:3]) + " deg/sqrt(h)",
         "accelerometer noise seen": ", ".join(f"{value:.3g}" for value in white[3:]) + " m/s/sqrt(h)",
     }
@@ -119,6 +121,23 @@ def _table(points: Array, uncertainty: Array) -> Table:
         "north velocity [m/s]",
     )
     return Table("Navigation errors over time", columns, tuple(tuple(map(float, row)) for row in rows))
+
+
+def _constants(request: EstimateRequest, found: Navigated) -> tuple[Table, ...]:
+    """Constant errors as alignment found them, where the unit was turned meanwhile."""
+    if not found.aligned.turned:
+        return ()
+    parameters: StrapdownNavigationParameters = request.parameters
+    alignment = found.aligned.alignment
+    uncertainties = np.sqrt(np.diag(alignment.covariance)[SIZE:])
+    scales = [(DEGREE * HOUR, "deg/h")] * 3 + [(1e6 / STANDARD_GRAVITY, "ug")] * 3
+    rows = tuple(
+        (name, float(value) * scale, float(u) * scale, text)
+        for name, value, u, (scale, text) in zip(
+            (*parameters.gyros, *parameters.accelerometers), alignment.constant, uncertainties, scales, strict=True
+        )
+    )
+    return (Table("Constant errors found in alignment", ("sensor", "error", "standard uncertainty", "unit"), rows),)
 
 
 def _plots(points: Array) -> tuple[Plot, ...]:

@@ -139,3 +139,5 @@ def test_near_the_pole() -> None:
 def test_positions_told_that_are_none() -> None:
     told = Setup(information={"initial_latitude": "somewhere"})
     refused("run information initial_latitude is 'somewhere'", stop(), run(), setup=told)
+    for text in ("95 deg", "nan", "-91"):
+        refused("no place on Earth", stop(), run(), setup=Setup(information={"initial_latitude": text}))

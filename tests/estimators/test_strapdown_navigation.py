@@ -168,6 +168,26 @@ def test_turning_modulates_what_stands_still_does_not() -> None:
     assert with_turns["rms_radial_error"].value < 0.15 * without["rms_radial_error"].value
 
 
+def test_alignment_in_a_cycle_tells_constant_errors() -> None:
+    """Stops of 100 s at 0 and 180 deg: the table of constant errors holds the horizontal ones, and heading is not off by ε_E/(Ω·cos φ)."""
+    errors = (0.02, -0.01, 0, 40, -30, 0)
+    turn = np.radians(np.arange(1, 181))
+    one = np.concatenate([np.zeros(1000), turn, np.full(1000, np.pi), np.pi - turn])
+    angle = np.concatenate([[0.0], np.tile(one, 4)])
+    cycle = Cycle({"A": 0.0, "C": np.pi}, (Move("A", np.pi, "C"), Move("C", -np.pi, "A")), np.radians(10), 100.0)
+    stop = recorded(
+        "align", samples((len(angle) - 1) / RATE, angle=angle, errors=errors, noise=1e-4), 0.0, motion=cycle
+    )
+    run = recorded("navigate", samples(1800, errors=errors, noise=1e-4, seed=1), stop.statistics.end)
+    found = StrapdownNavigation().estimate(request(stop, run))
+    heading = (found["heading"].value + 180) % 360 - 180
+    assert abs(heading) < 3 * found["heading"].standard_uncertainty < 0.05
+    rows = {row[0]: row for row in found.tables[1].rows}
+    for name, value in (("gyro_x", 0.02), ("gyro_y", -0.01), ("accel_x", 40), ("accel_y", -30)):
+        assert abs(rows[name][1] - value) < 3 * rows[name][2], name
+        assert rows[name][2] < abs(value) / 4, name
+
+
 def test_increments_and_other_units_give_the_same() -> None:
     channels, run = samples(600, noise=0.001), samples(1800, noise=0.001, seed=1)
     first = StrapdownNavigation().estimate(request(recorded("align", channels, 0.0), recorded("navigate", run, 600.0)))
