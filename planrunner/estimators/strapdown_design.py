@@ -80,7 +80,8 @@ def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
 def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> list[Remark]:
     found = []
     first = moving[0]
-    if not same_attitude(end_attitude(stop, request.setup.table), first.attitude):
+    known = stop.attitude is not None and first.attitude is not None
+    if known and not same_attitude(end_attitude(stop, request.setup.table), first.attitude):
         message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment does not hold for it"
         found.append(
             Remark(
