@@ -42,7 +42,7 @@ def report(
     spread = _spread(scatter, situation)
     tables = (
         _per_axis(situation, units, spread),
-        _per_repeat(situation, units),
+        _per_repeat(situation),
         _residuals(situation, units),
         _lowest_rate(situation, units, noise),
         comparison_table(
@@ -70,8 +70,8 @@ def _per_axis(situation: Situation, units: Units, spread: Array) -> Table:
         "axis",
         "temperature",
         f"K [{slope}]",
-        "u(K), data alone",
         f"K' [{slope}]",
+        "u(K), data alone",
         f"F0 [{own}]",
         "nonlinearity [ppm]",
         "asymmetry [ppm]",
@@ -85,34 +85,24 @@ def _per_axis(situation: Situation, units: Units, spread: Array) -> Table:
         for k, group in enumerate(situation.groups):
             mean = found.means[k, axis]
             value = float(mean[K] * factor)
-            figures = (value * cosine, float(mean[F0]), *(float(mean[q] * 1e6) for q in (NONLINEARITY, ASYMMETRY)))
+            figures = (float(mean[F0]), *(float(mean[q] * 1e6) for q in (NONLINEARITY, ASYMMETRY)))
             repeatability = float(found.repeatability[k, axis] * 1e6)
             drift = float(group.drift[:, axis].mean())
-            rows.append(
-                (
-                    name,
-                    _celsius(group),
-                    value,
-                    float(spread[k, axis] * factor),
-                    *figures,
-                    repeatability,
-                    drift,
-                    len(group.names),
-                )
-            )
+            own_spread = float(spread[k, axis] * factor)
+            shown = (name, _celsius(group), value, value * cosine, own_spread, *figures)
+            rows.append((*shown, repeatability, drift, len(group.names)))
     return Table("Scale factor of each axis at each temperature", columns, tuple(rows))
 
 
-def _per_repeat(situation: Situation, units: Units) -> Table:
-    slope, factor = slope_unit(*units[0])
-    names = situation.conditions.axes.names
+def _per_repeat(situation: Situation) -> Table:
+    names, found = situation.conditions.axes.names, situation.found
     rows = [
-        (group.label or "–", name, *(float(value * factor) for value in repeat[:, K]))
-        for group, repeats in zip(situation.groups, situation.found.repeats, strict=True)
+        (group.label or "–", name, *(float(value) for value in (repeat[:, K] / mean[:, K] - 1) * 1e6))
+        for group, repeats, mean in zip(situation.groups, found.repeats, found.means, strict=True)
         for name, repeat in zip(group.names, repeats, strict=True)
     ]
-    columns = ("temperature", "series", *(f"K {name} [{slope}]" for name in names))
-    return Table("Scale factor in each repeat", columns, tuple(rows))
+    columns = ("temperature", "series", *(f"{name} [ppm]" for name in names))
+    return Table("Scale factor in each repeat, from the mean at its temperature", columns, tuple(rows))
 
 
 def _residuals(situation: Situation, units: Units) -> Table:

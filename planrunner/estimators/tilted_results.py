@@ -30,6 +30,7 @@ WORDS = {
     "temperature_coefficient": "slope of K over temperature by K at the reference",
     "temperature_sensitivity": "largest change of K from the reference by K and distance in temperature",
 }
+ELSEWHERE = ("K", "nonlinearity", "asymmetry")  # than at the reference; the tables show the rest
 HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeatability")
 
 
@@ -98,7 +99,7 @@ def _at(
     suffix = "" if k == reference else f"_{groups[k].label}"
     where = f" at {groups[k].label}" if groups[k].label else ""
     made = []
-    for quantity in (*QUANTITIES, "repeatability"):
+    for quantity in (*QUANTITIES, "repeatability") if k == reference else ELSEWHERE:
         for axis, name in enumerate(axes.names):
             at = (
                 g * m * p + k * m + axis
