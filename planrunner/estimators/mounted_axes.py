@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -109,10 +109,6 @@ def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
             )
         found[row] = seen
     return found
-
-
-def turned_by(axes: MountedAxes, **changes: Any) -> MountedAxes:
-    return replace(axes, **changes)
 
 
 def _belongs(output: str, axis: str) -> bool:

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators import tilted_planning
 from planrunner.estimators.fixture_calibration import calibrated_axes
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
@@ -39,7 +39,9 @@ from planrunner.estimators.tilted_scatter import (
 from planrunner.estimators.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
@@ -124,37 +126,16 @@ class ScaleFactorTilted:
         )
         kept, series, warnings = _complete(request)
         observations = observe(kept, axes.outputs, request.sensor)
-        seconds = tuple(recorded_seconds(one) for one in kept)
-        conditions, segments = _conditions(request, kept, axes, seconds)
-        groups = _groups(request, kept, series, observations)
-        reference = _reference(groups, parameters)
-        found = evaluate(groups, conditions, reference)
-        worst = worst_of(groups, found, reference)
-        answers = answers_of(groups, conditions, worst)
-        gradient = gradient_of(found, groups, reference, worst)
-        situation = Situation(
-            groups,
-            conditions,
-            found,
-            worst,
-            reference,
-            answers,
-            gradient,
-            segments,
-            seconds,
-            request.site,
-            kept[0].segment.orientation,
-            observations.units,
-            fixture,
-        )
+        situation = _situation(request, axes, fixture, kept, series, observations)
+        groups, found = situation.groups, situation.found
         noise = _noise(request, groups, observations)
-        within = scatter_of_means(groups, found, answers, noise, "within_segment")
+        within = scatter_of_means(groups, found, situation.answers, noise, "within_segment")
         scatter = (
             scatter_between_repeats(found)
             if parameters.uncertainty == "repeats"
-            else scatter_of_means(groups, found, answers, noise, parameters.uncertainty)
+            else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty)
         )
-        covariance, freedom = whole(found, groups, scatter, gradient)
+        covariance, freedom = whole(found, groups, scatter, situation.gradient)
         acting = influences(
             situation,
             request.setup.inputs,
@@ -163,7 +144,7 @@ class ScaleFactorTilted:
             _rounding(request, kept, axes),
         )
         units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
-        shown = items(found, groups, axes, units, reference)
+        shown = items(found, groups, axes, units, situation.reference)
         made = Estimate(
             request.name,
             "scale_factor_tilted",
@@ -173,7 +154,7 @@ class ScaleFactorTilted:
             {
                 "uncertainty": parameters.uncertainty,
                 "earth_rate": parameters.earth_rate,
-                "reference_temperature": groups[reference].label or "not stated",
+                "reference_temperature": groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if fixture else "as stated",
             },
             warnings=tuple(warnings),
@@ -183,7 +164,38 @@ class ScaleFactorTilted:
         return report(made, situation, units, scatter, within, noise, acting, parameters)
 
 
-def _complete(request: EstimateRequest) -> tuple[list[Any], tuple[RateSeries, ...], list[str]]:
+def _situation(
+    request: EstimateRequest,
+    axes: MountedAxes,
+    fixture: tuple[Influence, ...],
+    kept: Sequence[RecordedSegment],
+    series: Sequence[RateSeries],
+    observations: Observations,
+) -> Situation:
+    seconds = tuple(recorded_seconds(one) for one in kept)
+    conditions, segments = _conditions(request, kept, axes, seconds)
+    groups = _groups(request, kept, series, observations)
+    reference = _reference(groups, request.parameters)
+    found = evaluate(groups, conditions, reference)
+    worst = worst_of(groups, found, reference)
+    return Situation(
+        groups,
+        conditions,
+        found,
+        worst,
+        reference,
+        answers_of(groups, conditions, worst),
+        gradient_of(found, groups, reference, worst),
+        segments,
+        seconds,
+        request.site,
+        kept[0].segment.orientation,
+        observations.units,
+        fixture,
+    )
+
+
+def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
     """The recorded segments of whole series, those series, and warnings of the others."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
@@ -223,8 +235,8 @@ def _complete(request: EstimateRequest) -> tuple[list[Any], tuple[RateSeries, ..
 
 
 def _conditions(
-    request: EstimateRequest, kept: Sequence[Any], axes: MountedAxes, seconds: Sequence[float | None]
-) -> tuple[Conditions, tuple[Any, ...]]:
+    request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes, seconds: Sequence[float | None]
+) -> tuple[Conditions, tuple[Segment, ...]]:
     planned = [one.segment for one in kept]
     along = rotation_axis(planned)
     commanded = np.array([segment.rate for segment in planned])
@@ -246,7 +258,7 @@ def _conditions(
 
 
 def _groups(
-    request: EstimateRequest, kept: Sequence[Any], series: Sequence[RateSeries], observations: Observations
+    request: EstimateRequest, kept: Sequence[RecordedSegment], series: Sequence[RateSeries], observations: Observations
 ) -> tuple[Group, ...]:
     commanded = np.array([one.segment.rate for one in kept])
     made = []
@@ -257,7 +269,7 @@ def _groups(
     return tuple(made)
 
 
-def _measured(request: EstimateRequest, recorded: Sequence[Any], planned: float | None) -> float:
+def _measured(request: EstimateRequest, recorded: Sequence[RecordedSegment], planned: float | None) -> float:
     """Mean temperature of the sensor [K]; as planned where it is not recorded; NaN where neither is known."""
     wanted = request.parameters.temperature
     channel = wanted or THERMOMETER
@@ -288,7 +300,7 @@ def _noise(request: EstimateRequest, groups: Sequence[Group], observations: Obse
     return noise_of_means(groups, sigma, observations.correlation, freedom)
 
 
-def _rounding(request: EstimateRequest, kept: Sequence[Any], axes: MountedAxes) -> dict[str, Rounding]:
+def _rounding(request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes) -> dict[str, Rounding]:
     """A count of the samples' average where noise dithers them, else of the whole mean."""
     found = {}
     for output in axes.outputs:
