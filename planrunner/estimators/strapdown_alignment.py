@@ -90,7 +90,8 @@ def align(
     for piece in chain(begin, pieces):
         knots = navigator.advance(piece.values, piece.interval)
         rotations = np.concatenate([before, attitude.matrix(knots.attitude)])
-        fine.take(knots.velocity[:, :2], (rotations[1:] + rotations[:-1]) / 2)
+        turns = attitude.turned_about_up(rotations[:-1], rotations[1:]) / (every * reader.interval)
+        fine.take(knots.velocity[:, :2], (rotations[1:] + rotations[:-1]) / 2, turns)
         before = rotations[-1:]
     found, warnings = _judged(recorded.label, fine.finish(navigator.rotation), seconds)
     density = to_navigation(found.rotation, white**2)

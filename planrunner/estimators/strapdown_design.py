@@ -140,14 +140,15 @@ def _expected(
     density = to_navigation(rotation, white**2)
     after = FineAlignment(equations, density, 1.0, constant)
     course = _turning([stop], rotation, 1.0)[:, :3, :3]
-    after.take(np.zeros((len(course), 2)), course)
-    start = after.finish(course[-1]).covariance
+    turned = np.append(0.0, np.cumsum(attitude.turned_about_up(course[:-1], course[1:])))
+    after.take(np.zeros((len(course), 2)), course, np.gradient(turned))
+    start = after.finish(course[-1]).covariance[: SIZE + INPUTS, : SIZE + INPUTS]
     # Errors of the navigation follow those left by the alignment and the constant errors that hid behind them.
     driven = _turning(moving, rotation, _STEP) @ np.eye(INPUTS, SIZE + INPUTS, SIZE)
     responses = equations.responses(np.eye(SIZE, SIZE + INPUTS), driven, _STEP)
-    turned = any(not isinstance(segment.motion, Rest) for segment in moving)
+    turning = any(not isinstance(segment.motion, Rest) for segment in moving)
     noise = equations.covariances(
-        np.zeros((SIZE, SIZE)), levelled_out(density) if turned else density, _STEP, len(driven)
+        np.zeros((SIZE, SIZE)), levelled_out(density) if turning else density, _STEP, len(driven)
     )
     covariances = responses @ start @ responses.transpose(0, 2, 1) + np.array(list(noise))
     sensitivities = -attitude.angle_sensitivities(rotation)

@@ -15,7 +15,7 @@ from planrunner.estimators.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOU
 from planrunner.estimators.strapdown_navigation import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown_uncertainty import DEGREE, NAMES, RATE, SCHULER_PERIOD, Spread, influences
 from planrunner.navigation import attitude
-from planrunner.navigation.error_equations import SIZE, ErrorEquations
+from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
 from planrunner.plan.units import STANDARD_GRAVITY
 
@@ -129,7 +129,7 @@ def _constants(request: EstimateRequest, found: Navigated) -> tuple[Table, ...]:
         return ()
     parameters: StrapdownNavigationParameters = request.parameters
     alignment = found.aligned.alignment
-    uncertainties = np.sqrt(np.diag(alignment.covariance)[SIZE:])
+    uncertainties = np.sqrt(np.diag(alignment.covariance)[SIZE : SIZE + INPUTS])
     scales = [(DEGREE * HOUR, "deg/h")] * 3 + [(1e6 / STANDARD_GRAVITY, "ug")] * 3
     rows = tuple(
         (name, float(value) * scale, float(u) * scale, text)

@@ -6,7 +6,8 @@ Kalman filter over the linear error equations, from which tilt and azimuth come 
 gyros follow does no harm.
 
 While the unit keeps its attitude, nothing can tell constant sensor errors from tilt and azimuth (`ErrorEquations.levelled`). Where it is
-turned from stop to stop they can be told apart, and the filter carries them as states.
+turned about the vertical from stop to stop they can be told apart, and the filter carries them as states, and with them what the turns
+themselves add: gyro errors in proportion to the rate of turn, from scale factor and misalignment.
 """
 
 from __future__ import annotations
@@ -23,15 +24,17 @@ from planrunner.navigation.error_equations import EAST_VELOCITY, INPUTS, SIZE, T
 Array = NDArray[np.float64]
 
 STILLNESS = 1e-3  # m/s; velocity of what stands still, standard uncertainty at each knot
-_ALL = SIZE + INPUTS
+_ALL = SIZE + INPUTS + 3
+_PER_TURN = 1e-4  # standard uncertainty of scale factor and misalignment before alignment: 100 ppm, 20 arcsec
 _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; the filter must not take it for information
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (13, 13) of the errors that remain, as in `error_equations`,
-    then the constant sensor errors in body axes. constant: (6,), these as estimated, rad/s and m/s². consistency: root mean square of the
-    innovations over what the noise explains, 1 or less where all is well. largest: of the innovations, m/s."""
+    """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16) of the errors that remain, as in `error_equations`,
+    then the constant sensor errors and the gyro errors per rate of turn in body axes. constant: (6,), constant errors as estimated, rad/s
+    and m/s². consistency: root mean square of the innovations over what the noise explains, 1 or less where all is well. largest: of the
+    innovations, m/s."""
 
     rotation: Array
     covariance: Array
@@ -64,17 +67,18 @@ class FineAlignment:
         self._added = np.zeros((_ALL, _ALL))
         self._added[:SIZE, :SIZE] = equations.noise(density, seconds)
         self._state = np.zeros(_ALL)
-        before = np.zeros(INPUTS) if constant is None else constant
+        before = np.zeros(INPUTS + 3) if constant is None else np.append(constant, [_PER_TURN] * 3)
         self._covariance = np.diag([0.0, 0, STILLNESS**2, STILLNESS**2, *[_PRIOR**2] * 3, *before**2])
         self._squares, self._count, self._largest = 0.0, 0, 0.0
 
-    def take(self, velocities: Array, rotations: Array) -> None:
+    def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
         """velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as columns, the mean over the
-        time before each."""
+        time before each; turns: (m,), mean rate about the vertical in that time, rad/s."""
         seen = slice(EAST_VELOCITY, EAST_VELOCITY + 2)
-        for found, rotation in zip(velocities, rotations, strict=True):
+        for found, rotation, turn in zip(velocities, rotations, turns, strict=True):
             self._transition[:SIZE, SIZE : SIZE + 3] = self._response[:, :3] @ rotation
-            self._transition[:SIZE, SIZE + 3 :] = self._response[:, 3:] @ rotation
+            self._transition[:SIZE, SIZE + 3 : SIZE + 6] = self._response[:, 3:] @ rotation
+            self._transition[:SIZE, SIZE + 6 :] = turn * self._response[:, :3] @ rotation
             state = self._transition @ self._state
             covariance = self._transition @ self._covariance @ self._transition.T + self._added
             expected = covariance[seen, seen] + STILLNESS**2 * np.eye(2)
@@ -92,4 +96,6 @@ class FineAlignment:
         """The aligned attitude. rotation: the navigator's, (3, 3), within a knot's time after the last."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
-        return Alignment(aligned, self._covariance.copy(), self._state[SIZE:].copy(), consistency, self._largest)
+        return Alignment(
+            aligned, self._covariance.copy(), self._state[SIZE : SIZE + INPUTS].copy(), consistency, self._largest
+        )

@@ -53,6 +53,12 @@ def small_rotation(vector: Array) -> Array:
     return np.asarray(np.eye(3) + math.sin(angle) / angle * skew + 2 * (math.sin(angle / 2) / angle) ** 2 * skew @ skew)
 
 
+def turned_about_up(before: Array, after: Array) -> Array:
+    """Angle [rad] by which attitudes (…, 3, 3) are turned about the vertical against others, right-handed."""
+    change = after @ np.swapaxes(before, -1, -2)
+    return np.asarray(np.arctan2(change[..., 1, 0] - change[..., 0, 1], change[..., 0, 0] + change[..., 1, 1]))
+
+
 def angles(rotation: Array) -> Array:
     """Heading (0 … 2π), pitch and roll [rad], shape (3,)."""
     heading = math.atan2(rotation[0, 1], rotation[1, 1]) % (2 * math.pi)
