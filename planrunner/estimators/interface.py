@@ -81,11 +81,11 @@ class Estimate:
     that coefficients and covariance hold both, and writes the `budgets`.
 
     headline: the names that the terminal shows first. settings: choices made (such as the basis of the uncertainties). extra: plain
-    data for estimates that build on this one; coefficients that are known at several temperatures, or at one that all segments held, stand in
-    extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}}, with the
-    uncertainty that the data show, for `temperature_model`. data_covariance: what the data show alone, kept by the analysis when it has added the
-    influences; an estimate that builds on this one starts from it and carries the influences on (`Influence.through`), so that an input
-    that acts on both counts once and with its sign.
+    data for estimates that build on this one; coefficients that are known at several temperatures, or at one that all segments held,
+    stand in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}},
+    with the uncertainty that the data show, for `temperature_model`. data_covariance: what the data show alone, kept by the analysis when
+    it has added the influences; an estimate that builds on this one starts from it and carries the influences on (`Influence.through`),
+    so that an input that acts on both counts once and with its sign.
     """
 
     name: str
