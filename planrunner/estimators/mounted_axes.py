@@ -40,8 +40,9 @@ class MountedAxes:
         """Unit vectors in the fixture's frame, shape (m, 3); an azimuth that is not stated counts as zero."""
         azimuths = np.nan_to_num(self.azimuths)
         across = np.sin(self.angles)
-        plain = np.column_stack([across * np.cos(azimuths), across * np.sin(azimuths), np.cos(self.angles)])
-        return plain + np.cross(np.array([*self.tilt, 0.0]), plain)
+        x, y, z = across * np.cos(azimuths), across * np.sin(azimuths), np.cos(self.angles)
+        about_x, about_y = self.tilt
+        return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
     def require_azimuths(self, why: str) -> None:
         """Raises `EstimationError` when an azimuth is not stated; `why` ends the sentence."""
