@@ -39,7 +39,7 @@ S = TypeVar("S")
 
 _HIGHEST_REACHED = math.radians(89)
 _GYRO = math.radians(0.1) / 3600  # rad/s
-_ACCELEROMETER = 1e-2  # m/s^2
+_ACCELEROMETER = 9.80665e-3  # m/s^2, 1 mg
 _FARTHEST = {"initial_latitude": math.pi / 2, "initial_longitude": 2 * math.pi, "initial_height": 1e5}
 _POSITION = {"initial_latitude": "angle", "initial_longitude": "angle", "initial_height": "length"}
 

@@ -163,11 +163,16 @@ def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float])
         "sensor errors are part of what is measured. Those of largest, root-mean-square and rate figures are upper bounds.",
     ]
     parameters: StrapdownNavigationParameters = request.parameters
-    if parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None:
+    unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None
+    if unknown and found.aligned.turned:
         notes.append(
-            "The uncertainties of heading, pitch and roll hold the noise alone: what constant gyro and accelerometer errors "
-            "add (ε_E/(Ω·cos φ) "
-            "and ∇/g) is not known without gyro_uncertainty and accelerometer_uncertainty."
+            "Alignment takes constant errors for unknown within 0.1 deg/h and 1 mg where gyro_uncertainty and "
+            "accelerometer_uncertainty do not say better."
+        )
+    elif unknown:
+        notes.append(
+            "The uncertainties of heading, pitch and roll hold the noise alone: what constant gyro and accelerometer errors add "
+            "(ε_E/(Ω·cos φ) and ∇/g) is not known without gyro_uncertainty and accelerometer_uncertainty."
         )
     if found.seconds < SCHULER_PERIOD:
         notes.append(
