@@ -70,7 +70,11 @@ def stated_influences(
         found.append(Influence(azimuth, moved(change)))
     if (rate := inputs.get("table rate")) and any(isinstance(one.motion, Spin) for one in segments):
         change = slope(*(columns(_hastened(segments, 1 + step), site) for step in (-_STEP, _STEP)))
-        found.append(Influence(rate, -moved(change)))
+        each = -np.einsum("mpn,mn->mpn", gains, change).reshape(-1, len(segments))
+        turning = [one for one in segments if isinstance(one.motion, Spin)]
+        rates = tuple(f"{np.degrees(one.rate):.9g} deg/s" for one in turning)
+        spun = np.array([isinstance(one.motion, Spin) for one in segments])
+        found.append(_by_part(Influence(rate, each[:, spun], parts=rates)))
     if position := inputs.get("table position"):
         spinning = np.array([isinstance(one.motion, Spin) for one in segments])
         parts, names = [], []
@@ -108,7 +112,7 @@ def position_scatter(
 
 
 def _by_part(influence: Influence) -> Influence:
-    """One column for each name: segments at the same orientation share the table's error there."""
+    """One column for each name: segments at the same orientation, or the same rate, share the table's error there."""
     names = tuple(dict.fromkeys(influence.parts))
     of = np.array([names.index(name) for name in influence.parts])
     sums = np.stack([influence.sensitivities[:, of == k].sum(axis=1) for k in range(len(names))], axis=1)
