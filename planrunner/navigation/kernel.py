@@ -35,6 +35,8 @@ ATTITUDE, VELOCITY, LATITUDE, LONGITUDE, HEIGHT, LOOP, LAST_ANGLE, LAST_VELOCITY
 STATE = 18
 KNOT = 10  # numbers kept at a knot: attitude, velocity, latitude, longitude, height
 
+_SEMI_LATUS_RECTUM = SEMI_MAJOR_AXIS * (1.0 - ECCENTRICITY_SQUARED)
+_SIXTH, _TWELFTH = 1.0 / 6.0, 1.0 / 12.0  # a division costs as much as ten products
 _SMALL = 0.01  # rad²; below, the series of the half-angle functions are exact to rounding
 
 
@@ -46,15 +48,15 @@ def _body_increments(t, u, a, b):  # type: ignore[no-untyped-def]
     ax, ay, az = a
     bx, by, bz = b
     rotation = (
-        tx + (ay * tz - az * ty) / 12.0,
-        ty + (az * tx - ax * tz) / 12.0,
-        tz + (ax * ty - ay * tx) / 12.0,
+        tx + (ay * tz - az * ty) * _TWELFTH,
+        ty + (az * tx - ax * tz) * _TWELFTH,
+        tz + (ax * ty - ay * tx) * _TWELFTH,
     )
     rx, ry, rz = ty * uz - tz * uy, tz * ux - tx * uz, tx * uy - ty * ux
     velocity = (
-        ux + 0.5 * rx + (ty * rz - tz * ry) / 6.0 + (ay * uz - az * uy + by * tz - bz * ty) / 12.0,
-        uy + 0.5 * ry + (tz * rx - tx * rz) / 6.0 + (az * ux - ax * uz + bz * tx - bx * tz) / 12.0,
-        uz + 0.5 * rz + (tx * ry - ty * rx) / 6.0 + (ax * uy - ay * ux + bx * ty - by * tx) / 12.0,
+        ux + 0.5 * rx + (ty * rz - tz * ry) * _SIXTH + (ay * uz - az * uy + by * tz - bz * ty) * _TWELFTH,
+        uy + 0.5 * ry + (tz * rx - tx * rz) * _SIXTH + (az * ux - ax * uz + bz * tx - bx * tz) * _TWELFTH,
+        uz + 0.5 * rz + (tx * ry - ty * rx) * _SIXTH + (ax * uy - ay * ux + bx * ty - by * tx) * _TWELFTH,
     )
     return rotation, velocity
 
@@ -74,21 +76,22 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped-def]
-    """What the Earth is like `north` metres north of a latitude: 1/(radius + height) in the meridian and in the prime vertical, cosine
+    """What the Earth is like `north` metres north of a latitude: 1/(radius + height) in the meridian and in the prime vertical, secant
     and tangent of the latitude, gravity, and the Earth's rate north and up."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     w = 1.0 - ECCENTRICITY_SQUARED * sine * sine
-    turn = north / (SEMI_MAJOR_AXIS * (1.0 - ECCENTRICITY_SQUARED) / (w * math.sqrt(w)) + height)
+    w *= math.sqrt(w)
+    turn = north * w / (_SEMI_LATUS_RECTUM + height * w)
     sine, cosine = sine + turn * (cosine - 0.5 * turn * sine), cosine - turn * (sine + 0.5 * turn * cosine)
     squared = sine * sine
-    w = 1.0 - ECCENTRICITY_SQUARED * squared
-    root = math.sqrt(w)
-    east = SEMI_MAJOR_AXIS / root
-    h = height / SEMI_MAJOR_AXIS
-    gravity = factor * GRAVITY_AT_EQUATOR * (1.0 + SOMIGLIANA * squared) / root
+    root = 1.0 / math.sqrt(1.0 - ECCENTRICITY_SQUARED * squared)
+    h = height * (1.0 / SEMI_MAJOR_AXIS)
+    gravity = factor * GRAVITY_AT_EQUATOR * (1.0 + SOMIGLIANA * squared) * root
     gravity *= 1.0 - 2.0 * (1.0 + FLATTENING + ROTATION_RATIO - 2.0 * FLATTENING * squared) * h + 3.0 * h * h
-    to_north = 1.0 / (east * (1.0 - ECCENTRICITY_SQUARED) / w + height)
-    return to_north, 1.0 / (east + height), cosine, sine / cosine, gravity, rate * cosine, rate * sine
+    to_north = 1.0 / (_SEMI_LATUS_RECTUM * root * root * root + height)
+    to_east = 1.0 / (SEMI_MAJOR_AXIS * root + height)
+    secant = 1.0 / cosine
+    return to_north, to_east, secant, sine * secant, gravity, rate * cosine, rate * sine
 
 
 @compiled()
@@ -96,8 +99,8 @@ def _half_angle(x):  # type: ignore[no-untyped-def]
     """sin(φ/2)/φ and cos(φ/2) for φ² = x."""
     if x < _SMALL:
         return (
-            0.5 - x * (1.0 / 48.0 - x * (1.0 / 3840.0 - x / 645120.0)),
-            1.0 - x * (1.0 / 8.0 - x * (1.0 / 384.0 - x / 46080.0)),
+            0.5 - x * (1.0 / 48.0 - x * (1.0 / 3840.0 - x * (1.0 / 645120.0))),
+            1.0 - x * (1.0 / 8.0 - x * (1.0 / 384.0 - x * (1.0 / 46080.0))),
         )
     angle = math.sqrt(x)
     return math.sin(0.5 * angle) / angle, math.cos(0.5 * angle)
@@ -175,7 +178,7 @@ def advance(state, increments, interval, aiding, earth, gains, held, every, knot
             new_u -= dt * (gains[1] * error + loop)
             loop += dt * gains[2] * error
         latitude += dt * 0.5 * (vn + new_n) * place[0]
-        longitude += dt * 0.5 * (ve + new_e) * place[1] / place[2]
+        longitude += dt * 0.5 * (ve + new_e) * place[1] * place[2]
         ve, vn, vu = new_e, new_n, new_u
         q = _new_attitude(q, rotation, e * dt, n * dt, up * dt)
         steps += 1
