@@ -18,6 +18,7 @@ from planrunner.estimators.fixture_angles import FixtureAngles, FixtureAnglesPar
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Spin
+from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 # Rows are the fixture's x, y and z axes in East-North-Up.
@@ -185,6 +186,34 @@ def test_scale_factors_use_the_calibrated_angles_with_their_uncertainty() -> Non
         assert item.standard_uncertainty == pytest.approx(by_angle, rel=0.02)
     with pytest.raises(EstimationError, match="'other' has no coefficient 'angle_x'"):
         estimate(recorded, STATED, uses={"other": plain})
+
+
+@pytest.mark.parametrize("about", [0, 1])
+def test_a_skew_of_home_acts_on_calibration_and_scale_factor_as_one_input(about: int) -> None:
+    """Against brute force: the fixture skewed at home in both recordings moves K by the sum of both sensitivities, no root sum."""
+    held = Inputs({"table position": InputQuantity("table position", 0.0, "rad", 1e-5)})
+
+    def scale_factor(size: float) -> Estimate:
+        skew = np.zeros((3, 3))
+        skew[0, about] = size
+        at_home = {}
+        for name, where in TRUE.items():
+            d = direction(*where) + np.cross(skew[0], direction(*where))
+            at_home[name] = (
+                math.degrees(math.atan2(math.hypot(d[0], d[1]), d[2])),
+                math.degrees(math.atan2(d[1], d[0])),
+            )
+        calibrated = found(spins([Z_UP, X_UP, Y_UP], skew=skew), inputs=held)
+        recorded = [turned_label(one, orientation="O0") for one in series(at_home, GYROS)]
+        return estimate(recorded, STATED, held, uses={"fixture": calibrated})
+
+    plain = scale_factor(0.0)
+    moved = [scale_factor(1e-5)[f"K_{name}"].value - plain[f"K_{name}"].value for name in TRUE]
+    (position,) = (one for one in merged(plain.influences) if one.quantity.name == "table position")
+    column = position.sensitivities[:, position.parts.index(f"O0, about {'xy'[about]}")]
+    names = [item.name for item in plain.coefficients]
+    expected = [-1e-5 * column[names.index(f"K_{name}")] for name in TRUE]
+    assert moved == pytest.approx(expected, rel=1e-3, abs=1e-10)
 
 
 def test_refusals() -> None:
