@@ -26,7 +26,14 @@ from planrunner.estimators.slope_units import rate_and_output
 from planrunner.estimators.tilted_evaluation import Conditions, Group, answers_of, evaluate, make_group, worst_of
 from planrunner.estimators.tilted_influences import Rounding, Situation, common_rate, influences
 from planrunner.estimators.tilted_report import report
-from planrunner.estimators.tilted_results import HEADLINE, coefficients, items, shown_covariance, shown_influences
+from planrunner.estimators.tilted_results import (
+    HEADLINE,
+    coefficients,
+    items,
+    over_temperature,
+    shown_covariance,
+    shown_influences,
+)
 from planrunner.estimators.tilted_scatter import (
     BASES,
     Noise,
@@ -145,10 +152,12 @@ class ScaleFactorTilted:
         )
         units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
         shown = items(found, groups, axes, units, situation.reference)
+        learnt = coefficients(found, shown, covariance, freedom)
+        held = over_temperature(shown, learnt, groups, axes, situation.reference)
         made = Estimate(
             request.name,
             "scale_factor_tilted",
-            coefficients(found, shown, covariance, freedom),
+            learnt,
             shown_covariance(shown, covariance),
             tuple(item.name for word in HEADLINE for item in shown if item.reference and item.quantity == word),
             {
@@ -160,6 +169,7 @@ class ScaleFactorTilted:
             warnings=tuple(warnings),
             segments=tuple(one.label for one in kept),
             influences=shown_influences(shown, acting),
+            extra={"by_temperature": held} if held else {},
         )
         return report(made, situation, units, scatter, within, noise, acting, parameters)
 

@@ -15,7 +15,7 @@ from planrunner.estimators.interface import Coefficient
 from planrunner.estimators.mounted_axes import MountedAxes
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted_evaluation import QUANTITIES, Findings, Group
-from planrunner.plan.units import Unit
+from planrunner.plan.units import ZERO_CELSIUS, Unit
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -69,6 +69,26 @@ def coefficients(found: Findings, kept: Sequence[Item], covariance: Array, freed
         )
         for item in kept
     )
+
+
+def over_temperature(
+    kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
+) -> dict[str, object]:
+    """The scale factors over temperature, as `interface.Estimate` says that extra holds them; empty where no temperature is known."""
+    known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
+    of = {item.name: one for item, one in zip(kept, shown, strict=True)}
+    held: dict[str, object] = {}
+    for axis in axes.names:
+        names = {k: f"K_{axis}" if k == reference else f"K_{axis}_{groups[k].label}" for k in known}
+        there = [k for k in known if names[k] in of]
+        if there:
+            held[f"K_{axis}"] = {
+                "temperature_degC": [groups[k].kelvin - ZERO_CELSIUS for k in there],
+                "value": [of[names[k]].value for k in there],
+                "standard_uncertainty": [of[names[k]].standard_uncertainty for k in there],
+                "unit": of[names[there[0]]].unit,
+            }
+    return held
 
 
 def shown_covariance(kept: Sequence[Item], covariance: Array) -> Array:

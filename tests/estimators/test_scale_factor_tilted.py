@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import from_means
+from recorded import from_means, sensor
 from tilted_recording import (
     DEG,
     EARTH,
@@ -24,7 +24,8 @@ from tilted_recording import (
     whole_turns,
 )
 
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimateRequest, EstimationError
+from planrunner.estimators.temperature_model import TemperatureModel, TemperatureModelParameters
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
 
@@ -194,6 +195,26 @@ def test_temperature_coefficients_of_a_curve_by_hand() -> None:
     slope = np.polyfit([-60.0, 0.0, 40.0], list(changes.values()), 1)[0]
     assert found["temperature_sensitivity_x"].value == pytest.approx(14.0, rel=1e-6)
     assert found["temperature_coefficient_x"].value == pytest.approx(slope * 1e6, rel=1e-6)
+
+
+def test_scale_factors_can_be_modelled_over_temperature() -> None:
+    """K = 1 + 1e-5·t + 1e-7·t², t from 20 degC, at four temperatures: the curve itself comes back."""
+    axes = {"x": (0.0, 0.0)}
+    recorded = [
+        one
+        for celsius in (-40.0, 0.0, 20.0, 60.0)
+        for one in series(axes, {"x": Gyro(1 + 1e-5 * (celsius - 20) + 1e-7 * (celsius - 20) ** 2)}, celsius)
+    ]
+    scale = estimate(recorded, axes)
+    held = scale.extra["by_temperature"]["K_x"]
+    values = dict(zip(held["temperature_degC"], held["value"], strict=True))
+    assert values[60.0] == pytest.approx(1 + 5.6e-4, rel=1e-9)
+    parameters = TemperatureModelParameters(coefficients=("K_x",), order=2, reference=parse_quantity("20 degC"))
+    request = EstimateRequest("curve", tuple(recorded), parameters, SITE, sensor("gyro_x"), {"scale": scale})
+    curve = TemperatureModel().estimate(request)
+    found = sorted(item.value for item in curve.coefficients if item.name.startswith("K_x"))
+    assert any(one == pytest.approx(1e-7, rel=1e-4) for one in found)
+    assert any(one == pytest.approx(1e-5, rel=1e-4) for one in found)
 
 
 def test_the_measured_temperature_counts_where_it_is_recorded() -> None:
