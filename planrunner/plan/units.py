@@ -123,6 +123,7 @@ _DAILY = {
         Unit("ppm", 1e-6, ()),
         Unit("deg", _DEG, _ANGLE),
         Unit("rad", 1.0, _ANGLE),
+        Unit("mrad", 1e-3, _ANGLE),
         Unit("arcmin", _DEG / 60, _ANGLE),
         Unit("arcsec", _DEG / 3600, _ANGLE),
         Unit("deg/s", _DEG, _RATE),
@@ -130,6 +131,7 @@ _DAILY = {
         Unit("rad/s", 1.0, _RATE),
         Unit("deg/s^2", _DEG, DIMENSIONS["angular acceleration"]),
         Unit("s", 1.0, _TIME),
+        Unit("ms", 1e-3, _TIME),
         Unit("min", 60.0, _TIME),
         Unit("h", 3600.0, _TIME),
         Unit("Hz", 1.0, DIMENSIONS["frequency"]),
@@ -137,6 +139,7 @@ _DAILY = {
         Unit("K", 1.0, DIMENSIONS["temperature"]),
         Unit("K/min", 1 / 60, DIMENSIONS["temperature rate"]),
         Unit("m", 1.0, DIMENSIONS["length"]),
+        Unit("mm", 1e-3, DIMENSIONS["length"]),
         Unit("km", 1000.0, DIMENSIONS["length"]),
         Unit("nmi", 1852.0, DIMENSIONS["length"]),
         Unit("m/s", 1.0, (("length", 1.0), ("time", -1.0))),
@@ -150,11 +153,14 @@ _DAILY = {
         Unit("(deg/h)/(pulse/s)", _DEG / 3600, (("angle", 1.0), ("pulse", -1.0))),
         Unit("deg/h/g", _DEG / 3600 / STANDARD_GRAVITY, (("angle", 1.0), ("length", -1.0), ("time", 1.0))),
         Unit("pulse/sqrt(s)", 1.0, (("pulse", 1.0), ("time", -0.5))),
+        Unit("pulse/s/sqrt(s)", 1.0, (("pulse", 1.0), ("time", -1.5))),
         Unit("(pulse/s)/(deg/s)", 1 / _DEG, (("angle", -1.0), ("pulse", 1.0))),
         Unit("(pulse/s)/(m/s^2)", 1.0, (("length", -1.0), ("pulse", 1.0), ("time", 1.0))),
         Unit("deg/sqrt(h)", _DEG / 60, (("angle", 1.0), ("time", -0.5))),
+        Unit("arcsec/sqrt(h)", _DEG / 3600 / 60, (("angle", 1.0), ("time", -0.5))),
         Unit("m/s/sqrt(h)", 1 / 60, (("length", 1.0), ("time", -1.5))),
         Unit("deg/h/sqrt(h)", _DEG / 3600 / 60, (("angle", 1.0), ("time", -1.5))),
+        Unit("ug*sqrt(s)", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("time", -1.5))),
         Unit("ug/sqrt(h)", STANDARD_GRAVITY / 1e6 / 60, (("length", 1.0), ("time", -2.5))),
         Unit("ppm/K", 1e-6, (("temperature", -1.0),)),
         Unit("ppm/K^2", 1e-6, (("temperature", -2.0),)),
@@ -247,7 +253,7 @@ def suggestion(text: str) -> str:
     """What was probably meant by a text that is no unit: the same letters in another case, or the closest daily unit; or ''."""
     if text.strip().lower() in _OTHERWISE:
         return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"
-    for known in (*_DAILY, "mm", "ms", "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
+    for known in (*_DAILY, "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
         if known.lower() == text.strip().lower():
             return f"units tell capitals from small letters: did you mean '{known}'?"
     hint = closest(text.strip(), _DAILY)
