@@ -20,17 +20,18 @@ def lost_samples(segments: Sequence[RecordedSegment], sample_rate: float) -> tup
         rate = recorded.segment.sample_rate or sample_rate
         if statistics.rejected:
             rows = statistics.count + statistics.rejected
-            left_out.append(f"{statistics.rejected} of {rows} in '{recorded.label}'")
+            left_out.append(f"'{recorded.label}' {statistics.rejected}/{rows}")
         if statistics.largest_gap * rate > GAP_INTERVALS:
-            gaps.append(f"{statistics.largest_gap:.3g} s in '{recorded.label}'")
+            gaps.append(f"'{recorded.label}' {statistics.largest_gap:.3g} s")
     found = []
     if left_out:
         found.append(f"Samples that are missing or no number were left out: {_named(left_out)}. Look at the recording.")
     if gaps:
-        found.append(f"Samples are missing for up to {_named(gaps)}. Look at the recording.")
+        found.append(f"Samples are missing; the longest gaps: {_named(gaps)}. Look at the recording.")
     return tuple(found)
 
 
 def _named(texts: Sequence[str]) -> str:
-    more = f" and in {len(texts) - NAMED} more" if len(texts) > NAMED else ""
-    return ", ".join(texts[:NAMED]) + more
+    """Names and figures without words, so that the sentence about them can be translated."""
+    more = [f"… (+{len(texts) - NAMED})"] if len(texts) > NAMED else []
+    return ", ".join([*texts[:NAMED], *more])

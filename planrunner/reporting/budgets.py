@@ -72,7 +72,9 @@ def two_digits(uncertainty: float) -> str:
 
 
 def freedom(value: float) -> str:
-    """Degrees of freedom; effective ones keep a decimal below a hundred."""
+    """Degrees of freedom; effective ones keep a decimal below a hundred. Beyond ten thousand they change no digit of a coverage factor."""
     if not math.isfinite(value):
         return "∞"
+    if value > 1e4:
+        return "> 10000"
     return f"{value:.0f}" if value >= 100 else f"{value:.1f}".removesuffix(".0")

@@ -96,7 +96,7 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
         "has_before": any(one["has_before"] for one in results),
         "rules": _rules(limits),
         "conformity": [_conformity(limit) for limit in limits],
-        "warnings": [f"{one.name}: {text}" for one in shown for text in one.warnings],
+        "warnings": [[one.name, text] for one in shown for text in one.warnings],
     }
 
 
@@ -137,12 +137,10 @@ def _results(estimate: Estimate, before: Estimate | None, probability: float) ->
             if earlier is not None and same
             else ("", "")
         )
-        subject, said = _split(item.name, item.description)
         rows.append(
             {
                 "name": item.name,
-                "subject": subject,
-                "said": said,
+                "said": item.description,
                 "value": value,
                 "expanded": width,
                 "unit": shown_unit(item.unit),
@@ -174,12 +172,6 @@ def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
 def guard_band(limit: LimitVerdict) -> str:
     """Its width in the limit's unit; nothing where results of an earlier version do not say."""
     return "" if math.isnan(limit.guard_band) else two_digits(limit.guard_band)
-
-
-def _split(name: str, description: str) -> tuple[str, str]:
-    """`gyro_x: scale factor …` of K_gyro_x as subject and words, so that the words can be translated."""
-    subject, colon, rest = description.partition(": ")
-    return (subject, rest) if colon and name.endswith(subject) else ("", description)
 
 
 def _conformity(limit: LimitVerdict) -> dict[str, str]:

@@ -2,6 +2,9 @@
 
 A catalogue is read as it stands in the tree (gettext's PO text), so that what reviewers read is what pages show and nothing has to be
 compiled. Placeholders are `%(name)s` and nothing more: a template cannot ask for widths that fill the memory.
+
+Sentences that come with the data are already filled, such as "gyro_x: offset at zero rate". They are looked up as they stand, then held
+against the messages with placeholders: "%(output)s: offset at zero rate" gives the translation, and what stands in its places is kept.
 """
 
 from __future__ import annotations
@@ -42,9 +45,30 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
     return found
 
 
+@lru_cache(maxsize=8)
+def sentences(language: str) -> tuple[tuple[re.Pattern[str], str], ...]:
+    """Messages with placeholders as patterns of the filled sentence, each with its translation; those that say most of the sentence
+    themselves come first, so that the closest one is found."""
+    known = [(text, said) for text, said in translations(language).items() if isinstance(said, str) and "%(" in text]
+    known.sort(key=lambda pair: (-len(_PLACE.sub("", pair[0])), pair[0]))
+    return tuple((_sentence(text), said) for text, said in known)
+
+
+def _sentence(message: str) -> re.Pattern[str]:
+    """What matches the message when it is filled. A name that stands twice has the same value in both places."""
+    parts, start, seen = [], 0, set()
+    for place in _PLACE.finditer(message):
+        name = place[1]
+        parts.append(re.escape(message[start : place.start()]))
+        parts.append("%" if name is None else f"(?P={name})" if name in seen else f"(?P<{name}>.+?)")
+        seen.add(name)
+        start = place.end()
+    return re.compile("".join(parts) + re.escape(message[start:]))
+
+
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """The functions that Jinja's i18n extension calls, and `term` for words that come with the data, such as the description of a
-    coefficient. What a catalogue lacks stays as it is; the result is escaped like other text."""
+    """The functions that Jinja's i18n extension calls, and `term` for words and sentences that come with the data, such as the
+    description of a coefficient. What a catalogue lacks stays as it is; the result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Any) -> str:
@@ -57,8 +81,11 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
         return filled(forms[0 if count == 1 else -1], {"num": count, **values})
 
     def term(text: str) -> str:
-        said = known.get(text, text)
-        return said if isinstance(said, str) else text
+        said = known.get(text)
+        if isinstance(said, str):
+            return said
+        matches = ((pattern.fullmatch(text), said) for pattern, said in sentences(language))
+        return next((filled(said, match.groupdict()) for match, said in matches if match), text)
 
     return {"_": gettext, "term": term, "gettext": gettext, "ngettext": ngettext}
 

@@ -1,7 +1,8 @@
 """Words of the shipped estimators and benches that certificates translate, for the catalogues.
 
-A certificate looks up what it is given (names of conditions and references, descriptions of coefficients) in its language's catalogue and
-shows as it stands what the catalogue lacks. `make catalogues` finds the words here, because the places that make them speak English only.
+A certificate looks up what it is given (names of conditions and references, estimators, descriptions of coefficients, warnings) in its
+language's catalogue and shows as it stands what the catalogue lacks. `make catalogues` finds the words here, because the places that make
+them speak English only. `%(name)s` stands where those places put a name or a number; it is kept in the translation.
 """
 
 from __future__ import annotations
@@ -20,45 +21,156 @@ CONDITIONS = (
 )
 REFERENCES = (_("site"), _("table"), _("chamber"))
 RULES = (_("simple"), _("guarded"))
+ESTIMATORS = (
+    _("flexure_gyro_static"),
+    _("compensation_residual"),
+    _("scale_factor"),
+    _("scale_factor_tilted"),
+    _("fixture_angles"),
+    _("rocking_drift"),
+    _("allan_deviation"),
+    _("strapdown_navigation"),
+    _("modulation_residual"),
+    _("accelerometer_multi_position"),
+    _("imu_multi_position"),
+    _("temperature_model"),
+    _("repeatability"),
+)
 DESCRIPTIONS = (
-    _("Torquer scale factor, x"),
-    _("Torquer scale factor, y"),
+    # flexure_gyro_static, compensation_residual
+    _("Torquer scale factor, %(axis)s"),
     _("Angle of the torquer's x axis to the case's x axis, ε"),
     _("Angle of the torquer's y axis to the case's y axis, ξ"),
-    _("Drift D(X), independent of acceleration; adds to ω_Y"),
-    _("Drift D(X), per acceleration along x; adds to ω_Y"),
-    _("Drift D(X), per acceleration along y; adds to ω_Y"),
-    _("Drift D(X), per acceleration along z; adds to ω_Y"),
-    _("Drift D(X), per product of accelerations along x and z; adds to ω_Y"),
-    _("Drift D(X), per product of accelerations along y and z; adds to ω_Y"),
-    _("Drift D(Y), independent of acceleration; adds to ω_X"),
-    _("Drift D(Y), per acceleration along x; adds to ω_X"),
-    _("Drift D(Y), per acceleration along y; adds to ω_X"),
-    _("Drift D(Y), per acceleration along z; adds to ω_X"),
-    _("Drift D(Y), per product of accelerations along x and z; adds to ω_X"),
-    _("Drift D(Y), per product of accelerations along y and z; adds to ω_X"),
-    _("offset at zero rate"),
-    _("scale factor against the table's rate"),
-    _("Bias of the x axis"),
-    _("Scale factor of the x axis"),
-    _("Scale factor of the x axis, along its own input direction"),
-    _("Bias of the y axis"),
-    _("Scale factor of the y axis"),
-    _("Scale factor of the y axis, along its own input direction"),
-    _("Bias of the z axis"),
-    _("Scale factor of the z axis"),
-    _("Scale factor of the z axis, along its own input direction"),
-    _("Component of the x axis's input direction along y"),
-    _("Component of the x axis's input direction along z"),
-    _("Component of the y axis's input direction along x"),
-    _("Component of the y axis's input direction along z"),
-    _("Component of the z axis's input direction along x"),
-    _("Component of the z axis's input direction along y"),
-    _("Non-orthogonality of the axes x and y: 90° less their angle"),
-    _("Non-orthogonality of the axes x and z: 90° less their angle"),
-    _("Non-orthogonality of the axes y and z: 90° less their angle"),
+    _("Drift D(%(drift)s), independent of acceleration; adds to ω_%(rate)s"),
+    _("Drift D(%(drift)s), per acceleration along %(axis)s; adds to ω_%(rate)s"),
+    _("Drift D(%(drift)s), per product of accelerations along %(first)s and %(second)s; adds to ω_%(rate)s"),
+    _("Coefficient %(term)s of output i_%(axis)s"),
+    _("Residual sum of squares of %(name)s"),
+    _("Residual sum of squares of %(first)s over that of %(second)s"),
+    # scale_factor
+    _("%(output)s: offset at zero rate"),
+    _("%(output)s: scale factor against the table's rate"),
+    _("%(output)s: largest residual over the largest output"),
+    _("%(output)s: difference of forward and backward scale factors"),
+    # scale_factor_tilted, fixture_angles
+    _("%(axis)s: scale factor along the axis"),
+    _("%(axis)s: offset of the line at zero rate"),
+    _("%(axis)s: difference of forward and backward scale factors over their mean"),
+    _("%(axis)s: change of output between the lowest rates over that expected"),
+    _("%(axis)s: standard deviation of K between repeats over K"),
+    _("%(axis)s: scale factor along the axis at %(temperature)sdegC"),
+    _("%(axis)s: offset of the line at zero rate at %(temperature)sdegC"),
+    _("%(axis)s: largest residual over the largest output at %(temperature)sdegC"),
+    _("%(axis)s: difference of forward and backward scale factors over their mean at %(temperature)sdegC"),
+    _("%(axis)s: change of output between the lowest rates over that expected at %(temperature)sdegC"),
+    _("%(axis)s: standard deviation of K between repeats over K at %(temperature)sdegC"),
+    _("%(axis)s: slope of K over temperature by K at the reference"),
+    _("%(axis)s: largest change of K from the reference by K and distance in temperature"),
+    _("%(axis)s: angle from the fixture's z axis"),
+    _("%(axis)s: azimuth about the fixture's z axis, from x"),
+    # strapdown_navigation, modulation_residual
+    _("Azimuth of the unit's y axis after alignment, from true north towards east"),
+    _("Elevation of the unit's y axis after alignment"),
+    _("Rotation about the unit's y axis after alignment, positive with the x axis down"),
+    _("East position error at the end"),
+    _("North position error at the end"),
+    _("East velocity error at the end"),
+    _("North velocity error at the end"),
+    _("Radial position error at the end"),
+    _("Largest radial position error"),
+    _("Root mean square of the radial position error over time"),
+    _("Largest horizontal velocity error"),
+    _("Root mean square of the horizontal velocity error over time"),
+    _("Slope of the straight line through the origin fitted to radial error over time"),
+    _("CEP rate that this run gives: √(ln 2) of the radial error rate"),
+    _("CEP rate of %(first)s over that of %(second)s"),
+    _("Rms radial error of %(first)s over that of %(second)s"),
+    _("Amplitude of %(name)s's position error that repeats with its cycle"),
+    # rocking_drift
+    _("rocking drift about %(axis)s"),
+    _("rocking drift about %(axis)s, from gimbal and ring angles"),
+    # accelerometer_multi_position, imu_multi_position
+    _("Bias of the %(axis)s axis"),
+    _("Scale factor of the %(axis)s axis"),
+    _("Scale factor of the %(axis)s axis, along its own input direction"),
+    _("Component of the %(axis)s axis's input direction along %(across)s"),
+    _("Component of the %(axis)s axis's input direction along %(across)s times its scale factor"),
+    _("Non-orthogonality of the axes %(first)s and %(second)s: 90° less their angle"),
+    _("Bias of output %(axis)s"),
+    _("Scale factor of output %(axis)s, along its own input axis"),
+    _("Component of the input axis %(axis)s along %(across)s"),
+    _("Response of output %(axis)s along %(across)s"),
+    _("Response of output %(axis)s to specific force along %(along)s"),
+    _("Rotation of the triad's own frame against the fixture's about %(axis)s"),
+    _("Output %(output)s: Angular rate about the sensor's %(axis)s axis."),
+    _("Output %(output)s: Product of the specific forces along %(first)s and %(second)s."),
+    # allan_deviation
     _("quantisation: 3·Q²/τ²"),
     _("random walk of the integrated output: N²/τ"),
     _("bias instability: the flat part lies at 0.664·B"),
     _("random walk of the output: K²·τ/3"),
+    # temperature_model
+    _("%(name)s at %(temperature)s degC"),
+    _("%(name)s: coefficient of (T − %(temperature)s degC)^%(power)s"),
+    _("%(name)s: largest difference between rising and falling temperature, at %(temperature)s degC"),
+    # repeatability
+    _("%(name)s: mean"),
+    _("%(name)s: standard deviation from repeat to repeat"),
+    _("%(name)s: standard deviation from repeat to repeat over mean"),
+    _("%(name)s: standard deviation within groups"),
+    _("%(name)s: standard deviation within groups over mean"),
+    _("%(name)s: standard deviation between groups"),
+    _("%(name)s: standard deviation within and between groups together (intermediate precision)"),
+)
+WARNINGS = (
+    _(
+        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments (chance of that from "
+        "noise alone: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is incomplete):"
+        " the within-segment uncertainties are too small."
+    ),
+    _(
+        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments (chance of that from "
+        "noise alone: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is incomplete):"
+        " keep to the residual basis."
+    ),
+    _(
+        "The residuals of %(first)s exceed its noise by more than those of %(second)s do (variance ratio %(ratio)s): write "
+        "`pool_outputs: false` so that each output's uncertainty rests on its own residuals."
+    ),
+    _(
+        "The residual variance is %(ratio)s times that expected from the noise within the poses (chance of that from noise alone:"
+        " %(chance)s): the within-segment uncertainties are too small."
+    ),
+    _(
+        "%(name)s: the fitted noise does not describe the deviations (χ² = %(chi)s with %(freedom)s degrees of freedom); "
+        "uncertainties are widened %(factor)s-fold. Drift, vibration or a periodic disturbance may be in the record."
+    ),
+    _("Series %(series)s is cut short in '%(segment)s': it is left out."),
+    _("Series %(series)s has %(count)s of %(most)s rates: it is left out."),
+    _("Series %(series)s has other rates than the rest: it is left out."),
+    _("Series %(series)s has no start zero: it is left out."),
+    _("Series %(series)s has no end zero: it is left out."),
+    _("Series %(series)s has no rates: it is left out."),
+    _("Series %(series)s has no start zero and no end zero: it is left out."),
+    _("Series %(series)s has no start zero and no rates: it is left out."),
+    _("Series %(series)s has no end zero and no rates: it is left out."),
+    _(
+        "%(axis)s: at the lowest rate the output changes by %(share)s of what the scale factor leads one to expect, less than "
+        "half: it is within threshold or dead zone (IEEE Std 528)."
+    ),
+    _(
+        "During '%(segment)s' velocity departs from rest %(factor)s times as far as noise explains (vibration, a base that "
+        "sways); the uncertainties of the alignment are widened by that."
+    ),
+    _("%(count)s missing samples were filled on straight lines; the errors of navigation may grow by that."),
+    _("Without the gimbal-angle method: the recording has no channel '%(channel)s'."),
+    _("Without the gimbal-angle method: the bench has no table whose rings could be followed."),
+    _("Without the gimbal-angle method: the table has %(axes)s axes, `rings` names %(rings)s."),
+    _("%(name)s: the highest order that was tried is chosen; raise `highest_order` or add temperatures."),
+    _(
+        "Monte Carlo does not validate the stated interval of %(names)s: its ends differ by more than δ. The table gives both; "
+        "the interval by Monte Carlo is the better one."
+    ),
+    _("Samples that are missing or no number were left out: %(places)s. Look at the recording."),
+    _("Samples are missing; the longest gaps: %(places)s. Look at the recording."),
 )

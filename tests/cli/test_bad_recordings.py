@@ -179,10 +179,10 @@ def test_two_columns_of_one_name(play: Callable[..., Ended]) -> None:
 @pytest.mark.parametrize(
     ("rate", "lost"),
     [
-        (changed(RATE, slice(100, 110), np.nan), "10 of 1000 in 'R10'"),
-        (changed(RATE, slice(1500, 1501), np.inf), "1 of 1000 in 'R20'"),
-        (changed(RATE, slice(1500, 1502), 1e308), "2 of 1000 in 'R20'"),
-        (changed(RATE, slice(0, 999), np.nan), "999 of 1000 in 'R10'"),
+        (changed(RATE, slice(100, 110), np.nan), "'R10' 10/1000"),
+        (changed(RATE, slice(1500, 1501), np.inf), "'R20' 1/1000"),
+        (changed(RATE, slice(1500, 1502), 1e308), "'R20' 2/1000"),
+        (changed(RATE, slice(0, 999), np.nan), "'R10' 999/1000"),
     ],
     ids=["NaN", "inf", "too large to square", "nearly all"],
 )
@@ -203,7 +203,7 @@ def test_a_gap_is_told_and_is_no_dwell(play: Callable[..., Ended]) -> None:
     data = text(TIME[kept], RATE[kept])
     code, out, _ = play(data)
     assert code == 0
-    assert "warning: Samples are missing for up to 3.01 s in 'R10'." in out
+    assert "warning: Samples are missing; the longest gaps: 'R10' 3.01 s." in out
     code, _, err = play(data, dwell="5 s")
     assert code == 3
     assert "'R10' dwells 5 s, and r.csv holds 3 s of it" in err

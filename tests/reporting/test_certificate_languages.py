@@ -17,8 +17,9 @@ from babel.messages.pofile import read_po
 from test_report_page import read
 
 from planrunner.estimators.flexure_gyro_tables import describe
+from planrunner.reporting import language as catalogues
 from planrunner.reporting import translated_words
-from planrunner.reporting.language import filled, languages, spoken
+from planrunner.reporting.language import filled, languages, spoken, translations
 from planrunner.reporting.report import render_report
 from planrunner.reporting.templates import ReportError, available, render
 
@@ -112,10 +113,46 @@ def test_both_languages_hold_the_same_figures_and_dates() -> None:
     assert "2026-03-05" in figures[1]
 
 
-def test_the_words_of_estimators_are_those_that_estimators_say() -> None:
-    said = {describe(name) for name in ("SF_X", "SF_Y", "epsilon", "xi")}
-    said |= {describe(f"D_{axis}_{kind}") for axis in "XY" for kind in ("F", "X", "Y", "Z", "XZ", "YZ")}
-    assert said <= set(translated_words.DESCRIPTIONS)
+# Abbreviations, names of standards, keys of plans and digits of units that Chinese texts keep; estimators keep the name that plans use.
+KEPT = {"IEEE", "Std", "ln", "pool_outputs", "false", "rings", "highest_order"}
+
+
+def test_translated_words_have_no_english_left() -> None:
+    chinese = translations("zh")
+    for text in (*translated_words.DESCRIPTIONS, *translated_words.WARNINGS, *translated_words.ESTIMATORS):
+        own = {text} if text in translated_words.ESTIMATORS else set()
+        left = set(re.findall(r"[A-Za-z]{2,}(?:_[a-z]+)*", PLACE.sub("", str(chinese[text])))) - KEPT - own
+        assert not left, text
+
+
+def test_sentences_with_names_and_numbers_are_translated() -> None:
+    term = spoken("zh")["term"]
+    assert term("gyro_x: offset at zero rate") == "gyro_x：零速率时的偏置"
+    # The closest of the three messages that fit, not the shortest.
+    assert term("x: scale factor along the axis at -40degC") == "x：-40 °C 时沿敏感轴的标度因数"
+    assert term("a & b at 20 degC") == "a & b 在 20 °C 时的值"
+    assert term("Series 20degC/r1 has 3 of 12 rates: it is left out.") == (
+        "测量序列 20degC/r1 仅有 12 个角速率中的 3 个，未予采用。"
+    )
+    for unknown in ("offset at zero rate of gyro_x", ": offset at zero rate", "gyro_x: offset at zero rates"):
+        assert term(unknown) == unknown
+    assert spoken("en")["term"]("gyro_x: offset at zero rate") == "gyro_x: offset at zero rate"
+
+
+def test_a_name_that_stands_twice_is_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "de.po").write_text(
+        'msgid "%(a)s by %(a)s (%(b)s %%)"\nmsgstr "%(a)s je %(a)s: %(b)s %%"\n', encoding="utf-8"
+    )
+    monkeypatch.setattr(catalogues, "shipped", lambda folder: tmp_path)
+    for cached in (catalogues.translations, catalogues.sentences):
+        cached.cache_clear()
+    try:
+        term = spoken("de")["term"]
+        assert term("m by m (5 %)") == "m je m: 5 %"
+        assert term("m by s (5 %)") == "m by s (5 %)"
+    finally:
+        for cached in (catalogues.translations, catalogues.sentences):
+            cached.cache_clear()
 
 
 def test_placeholders_are_names_and_nothing_more() -> None:

@@ -1,0 +1,234 @@
+"""Whatever a shipped estimator says on a certificate is translated: descriptions of coefficients, warnings, and its own name.
+
+Small estimates of the other tests say it; each must be found in every catalogue, and each entry of the catalogues must be said by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+import rocking_recordings as rocking
+import simulated_imu as imu
+import test_accelerometer_and_stillness as accelerometers
+import test_allan_recording as allan
+import test_compensation_residual as compensation
+import test_fixture_angles as fixture
+import test_flexure_gyro_static as flexure
+import test_imu_multi_position as imu_calibration
+import test_modulation_residual as modulation
+import test_repeatability as repeats
+import test_rocking_drift as drifts
+import test_scale_factor as single_axis
+import test_temperature_model as temperatures
+import tilted_recording as tilted
+from recorded import from_means, segment, sensor
+from standing_unit import recorded, request, samples
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators import accelerometer_by_magnitude, allan_deviation
+from planrunner.estimators.accelerometer_multi_position import (
+    AccelerometerMultiPosition,
+    AccelerometerMultiPositionParameters,
+)
+from planrunner.estimators.error_model import error_model
+from planrunner.estimators.flexure_gyro_tables import describe
+from planrunner.estimators.imu_coefficients import Response, framed, reported
+from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
+from planrunner.estimators.lost_samples import lost_samples
+from planrunner.estimators.strapdown_navigation import StrapdownNavigation
+from planrunner.plan.units import unit
+from planrunner.reporting import translated_words
+from planrunner.reporting.language import languages, sentences, spoken, translations
+
+TRIAD = fixture.STATED
+GYROS = fixture.GYROS
+
+
+def said_by_flexure_gyros() -> Iterator[Estimate | str]:
+    zero, three = np.zeros((8, 2)), np.array([[0.1, -0.2], [0.05, 0.3], [-0.4, 0.15]])
+    drift = compensation.calibrated("drift", compensation.OPTIMAL, zero)
+    yield drift
+    yield from (describe(f"D_{axis}_{kind}") for axis in "XY" for kind in ("XZ", "YZ"))
+    other = compensation.calibrated("traditional", compensation.TRADITIONAL, zero)
+    yield compensation.compare({"drift": drift, "traditional": other}, three)
+
+
+def said_of_scale_factors() -> Iterator[Estimate | str]:
+    rates = np.array([-100.0, -50.0, 0.0, 50.0, 100.0])
+    yield single_axis.line(rates, 2 * rates + np.array([0.1, 0, -0.1, 0, 0.2]))
+    for celsius in ((-40.0, 20.0, 60.0), (None,)):
+        runs = [tilted.series(TRIAD, GYROS, one, repeat=n) for one in celsius for n in (1, 2)]
+        yield tilted.estimate([one for run in runs for one in run], TRIAD)
+    yield fixture.found(fixture.spins([fixture.Z_UP, fixture.X_UP, fixture.Y_UP]))
+
+
+def said_of_navigation() -> Iterator[Estimate | str]:
+    yield StrapdownNavigation().estimate(
+        request(recorded("align", samples(600), 0.0), recorded("go", samples(600), 600.0))
+    )
+    used = modulation.navigated("still", 0.5), modulation.navigated("turned", 0.1)
+    yield modulation.ModulationResidual().estimate(modulation.request(*used))
+
+
+def said_of_rocking() -> Iterator[Estimate | str]:
+    yield rocking.estimate(drifts.both())
+
+
+def said_of_triads() -> Iterator[Estimate | str]:
+    truth = imu.drawn_truth(np.random.default_rng(1))
+    yield imu_calibration.calibrate(imu.recorded(imu.plan(), truth))
+    turned = {**imu_calibration.BOTH, "misalignment": "lower_triangular"}
+    yield imu_calibration.calibrate(imu.recorded(imu.plan(), truth), **turned)
+    for kind, text, terms in (
+        ("gyro", "rad/s", ("bias", "rate_x", "rate_y", "accel_x_accel_z", "accel_y_accel_z")),
+        ("accel", "m/s^2", ("bias", "accel_x", "accel_y", "accel_z", "rate_x", "rate_y", "rate_z")),
+    ):
+        response = Response(kind, (unit(text),) * 3, error_model(terms), np.ones((3, len(terms))))
+        yield from reported(framed([response], lower_triangular=False)).words
+    names = accelerometers.CHANNELS
+    for terms in (("bias", "accel_x", "accel_y", "accel_z"), ("bias", "accel_x", "accel_z")):
+        known = [
+            from_means(segment(f"A{n}", one), dict(zip(names, one @ [0.1, 0.2, 9.8], strict=True)), "m/s^2", 1e-4)
+            for n, one in enumerate(accelerometers.attitudes(12))
+        ]
+        parameters = AccelerometerMultiPositionParameters(terms=terms)
+        model = sensor(*names, unit="m/s^2")
+        yield AccelerometerMultiPosition().estimate(
+            EstimateRequest("a", tuple(known), parameters, accelerometers.SITE, model)
+        )
+    yield from map(accelerometer_by_magnitude._describe, accelerometer_by_magnitude.NAMES)
+
+
+def said_of_noise() -> Iterator[Estimate | str]:
+    yield allan.run(allan.record(allan.white(4000)))
+    yield from allan_deviation.WORDS.values()
+
+
+def said_over_temperature() -> Iterator[Estimate | str]:
+    celsius = [-40.0, 0.0, 25.0, 60.0]
+    for form in ("polynomial", "spline"):
+        yield temperatures.model(temperatures.given(celsius, [1.0, 2.1, 2.9, 4.2]), form=form, order=1)
+    up, down = temperatures.ramp("up", -20, 60, np.sin, 1), temperatures.ramp("down", 60, -20, np.cos, 2)
+    yield temperatures.model(recorded=(up, down), channels=("gyro",), temperature_channel="inside", order=1)
+
+
+def said_of_repeats() -> Iterator[Estimate | str]:
+    yield repeats.of_values({"r1": 998, "r2": 1000, "r3": 1005})
+    yield repeats.of_values({"a1": 1, "a2": 3, "b1": 6, "b2": 8}, groups={"a": ("a*",), "b": ("b*",)})
+
+
+SAYING: tuple[Callable[[], Iterator[Estimate | str]], ...] = (
+    said_by_flexure_gyros, said_of_scale_factors, said_of_navigation, said_of_rocking, said_of_triads, said_of_noise,
+    said_over_temperature, said_of_repeats,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def said() -> tuple[set[str], dict[str, Coefficient]]:
+    """The estimators that spoke, and what they said."""
+    spoke, words = set(), {}
+    for saying in SAYING:
+        for item in saying():
+            if isinstance(item, str):
+                words[item] = Coefficient("", 0.0, "1", 0.0)
+            else:
+                spoke.add(item.estimator)
+                words |= {one.description: one for one in item.coefficients}
+    return spoke, words
+
+
+def untranslated(texts: set[str], language: str) -> set[str]:
+    term = spoken(language)["term"]
+    return {text for text in texts if term(text) == text}
+
+
+@pytest.mark.parametrize("language", languages())
+def test_every_description_is_translated(said: tuple[set[str], dict[str, Coefficient]], language: str) -> None:
+    spoke, words = said
+    assert spoke == {
+        entry.name for entry in entry_points(group="planrunner.estimators") if "planrunner." in entry.value
+    }
+    assert "" not in words, words[""]
+    assert len(words) > 150
+    missing = untranslated(set(words), language)
+    assert not missing, "add these to planrunner/reporting/translated_words.py, run `make catalogues` and translate"
+    assert not untranslated(spoke, language)
+
+
+def test_no_translation_is_left_of_what_nobody_says(said: tuple[set[str], dict[str, Coefficient]]) -> None:
+    language = languages()[0]
+    texts = translations(language)
+    english = {translation: text for text, translation in texts.items()}
+    found = set()
+    for words in said[1]:
+        by_pattern = (translation for pattern, translation in sentences(language) if pattern.fullmatch(words))
+        found.add(words if words in texts else english[next(by_pattern)])
+    assert set(translated_words.DESCRIPTIONS) <= found
+
+
+def series(*left_out: str) -> list[RecordedSegment]:
+    """Two repeats of rates, the first without what the names end with."""
+    first, second = (tilted.series(TRIAD, GYROS, repeat=n) for n in (1, 2))
+    return [*(one for one in first if not one.label.endswith(left_out)), *second]
+
+
+def a_cut_series() -> tuple[str, ...]:
+    first, *rest = series()
+    return tilted.estimate([replace(first, truncated=True), *rest], TRIAD).warnings
+
+
+def a_dead_zone() -> tuple[str, ...]:
+    still = [
+        tilted.sampled(one.segment, {"gyro_x": 0.0 if abs(one.segment.rate) < 0.1 else one.segment.rate})
+        for one in tilted.series({"x": (0.0, 0.0)}, {"x": GYROS["x"]}, rates=(100.0, -100.0, 2.0, -2.0, 1.0, -1.0))
+    ]
+    return tilted.estimate(still, {"x": (0.0, 0.0)}).warnings
+
+
+def a_rocking_test(without: str = "", axes: int = 3) -> tuple[str, ...]:
+    found = rocking.recordings([("vertical", drifts.quadruple())])
+    table = replace(drifts.TABLE, axes=drifts.TABLE.axes[:axes]) if axes else None
+    return rocking.estimate(
+        drifts.without(found, without) if without else found, "{azimuth: nominal}", Setup(table)
+    ).warnings
+
+
+def lost(count: int) -> tuple[str, ...]:
+    one = from_means(segment("R1"), {"gyro": 1.0}, "deg/h", 0.1)
+    return lost_samples([replace(one, statistics=replace(one.statistics, rejected=3, largest_gap=5.0))] * count, 100.0)
+
+
+LOUD = np.random.default_rng(3).normal(0, 0.5, (8, 2))
+WARNED: dict[str, Callable[[], Sequence[str]]] = {
+    "scatter beyond the noise": lambda: flexure.estimate(LOUD, error=0.01, uncertainty="within_segment").warnings,
+    "scatter, which the basis has": lambda: flexure.estimate(LOUD, error=0.01).warnings,
+    "outputs that scatter otherwise": lambda: flexure.estimate(LOUD * [1.0, 100.0], error=0.01).warnings,
+    "noise beyond the model": lambda: (
+        allan.run(allan.record(allan.white(4000) + 50 * np.sin(np.arange(4000) / 40))).warnings
+    ),
+    "no start zero": lambda: tilted.estimate(series("start-zero"), TRIAD).warnings,
+    "no end zero": lambda: tilted.estimate(series("end-zero"), TRIAD).warnings,
+    "fewer rates": lambda: tilted.estimate(series("R+10"), TRIAD).warnings,
+    "a series cut short": a_cut_series,
+    "a dead zone": a_dead_zone,
+    "no channel of a gimbal": lambda: a_rocking_test("gimbal_inner"),
+    "other rings": lambda: a_rocking_test(axes=2),
+    "no table": lambda: a_rocking_test(axes=0),
+    "highest order": lambda: (
+        temperatures.model(temperatures.given(np.arange(8.0), np.arange(8.0) ** 3, 1e-6), highest_order=2).warnings
+    ),
+    "samples lost": lambda: lost(1),
+    "samples lost in many segments": lambda: lost(5),
+}
+
+
+@pytest.mark.parametrize("what", WARNED)
+def test_warnings_are_translated(what: str) -> None:
+    warnings = set(WARNED[what]())
+    assert warnings
+    for language in languages():
+        assert not untranslated(warnings, language)
