@@ -33,6 +33,7 @@ from planrunner.plan.quantity import parse_symmetric
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
+from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.templates import available
 
 # Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
@@ -175,7 +176,7 @@ def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) ->
     schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log, plan.mounting)
     if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
         checked.schedule = schedule
-        if checked.models.sensor is not None:
+        if checked.models.sensor is not None and "mounting" not in plan.origin.broken:
             _check_estimates(checked, plan, log)
 
 
@@ -261,13 +262,20 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
         except ValueError:
             continue
         if value is not None and value.unit.dimension != unit(coefficient.unit).dimension:
-            message = f"{limit.quantity} is in {coefficient.unit}; {value.unit.text} does not fit"
-            log.error("meaning-dimension", limit.at(key), message, f"write the limit in {coefficient.unit}")
+            _other_dimension(limit, key, value.unit.text, coefficient.unit, log)
             return
     if limit.prior is not None and limit.prior.unit.dimension != unit(coefficient.unit).dimension:
-        message = f"{limit.quantity} is in {coefficient.unit}; the prior in {limit.prior.unit.text} does not fit"
-        log.error("meaning-dimension", limit.at("prior"), message, f"write the prior in {coefficient.unit}")
+        _other_dimension(limit, "prior", f"the prior in {limit.prior.unit.text}", coefficient.unit, log)
     _foresee(limit, coefficient, log)
+
+
+def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findings) -> None:
+    what = "prior" if key == "prior" else "limit"
+    if wanted == "1":
+        message, hint = f"{limit.quantity} is a pure number; {given} does not fit", f"write the {what} without a unit"
+    else:
+        message, hint = f"{limit.quantity} is in {wanted}; {given} does not fit", f"write the {what} in {wanted}"
+    log.error("meaning-dimension", limit.at(key), message, hint)
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
@@ -279,7 +287,7 @@ def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
     # Infinitely many degrees of freedom; fewer only make intervals wider.
     least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
     if limit.rule == "guarded" and 2 * limit.guard_band * least >= high - low:
-        shown = f"±{least:.2g} {coefficient.unit} ({100 * limit.coverage:g} %)"
+        shown = f"±{least:.2g} {shown_unit(coefficient.unit)}".rstrip() + f" ({100 * limit.coverage:g} %)"
         message = f"{limit.quantity} is to be expected with at least {shown}, so nothing can pass this guarded limit"
         log.warning(
             "physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit"

@@ -195,3 +195,44 @@ def test_the_flagship_predicts_what_its_positions_give() -> None:
     traditional = checked.judged["traditional"][0]
     assert traditional.determinant == pytest.approx(88.26, abs=5e-3)
     assert traditional.condition == pytest.approx(3.83, abs=5e-3)
+
+
+def test_a_wrong_cycle_is_not_called_no_cycle_by_its_dwell(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    text = (ROOT / "plans" / "rotation_stop_navigation.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("[A +180 C, C +90 D, D -180 B, B -90 A, A", "[A +90 C, C +90 D, D -180 B, B -90 A, A"))
+    found = codes(check_plan(path))
+    assert "meaning-cycle-landing" in found
+    assert "meaning-turns" not in found
+
+
+def test_an_axis_of_the_mounting_that_cannot_be_read_is_found_once(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    text = (ROOT / "plans" / "scale_factor_tilted.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("x: {angle: 54.7356 deg", "x: {angle: 54.7356 s", 1), encoding="utf-8")
+    assert codes(check_plan(path)) == ["meaning-dimension"]
+
+
+def test_a_dwell_holds_at_least_one_sample(plan_file: Write) -> None:
+    path = plan_file(("dwell: 2 min", "dwell: 2 min, sample_rate: 0.001 Hz"))
+    (finding,) = check_plan(path).findings.errors
+    assert finding.code == "physics-samples"
+    assert "120 s" in finding.message
+    assert "0.001 Hz" in finding.message
+    assert check_plan(plan_file(("dwell: 2 min", "dwell: 2 min, sample_rate: 0.01 Hz"))).ok
+
+
+def test_a_guard_band_without_a_guarded_rule_is_refused(plan_file: Write) -> None:
+    path = plan_file(("within: ±5 deg/h, rule: guarded", "within: ±5 deg/h, rule: simple, guard_band: 1"))
+    found = check_plan(path).findings.errors
+    assert {finding.code for finding in found} == {"meaning-limit"}
+    assert found[0].mark.line == line_of(path, "guard_band")
+
+
+def test_pure_numbers_have_no_unit_in_findings(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    text = (ROOT / "plans" / "imu_multi_position.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("at_least: 0.99, at_most: 1.01", "at_least: 0.99 deg"), encoding="utf-8")
+    (finding,) = check_plan(path).findings.errors
+    assert finding.message == "imu.gyro_scale_x is a pure number; deg does not fit"
+    assert finding.hint == "write the limit without a unit"

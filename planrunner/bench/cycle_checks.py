@@ -79,10 +79,11 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
     share = abs(stops + turns) / cycle.period
     if share <= NOTHING:
         return
+    percent = f"{100 * share:.{2 if share < 0.995 else 3}g}"  # 100, not 1e+02
     miles = 0.01 * math.radians(1) * share * MEAN_RADIUS / 1852
     message = (
         f"every cycle of {cycle.period:.1f} s leaves {seconds_of_error(stops)} of a constant horizontal error over its stops and "
-        f"{seconds_of_error(turns)} over its turns: {100 * share:.2g} % of the error is not modulated, so that a gyro drift of 0.01 deg/h "
+        f"{seconds_of_error(turns)} over its turns: {percent} % of the error is not modulated, so that a gyro drift of 0.01 deg/h "
         f"acts like one of {0.01 * share:.2g} deg/h, {miles:.2g} nautical miles an hour"
     )
     log.warning("physics-cycle-residual", mark, message, _DESIGN)

@@ -280,13 +280,22 @@ def _check(bench: Bench, log: Findings) -> None:
         if role in SINGLE_ROLES and holders.setdefault(role, name) != name:
             message = f"'{name}' is a second {role}, beside '{holders[role]}'"
             log.error("meaning-role", entry.origin.mark, message, f"a bench has at most one {role}")
+        if role == "chamber":
+            _check_chamber(entry, log)
     for _, calibration in bench.calibrations():
         check_dates(calibration, log)
     _check_safe_order(bench, log)
 
 
+def _check_chamber(entry: InstrumentEntry, log: Findings) -> None:
+    chamber: ChamberModel | None = driver_of(entry).model(entry.parameters)
+    if chamber is not None and chamber.lowest >= chamber.highest:
+        message = "the chamber's lowest temperature is not below its highest"
+        log.error("meaning-range", entry.parameters.at("lowest"), message, "exchange them")
+
+
 def _check_safe_order(bench: Bench, log: Findings) -> None:
-    if not bench.safe_order:
+    if not bench.safe_order or "instruments" in bench.origin.broken:
         return
     at = bench.at("safe_order")
     for index, name in enumerate(bench.safe_order):

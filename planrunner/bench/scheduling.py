@@ -79,6 +79,7 @@ class _Planner:
         if ramp_to is not None:
             self._check_temperature(ramp_to, marks["temperature"])
         self._check_mode(item)
+        self._check_samples(item, dwell)
         if len(self.log.errors) > before:
             return None
         settle = _seconds(state, "settle")
@@ -144,6 +145,8 @@ class _Planner:
             self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")
             return None
         motion = motion_of(item.state, item.marks, None, Findings())
+        if motion is None:
+            return None  # `segment` says what is wrong with it
         stated = dwell.turns or dwell.cycles or 1
         if dwell.turns and isinstance(motion, Spin):
             period = 2 * math.pi / abs(motion.rate)
@@ -206,6 +209,13 @@ class _Planner:
         if mode is not None and sensor is not None and mode not in sensor.modes and not self.models.replays:
             hint = closest(mode, sensor.modes) or "leave mode out: this sensor has only one"
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
+
+    def _check_samples(self, item: StatedSegment, dwell: float | None) -> None:
+        rate = item.state.get("sample_rate")
+        if dwell is None or rate is None or dwell * rate.value >= 1 - 1e-9:
+            return
+        message = f"a dwell of {dwell:.4g} s ends before the first sample at {rate}"
+        self._once("physics-samples", item.marks["sample_rate"], message, "sample faster or dwell longer")
 
     def _move(self, orientation: Orientation, mark: Mark) -> float:
         table, attitude = self.models.table, orientation.attitude

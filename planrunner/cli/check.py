@@ -9,6 +9,7 @@ from planrunner import cli
 from planrunner.bench.model import safe_order
 from planrunner.checking import Checked, Sound, check_plan
 from planrunner.cli.printing import print_findings, print_json
+from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
 
 
@@ -55,7 +56,12 @@ def summary(checked: Checked) -> str:
         if design.predicted:
             lines.append(f"  {name}: standard uncertainties to expect")
             lines.append(
-                _columns([(item.name, f"{item.standard_uncertainty:.2g} {item.unit}") for item in design.predicted])
+                _columns(
+                    [
+                        (item.name, f"{item.standard_uncertainty:.2g} {shown_unit(item.unit)}")
+                        for item in design.predicted
+                    ]
+                )
             )
     lines.append("  safe state in this order: " + ", ".join(safe_order(checked.bench)))
     return "\n".join(lines)

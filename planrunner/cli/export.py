@@ -37,6 +37,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError.at(Mark(str(args.run_folder)), "analysis-missing", message, hint)
     check_analysis(folders[number])
     results = Results.from_json(json.loads((folders[number] / "results.json").read_text(encoding="utf-8")))
+    if not results.estimates:
+        message, hint = "no estimate of this analysis came to a result", "its reports say why"
+        raise InputError.at(Mark(str(folders[number])), "estimate-missing", message, hint)
     name = args.estimate or next(iter(results.estimates), "")
     if name not in results.estimates:
         hint = closest(name, results.estimates)

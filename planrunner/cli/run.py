@@ -36,7 +36,10 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _seed(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a seed is a whole number: {text!r}") from None
     if value < 0:
         raise argparse.ArgumentTypeError(f"a seed is not negative: {value}")
     return value

@@ -133,6 +133,10 @@ def sight(
     template = found[0].segments[0]
     moved = {segment.label for segment in at_rest}
     stays = np.array([label not in moved for label in block.labels], dtype=bool)
+    if stays.all():
+        raise EstimationError(
+            f"the segments at rest give '{name}' ({spec.estimator}) no equations that positions change; --rates designs its rates"
+        )
     noise = np.asarray(block.sigma, dtype=float)
     typical = float(np.sqrt(np.mean(noise[~stays] ** 2))) if (~stays).any() else 0.0
     relative = typical / noise[stays] if typical > 0 and np.all(noise[stays] > 0) else np.ones(int(stays.sum()))

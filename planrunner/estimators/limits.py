@@ -92,7 +92,7 @@ def _global(
 def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficient:
     name, _, wanted = quantity.partition(".")
     if name not in estimates:
-        raise EstimationError(f"there is no result '{name}' to hold it against: {closest(name, estimates)}")
+        raise EstimationError(f"'{name}' gave no result to hold it against")
     try:
         return estimates[name][wanted]
     except KeyError:

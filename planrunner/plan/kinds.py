@@ -139,7 +139,7 @@ def read_keys(
         if name.text in fields:
             before = len(log.errors)
             value = fields[name.text].metadata["kind"].read(item, log)
-            if len(log.errors) > before:
+            if len(log.errors) > before or value is None:  # what an alias repeats was found where it stands first
                 broken.add(name.text)
             if value is not None:
                 values[fields[name.text].name] = value

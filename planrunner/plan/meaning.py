@@ -117,6 +117,9 @@ def _check_limit(limit: Limit, names: list[str], log: Findings) -> None:
     if "within" in given and len(given) > 1:
         hint = "use at_least and at_most for a limit that is not symmetric"
         log.error("meaning-limit", limit.at("within"), f"'within' cannot stand beside '{given[1]}'", hint)
+    if limit.rule == "simple" and "guard_band" in limit.origin.keys:
+        hint = "remove it, or write rule: guarded"
+        log.error("meaning-limit", limit.at("guard_band"), "'guard_band' has no meaning for the rule simple", hint)
     if limit.prior is not None and not limit.prior.standard_uncertainty:
         hint = "write for example prior: 0.1 deg/h ± 0.2 deg/h"
         log.error("meaning-uncertainty", limit.at("prior"), "a prior needs the spread of the quantity over items", hint)

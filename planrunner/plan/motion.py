@@ -37,6 +37,8 @@ def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float 
     motion: model.Motion | str | None = state.get("motion")
     if motion is None or isinstance(motion, str):
         return Rest()
+    if motion.origin.broken:
+        return None
     stated = [name for name in _KEYS if getattr(motion, name) is not None]
     if len(stated) != 1:
         what = " and ".join(stated) if stated else "none of them"

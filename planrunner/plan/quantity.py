@@ -64,9 +64,10 @@ class Quantity:
     distribution: str = "normal"
 
     def __str__(self) -> str:
-        text = f"{self.unit.from_si(self.value):.9g} {self.unit.text}"
+        unit_text = "" if self.unit.text == "1" else f" {self.unit.text}"
+        text = f"{self.unit.from_si(self.value):.9g}{unit_text}"
         if self.standard_uncertainty:
-            text += f" ± {self.standard_uncertainty / self.unit.factor:.3g} {self.unit.text}"
+            text += f" ± {self.standard_uncertainty / self.unit.factor:.3g}{unit_text}"
         return text
 
     def to(self, unit_text: str) -> float:

@@ -160,7 +160,7 @@ class Number:
     def _bounds(self) -> str:
         if math.isfinite(self.minimum) and math.isfinite(self.maximum):
             return (
-                f"from {self.minimum:g} to {self.maximum:.12g}"
+                f"from {self.minimum:g} to {self.maximum if self.integer else format(self.maximum, '.12g')}"
                 if self.minimum < self.maximum
                 else f"equal to {self.minimum:g}"
             )
@@ -206,6 +206,9 @@ class QuantityOf:
                 f"{quantity} is out of range: it must be {self.sign}",
                 "write zero or more" if self.sign == "not negative" else "write a value above zero",
             )
+            return None
+        if self.dimension == "temperature" and quantity.value < 0:
+            log.error("meaning-range", node.mark, f"{quantity} is below absolute zero", "change the number")
             return None
         return quantity
 

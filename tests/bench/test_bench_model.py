@@ -205,3 +205,32 @@ def test_the_shipped_folders_are_found():
     assert (shipped("plans") / "benches" / "virtual.yaml").is_file()
     with pytest.raises(FileNotFoundError, match="install it again"):
         shipped("no-such-folder")
+
+
+def test_an_instrument_that_cannot_be_read_is_not_also_missing_from_the_safe_order():
+    broken = TABLE.replace("max_rate: 100 deg/s", "max_rate: 0 deg/s")
+    assert codes(f"{HEAD}safe_order: [table, chamber]\ninstruments:{broken}{CHAMBER}") == ["meaning-range"]
+
+
+def test_two_axes_of_one_name_are_refused():
+    second = "{name: outer, direction: east, max_rate: 100 deg/s, max_acceleration: 50 deg/s^2}"
+    twice = TABLE.replace("^2}]", f"^2}}, {second}]")
+    assert "two axes are called 'outer'" in findings(f"{HEAD}instruments:{twice}")
+    assert codes(f"{HEAD}instruments:{twice}") == ["meaning-table-axes"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("lowest: -40 degC", "lowest: 70 degC", "the chamber's lowest temperature is not below its highest"),
+        ("lowest: -40 degC", "lowest: -300 degC", "-300 degC is below absolute zero"),
+    ],
+)
+def test_a_chamber_reaches_a_range_above_absolute_zero(old, new, said):
+    text = f"{HEAD}instruments:{CHAMBER.replace(old, new)}"
+    assert codes(text) == ["meaning-range"]
+    assert f"b.yaml:6:46: error[meaning-range]: {said}" in findings(text)
+
+
+def test_the_bounds_of_a_seed_are_whole_numbers():
+    assert f"from 0 to {2**63 - 1}" in findings(f"{HEAD}seed: -1\ninstruments:{CHAMBER}")

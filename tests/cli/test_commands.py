@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from planrunner.plan.quantity import parse_quantity
 
 ROOT = Path(__file__).resolve().parents[2]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
@@ -231,3 +234,29 @@ def test_bom_and_crlf_are_welcome(tmp_path: Path) -> None:
     path = tmp_path / "windows.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + FLAGSHIP.read_bytes().replace(b"\n", b"\r\n"))
     assert planrunner("check", path, cwd=tmp_path).returncode == 0
+
+
+def test_pure_numbers_are_printed_without_a_unit(tmp_path: Path) -> None:
+    shown = planrunner("check", ROOT / "plans" / "imu_multi_position.yaml", cwd=tmp_path).stdout
+    assert "gyro_scale_x" in shown
+    assert not re.search(r"e-05 1\s", shown)
+    assert str(parse_quantity("0.99", None)) == "0.99"
+    assert str(parse_quantity("0.99 ± 0.01", None)) == "0.99 ± 0.01"
+
+
+def test_a_seed_that_is_no_number_is_said_to_be_none(tmp_path: Path) -> None:
+    wrong = planrunner("run", FLAGSHIP, "--seed", "abc", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "a seed is a whole number: 'abc'" in wrong.stderr
+
+
+def test_there_is_nothing_to_export_where_nothing_was_estimated(tmp_path: Path) -> None:
+    text = FLAGSHIP.read_text(encoding="utf-8")
+    (tmp_path / "plan.yaml").write_text(
+        text[: text.index("estimates:")].replace("dwell: 2 min", "dwell: 1 s"), encoding="utf-8"
+    )
+    assert planrunner("run", "plan.yaml", *GIVEN, cwd=tmp_path).returncode == 0
+    assert planrunner("estimate", only_run(tmp_path), cwd=tmp_path).returncode == 0
+    nothing = planrunner("export", only_run(tmp_path), cwd=tmp_path)
+    assert nothing.returncode == 2
+    assert "error[estimate-missing]: no estimate of this analysis came to a result" in nothing.stderr

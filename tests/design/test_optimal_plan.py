@@ -169,3 +169,10 @@ def test_what_cannot_be_designed_is_said(arguments: list[str], words: str, capsy
 def test_a_recording_has_no_table_to_move(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", str(FLAGSHIP.with_name("mpu9150_imu0.yaml"))]) == 2
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_an_estimate_whose_positions_change_nothing_is_said_to_be_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a scale factor from rates the segments at rest give the zeros alone, and those are no rows of its design matrix."""
+    assert main(["design", str(FLAGSHIP.with_name("fixture_angles.yaml")), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert "give 'scale' (scale_factor_tilted) no equations that positions change; --rates designs its rates" in said

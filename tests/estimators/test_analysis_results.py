@@ -151,7 +151,7 @@ def test_one_failure_leaves_the_others() -> None:
     assert "flexure_gyro_statics" in found.failures["typo"]
     assert "failed unexpectedly (AttributeError" in found.failures["broken"]
     assert "uses 'self', which could not be made" in found.failures["self"]
-    assert "no result 'old'" in found.failures["limit on old.D_X_F"]
+    assert "'old' gave no result to hold it against" in found.failures["limit on old.D_X_F"]
     assert "has no coefficient 'D_X_G'" in found.failures["limit on drift.D_X_G"]
     assert "write it in (deg/h)/(pulse/s)" in found.failures["limit on drift.SF_X"]
 

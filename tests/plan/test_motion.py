@@ -138,3 +138,13 @@ def test_motions_that_make_no_sense(text: str, code: str, at: str) -> None:
     finding = next(iter(log))
     assert (finding.code, finding.mark.line, finding.mark.column) == (code, 6, text.index(at) + 5)
     assert finding.hint
+
+
+def test_what_could_not_be_read_of_a_motion_is_not_also_missing() -> None:
+    """Said once, where it stands: not as a motion that is neither rate nor rock nor cycle, in an alias either."""
+    rocking = "{rock: {amplitude: 0 deg, frequency: 1 Hz}}"
+    plan, log = parse_plan(f"{HEAD}  - {{label: a, motion: &m {rocking}}}\n  - {{label: b, motion: *m}}\n", "f")
+    assert plan is not None
+    for segment in expand(plan, log):
+        assert motion_of(segment.state, segment.marks, 600.0, log) is None
+    assert [item.code for item in log.errors] == ["meaning-range"]

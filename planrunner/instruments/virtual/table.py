@@ -79,6 +79,11 @@ class AxesKind:
                 log.error(
                     "meaning-axis-limits", spec.origin.mark, "the limits leave out joint angle zero", "include 0 deg"
                 )
+        names = [spec.name for spec in specs]
+        for index, spec in enumerate(specs):
+            if spec.name in names[:index]:
+                message = f"two axes are called '{spec.name}'"
+                log.error("meaning-table-axes", spec.at("name"), message, "give each a name of its own")
         try:
             check_geometry([spec.axis() for spec in specs])
         except Unreachable as error:
