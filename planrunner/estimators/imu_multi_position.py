@@ -98,13 +98,6 @@ class Triad:
     segments: tuple[Segment, ...]
     observations: Observations
     fit: OutputsFit
-    matrix: Array
-
-    @property
-    def gains(self) -> Array:
-        """(3, p, n): coefficients from observations."""
-        pairs = zip(self.fit.fits, self.fit.sigma, strict=True)
-        return np.array([one.cofactor @ (self.matrix / own[:, None] ** 2).T for one, own in pairs])
 
 
 class ImuMultiPosition:
@@ -264,7 +257,7 @@ def _fit(request: EstimateRequest, kind: str, channels: Sequence[str], terms: Se
     if beside is not None and all(noise.known for noise in fit.noises):
         fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, beside=beside)
     require_basis(fit, basis, f"{request.name}, {kind} triad")
-    return Triad(kind, model, segments, observations, fit, matrix)
+    return Triad(kind, model, segments, observations, fit)
 
 
 def _response(one: Triad) -> Response:
@@ -304,7 +297,7 @@ def _influences(request: EstimateRequest, triads: Sequence[Triad], found: Report
             request.site,
             request.setup.inputs,
             one.fit.coefficients,
-            one.gains,
+            one.fit.gains,
             request.parameters.uncertainty == "residual",
         )
         influences += [item.through(found.gradients[:, start:end]) for item in stated]

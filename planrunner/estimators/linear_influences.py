@@ -43,7 +43,6 @@ def linear_influences(
 
     coefficients: (m, p) of m outputs; gains: (m, p, n), coefficients from observations; basis: of the type A uncertainties.
     """
-    recorded = [one for one in request.segments if isinstance(one, RecordedSegment)]
     segments = [one.segment if isinstance(one, RecordedSegment) else one for one in request.segments]
     inputs, table = request.setup.inputs, request.setup.table
     apart = len({segment.orientation for segment in segments}) == len(segments)
@@ -52,8 +51,10 @@ def linear_influences(
     orthogonality = inputs.get("table orthogonality")
     if orthogonality is not None and table is not None:
         found += _orthogonality(orthogonality, table, model, segments, request.site, coefficients, gains)
-    flat = np.einsum("mpn,mo->mpon", gains, np.eye(len(gains))).reshape(-1, len(gains), len(segments))
-    return (*found, *resolution_influences(inputs, outputs, recorded, flat)) if recorded else tuple(found)
+    if isinstance(request, EstimateRequest):
+        flat = np.einsum("mpn,mo->mpon", gains, np.eye(len(gains))).reshape(-1, len(gains), len(segments))
+        found += resolution_influences(request, outputs, flat)
+    return tuple(found)
 
 
 def _orthogonality(

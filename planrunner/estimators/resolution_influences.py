@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.uncertainty.influences import Influence, Inputs
+from planrunner.estimators.interface import EstimateRequest
+from planrunner.estimators.observations import dithered
+from planrunner.instruments.models import SensorModel
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
 
 def resolution_influences(
-    inputs: Inputs, outputs: Sequence[str], recorded: Sequence[RecordedSegment], functionals: Array
+    request: EstimateRequest, outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
     """One for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n).
 
@@ -26,18 +29,17 @@ def resolution_influences(
     """
     found = []
     for k, name in enumerate(outputs):
-        quantity = inputs.get(f"resolution {name}")
+        quantity = request.setup.inputs.get(f"resolution {name}")
         if quantity is None:
             continue
-        count = quantity.standard_uncertainty * np.sqrt(12)
-        left = [_left(one, name, count) for one in recorded]
-        found.append(Influence(quantity, functionals[:, k] * left, True, tuple(one.label for one in recorded)))
+        left = [_left(one, name, request.sensor) for one in request.segments]
+        found.append(Influence(quantity, functionals[:, k] * left, True, tuple(one.label for one in request.segments)))
     return tuple(found)
 
 
-def _left(recorded: RecordedSegment, name: str, count: float) -> float:
+def _left(recorded: RecordedSegment, name: str, sensor: SensorModel) -> float:
     """The share of a count's rounding that is left in the mean."""
     statistics = recorded.statistics
     place = statistics.of(name)
-    dithered = statistics.count > 1 and statistics.covariance[place, place] > (count / 2) ** 2
-    return 1 / float(np.sqrt(statistics.count)) if dithered else 1.0
+    scattered = statistics.count > 1 and dithered(sensor, name, float(statistics.covariance[place, place]))
+    return 1 / float(np.sqrt(statistics.count)) if scattered else 1.0

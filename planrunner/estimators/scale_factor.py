@@ -174,7 +174,7 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
     stated = _influences(request, functionals, fit.coefficients[:, 1], rates)
     if not stated:
         notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
-    recorded = resolution_influences(request.setup.inputs, observations.channels, request.segments, functionals)
+    recorded = resolution_influences(request, observations.channels, functionals)
     return Estimate(
         request.name,
         "scale_factor",

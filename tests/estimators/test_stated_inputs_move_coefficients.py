@@ -67,7 +67,11 @@ def currents(
 
 
 def fitted(
-    world: dict[str, np.ndarray], setup: Setup = NOTHING, basis: str = "within_segment", **keys: float
+    world: dict[str, np.ndarray],
+    setup: Setup = NOTHING,
+    basis: str = "within_segment",
+    noise: NoiseModel | None = None,
+    **keys: float,
 ) -> Estimate:
     """A recording made with the attitudes of `world`, fitted at the planned ones."""
     recorded = tuple(
@@ -80,9 +84,9 @@ def fitted(
         for label, words in OPTIMAL.items()
     )
     parameters = FlexureGyroStaticParameters(uncertainty=basis)
-    return FlexureGyroStatic().estimate(
-        EstimateRequest("drift", recorded, parameters, SITE, sensor(*CHANNELS), setup=setup)
-    )
+    outputs = tuple(OutputModel(name, "pulse/s", noise=noise or NoiseModel()) for name in CHANNELS)
+    tested = SensorModel("under-test", outputs, 10.0)
+    return FlexureGyroStatic().estimate(EstimateRequest("drift", recorded, parameters, SITE, tested, setup=setup))
 
 
 PLANNED = {label: attitude(words) for label, words in OPTIMAL.items()}
@@ -156,9 +160,12 @@ def test_axes_that_are_not_at_right_angles(pair: int) -> None:
 
 
 def test_resolution_is_listed_by_the_share_that_noise_leaves_of_it() -> None:
-    """Noise of 0.01·√1200 = 0.35 pulse/s a sample is below half a count and dithers nothing: each mean may be off by a count's rounding."""
-    item = influence(fitted(PLANNED, SETUP), "resolution torquer_x")
+    """Noise of 0.01·√1200 = 0.35 pulse/s a sample is below half a count and dithers nothing: each mean may be off by a count's rounding.
+    A counter that hands what is left of a count to the next of its 1200 samples leaves 1/√1200 of that."""
+    item = influence(fitted(PLANNED, SETUP, noise=NoiseModel(resolution=1.0)), "resolution torquer_x")
     assert item.in_scatter
+    counted = influence(fitted(PLANNED, SETUP, noise=NoiseModel(resolution=1.0, counted=True)), "resolution torquer_x")
+    assert counted.sensitivities == pytest.approx(item.sensitivities / math.sqrt(1200), rel=1e-9)
     one = fitted(PLANNED, SETUP)
     moved = np.zeros((len(one.coefficients), len(OPTIMAL)))
     for n, label in enumerate(OPTIMAL):
