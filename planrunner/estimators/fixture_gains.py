@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.estimators.linear_influences import orthogonality_tilts
 from planrunner.estimators.mounted_axes import MountedAxes, rotation_axis
+from planrunner.estimators.rate_influences import rate_part
 from planrunner.estimators.turning_rates import as_recording_begins, mean_rates
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import Unreachable
@@ -155,7 +156,7 @@ def stated_changes(
         yield (
             rate,
             {
-                f"{np.degrees(value):.9g} deg/s": np.where(rates == value, model.turning @ vector, 0.0)
+                rate_part(value): np.where(rates == value, model.turning @ vector, 0.0)
                 for value in np.unique(rates[rates != 0])
             },
         )

@@ -15,6 +15,11 @@ from planrunner.uncertainty.influences import Influence, InputQuantity
 Array = NDArray[np.float64]
 
 
+def rate_part(rate: float) -> str:
+    """Name of the error of one commanded rate [rad/s], so that it is known for the same wherever it acts."""
+    return f"{np.degrees(rate):.9g} deg/s"
+
+
 def each_rate(quantity: InputQuantity, functionals: Array, slopes: Array, rates: Array) -> Influence:
     """A relative error of each commanded rate, the same whenever that rate comes again.
 
@@ -25,7 +30,7 @@ def each_rate(quantity: InputQuantity, functionals: Array, slopes: Array, rates:
     carried = -np.einsum("qmn,m,n->qn", functionals, slopes, rates)
     different = np.unique(rates[rates != 0])
     columns = [carried[:, rates == rate].sum(axis=1) for rate in different]
-    parts = tuple(f"{np.degrees(rate):.9g} deg/s" for rate in different)
+    parts = tuple(map(rate_part, different))
     return Influence(quantity, np.array(columns).reshape(len(different), len(functionals)).T, parts=parts)
 
 

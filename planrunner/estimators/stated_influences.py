@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.rate_influences import rate_part
+from planrunner.estimators.turned_segments import DIRECTIONS, UP, turned
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import rotation_about
 from planrunner.physics.stimulus import Stimulus, segment_means
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Segment, Spin
@@ -22,7 +23,6 @@ from planrunner.uncertainty.influences import Influence, Inputs
 Array = NDArray[np.float64]
 
 _STEP = 1e-5  # rad, or relative: of central differences, whose error is of the order of its square
-_UP = (0.0, 0.0, 1.0)
 
 
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
@@ -66,21 +66,19 @@ def stated_influences(
         change = slope(*(columns(segments, one) for one in sites)) / site.gravity
         found.append(Influence(gravity, -moved(change)))
     if azimuth := inputs.get("azimuth"):
-        change = slope(*(columns(_turned(segments, _UP, step), site) for step in (-_STEP, _STEP)))
+        change = slope(*(columns(turned(segments, UP, step), site) for step in (-_STEP, _STEP)))
         found.append(Influence(azimuth, moved(change)))
     if (rate := inputs.get("table rate")) and any(isinstance(one.motion, Spin) for one in segments):
         change = slope(*(columns(_hastened(segments, 1 + step), site) for step in (-_STEP, _STEP)))
         each = -np.einsum("mpn,mn->mpn", gains, change).reshape(-1, len(segments))
-        turning = [one for one in segments if isinstance(one.motion, Spin)]
-        rates = tuple(f"{np.degrees(one.rate):.9g} deg/s" for one in turning)
+        rates = tuple(rate_part(one.rate) for one in segments if isinstance(one.motion, Spin))
         spun = np.array([isinstance(one.motion, Spin) for one in segments])
         found.append(_by_part(Influence(rate, each[:, spun], parts=rates)))
     if position := inputs.get("table position"):
         spinning = np.array([isinstance(one.motion, Spin) for one in segments])
         parts, names = [], []
-        for k, word in enumerate(("east", "north", "up")):
-            about = tuple(float(k == j) for j in range(3))
-            change = slope(*(columns(_turned(segments, about, step, False), site) for step in (-_STEP, _STEP)))
+        for word, about in DIRECTIONS.items():
+            change = slope(*(columns(turned(segments, about, step, axis_too=False), site) for step in (-_STEP, _STEP)))
             parts.append(np.einsum("mpn,mn->mpn", gains, change).reshape(-1, len(segments)))
             names.append([f"{one.orientation} about {word}" for one in segments])
         for chosen, shown in ((~spinning, in_scatter), (spinning, False)):
@@ -102,10 +100,10 @@ def position_scatter(
     if position is None:
         return None
     variance = np.zeros((len(coefficients), len(segments)))
-    for k in range(3):
-        about = tuple(float(k == j) for j in range(3))
+    for about in DIRECTIONS.values():
         low, high = (
-            model.columns(mean_stimulus(_turned(segments, about, step, False), site)) for step in (-_STEP, _STEP)
+            model.columns(mean_stimulus(turned(segments, about, step, axis_too=False), site))
+            for step in (-_STEP, _STEP)
         )
         variance += ((high - low) / (2 * _STEP) @ coefficients.T).T ** 2
     return np.asarray(position.standard_uncertainty * np.sqrt(variance))
@@ -117,20 +115,6 @@ def _by_part(influence: Influence) -> Influence:
     of = np.array([names.index(name) for name in influence.parts])
     sums = np.stack([influence.sensitivities[:, of == k].sum(axis=1) for k in range(len(names))], axis=1)
     return replace(influence, sensitivities=sums, parts=names)
-
-
-def _turned(segments: Sequence[Segment], about: Sequence[float], angle: float, axis_too: bool = True) -> list[Segment]:
-    """The segments with the sensor turned by `angle` rad about a site axis; axis_too: the axes of spins as well."""
-    turn = rotation_about(tuple(about), angle)
-    found = []
-    for one in segments:
-        assert one.attitude is not None  # or the stimulus would not be known
-        changed = replace(one, attitude=one.attitude @ turn.T)
-        if axis_too and isinstance(one.motion, Spin):
-            axis = turn @ np.asarray(one.motion.about, dtype=float)
-            changed = replace(changed, motion=replace(one.motion, about=tuple(axis.tolist())))
-        found.append(changed)
-    return found
 
 
 def _hastened(segments: Sequence[Segment], factor: float) -> list[Segment]:

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.fixture_gains import tilt_part
 from planrunner.estimators.mounted_axes import MountedAxes
+from planrunner.estimators.rate_influences import rate_part
 from planrunner.estimators.tilted_evaluation import QUANTITIES, Conditions, Findings, Group, K, Worst, evaluate
-from planrunner.estimators.turning_rates import mean_rates, off_north
+from planrunner.estimators.turned_segments import UP, turned
+from planrunner.estimators.turning_rates import mean_rates
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -123,8 +125,8 @@ def _table(situation: Situation, inputs: Inputs, common: InputQuantity) -> Itera
     rate = inputs.get("table rate")
     if rate is not None:
         different = np.unique(commanded[commanded != 0])
-        names = [f"{np.degrees(value):.9g} deg/s" for value in different]
-        yield _by_change(rate, [_with_rates(situation, commanded == value) for value in different], names)
+        each = [_with_rates(situation, commanded == value) for value in different]
+        yield _by_change(rate, each, [rate_part(value) for value in different])
     if common.standard_uncertainty:
         yield _by_change(common, [_with_rates(situation, np.ones(len(commanded)))])
     tilts = [
@@ -148,7 +150,7 @@ def _earth(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
     if latitude is not None:
         yield _by_change(latitude, [lambda by: at(replace(site, latitude=site.latitude + by), segments)])
     if azimuth is not None:
-        yield _by_change(azimuth, [lambda by: at(site, off_north(segments, by))])
+        yield _by_change(azimuth, [lambda by: at(site, turned(segments, UP, -by))])
 
 
 def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:

@@ -32,20 +32,6 @@ def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableMod
     return tuple(_carried(segment, site, table, known) for segment in segments)
 
 
-def off_north(segments: Sequence[Segment], angle: float) -> tuple[Segment, ...]:
-    """The segments on a bench whose azimuth is larger by `angle` [rad] than believed."""
-    turn = rotation_about((0.0, 0.0, 1.0), -angle)
-    found = []
-    for segment in segments:
-        motion = segment.motion
-        if isinstance(motion, Spin):
-            east, north, up = (turn @ np.asarray(motion.about)).tolist()
-            motion = Spin(motion.rate, (east, north, up))
-        attitude = None if segment.attitude is None else np.asarray(segment.attitude @ turn.T)
-        found.append(replace(segment, attitude=attitude, motion=motion))
-    return tuple(found)
-
-
 def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[float | None]) -> Array:
     """Mean angular rate relative to inertial space in the fixture's frame, shape (n, 3), rad/s, of segments as recording begins.
 
