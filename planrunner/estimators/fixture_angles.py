@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.covariances import independent
 from planrunner.estimators.fixture_gains import (
     FITTED,
     STATED,
@@ -121,7 +122,7 @@ class FixtureAngles:
         remarks = tuple(_remarks(model, how))
         if len(predicted) < len(axes.names):
             return Design(tuple(blocks), remarks=remarks)
-        covariance, influences = _joined([one.covariance for one in predicted]), _padded(predicted)
+        covariance, influences = independent([one.covariance for one in predicted]), _padded(predicted)
         whole = np.sqrt(np.diag(covariance + sum(item.covariance for item in merged(influences))))
         data = [item for one in predicted for item in one.coefficients]
         shown = tuple(replace(item, standard_uncertainty=float(u)) for item, u in zip(data, whole, strict=True))
@@ -162,7 +163,7 @@ class FixtureAngles:
             request.name,
             "fixture_angles",
             coefficients,
-            _joined([axis.covariance for axis in found]),
+            independent([axis.covariance for axis in found]),
             tuple(item.name for item in coefficients),
             {"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},
             (_table(axes, found),),
@@ -263,15 +264,6 @@ def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
     if model.directions < 2:
         hint = "orient the fixture so that the table turns about another direction of it: one of its axes, or z turned by a known angle"
     return [Remark("physics-fixture", f"the table turns about {seen} of the fixture only", hint)]
-
-
-def _joined(blocks: Sequence[Array]) -> Array:
-    size = sum(len(block) for block in blocks)
-    whole, at = np.zeros((size, size)), 0
-    for block in blocks:
-        whole[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return whole
 
 
 def _padded(found: Sequence[AxisAngles]) -> tuple[Influence, ...]:

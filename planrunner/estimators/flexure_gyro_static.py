@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planrunner.estimators import flexure_gyro_tables as tables
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro_draws import physical_draws
 from planrunner.estimators.interface import (
     Coefficient,
@@ -25,7 +26,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.linear_influences import linear_influences
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import matrix_at_rest, planned_blocks
+from planrunner.estimators.planned import matrix_at_rest, planned_blocks, planned_gains
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
@@ -105,7 +106,7 @@ class FlexureGyroStatic:
         note = tables.determinant_note(determinant, sight.condition, len(matrix))
         return Design(
             blocks,
-            _predicted(request, blocks, scaled),
+            _predicted(request, blocks),
             (note,),
             {"determinant": determinant, "condition": sight.condition},
         )
@@ -134,7 +135,10 @@ class FlexureGyroStatic:
                 "terms": list(made.model.names),
                 "weights": [noise.weighting for noise in fit.noises],
             },
-            (tables.residual_table(observations, fit), *tables.both_bases(found, fit, basis)),
+            (
+                residual_table("Residuals per position", "position", observations, fit),
+                tables.both_bases(found, fit, basis),
+            ),
             (residual_plot(observations, fit),),
             tuple(notes),
             tuple(warnings),
@@ -230,7 +234,7 @@ def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[C
     )
 
 
-def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock], scaled: Array) -> tuple[Coefficient, ...]:
+def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
     """The coefficients at the sensor's declared values with the uncertainty that its declared noise and the bench's stated
     inputs give: noise as each dwell averages it, and the table's position errors beside it."""
     products = request.parameters.terms
@@ -245,13 +249,14 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock], scaled: Ar
         found = physical_set(outputs, units, model, products)
     except ValueError:
         return ()
-    p = scaled.shape[1]
-    gains = np.zeros((2, p, len(scaled)))
+    n, p = blocks[0].matrix.shape
+    gains = np.zeros((2, p, n))
     covariance = np.zeros((2, p, 2, p))
     for k, block in enumerate(blocks):
         if np.all(block.sigma > 0):
-            root = np.linalg.pinv(scaled / block.sigma[:, None]) / block.magnitudes[:, None]
-            gains[k], covariance[k, :, k] = root / block.sigma, root @ root.T
+            gains[k] = planned_gains(block)
+            root = gains[k] * block.sigma
+            covariance[k, :, k] = root @ root.T
     stated = linear_influences(request, model, request.parameters.outputs, outputs, gains, "within_segment")
     whole = covariance.reshape(2 * p, 2 * p) + sum((one.covariance for one in stated), np.zeros((2 * p, 2 * p)))
     variance = np.einsum("qi,ij,qj->q", found.gradients, whole, found.gradients).clip(min=0.0)

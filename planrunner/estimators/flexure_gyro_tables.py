@@ -1,18 +1,20 @@
-"""What a reader needs to judge a flexure gyro's static coefficients: residuals per position and both bases of uncertainty."""
+"""What a reader needs to judge a flexure gyro's static coefficients: their meaning, the determinant, both bases of uncertainty."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from planrunner.estimators.fit_tables import bases_shown, basis_table
 from planrunner.estimators.interface import Table
-from planrunner.estimators.observations import Observations
-from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.uncertainty.decision import expanded_uncertainty
+from planrunner.estimators.outputs_fit import OutputsFit
 
 if TYPE_CHECKING:
     from planrunner.estimators.flexure_gyro_static import PhysicalSet
+
+Array = NDArray[np.float64]
 
 _WORDS = {
     "SF_X": "Torquer scale factor, x",
@@ -49,42 +51,14 @@ def determinant_note(determinant: float, condition: float, positions: int) -> st
     )
 
 
-def residual_table(observations: Observations, fit: OutputsFit) -> Table:
-    """Means, residuals and the within-segment uncertainty, position by position."""
-    columns = ["position"]
-    for name, its_unit in zip(observations.channels, observations.units, strict=True):
-        columns += [f"{name} mean [{its_unit}]", f"{name} residual [{its_unit}]", f"{name} u within [{its_unit}]"]
-    rows = []
-    for n, label in enumerate(observations.labels):
-        row: list[object] = [label]
-        for k in range(len(observations.channels)):
-            own = observations.standard_error[n, k]
-            row += [
-                float(observations.mean[n, k]),
-                float(fit.fits[k].residuals[n]),
-                float(own) if np.isfinite(own) else None,
-            ]
-        rows.append(tuple(row))
-    return Table("Residuals per position", tuple(columns), tuple(rows))
-
-
-def both_bases(found: PhysicalSet, fit: OutputsFit, chosen: str) -> tuple[Table, ...]:
+def both_bases(found: PhysicalSet, fit: OutputsFit, chosen: str) -> Table:
     """The physical coefficients' uncertainty on the basis that was chosen and on the other, where the data give both."""
-    bases = [chosen, *(basis for basis in BASES if basis != chosen and fit.available(basis))]
-    columns = ["coefficient", "unit", "value"]
-    per_basis = []
-    for basis in bases:
-        shown = basis.replace("_", " ")
-        columns += [f"u ({shown})", f"dof ({shown})", f"U 95 % ({shown})"]
-        gradients = found.gradients[: found.physical]
-        spread = np.sqrt(np.einsum("qi,ij,qj->q", gradients, fit.covariance(basis), gradients).clip(min=0.0))
-        freedom = fit.degrees_of_freedom(gradients, basis)
-        wide = [expanded_uncertainty(float(u), float(dof)) for u, dof in zip(spread, freedom, strict=True)]
-        per_basis.append((spread, freedom, wide))
-    rows = []
-    for q in range(found.physical):
-        row: list[object] = [found.names[q], found.units[q], float(found.values[q])]
-        for spread, freedom, wide in per_basis:
-            row += [float(spread[q]), float(freedom[q]), wide[q]]
-        rows.append(tuple(row))
-    return (Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows)),)
+    gradients = found.gradients[: found.physical]
+
+    def spread(basis: str) -> tuple[Array, Array]:
+        variance = np.einsum("qi,ij,qj->q", gradients, fit.covariance(basis), gradients).clip(min=0.0)
+        return np.sqrt(variance), fit.degrees_of_freedom(gradients, basis)
+
+    physical = slice(found.physical)
+    spreads = {basis: spread(basis) for basis in bases_shown(chosen, [fit])}
+    return basis_table(found.names[physical], found.units[physical], found.values[physical], spreads)

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from planrunner.estimators import imu_tables as tables
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.covariances import independent
 from planrunner.estimators.error_model import error_model, term_names
+from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
 from planrunner.estimators.imu_coefficients import PLURAL, Framed, Reported, Response, framed, reported
 from planrunner.estimators.interface import (
     Coefficient,
@@ -31,7 +33,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.planned import planned_blocks, planned_gains
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_influences import mean_stimulus, position_scatter, stated_influences
 from planrunner.physics.earth import Site
@@ -135,7 +137,8 @@ class ImuMultiPosition:
         frame = framed([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
         found = reported(frame)
         u, freedom = spread(found, triads, basis)
-        covariance = found.gradients @ _joint(triads, basis) @ found.gradients.T
+        data = independent([one.fit.covariance(basis) for one in triads])  # the triads' noise is taken for independent
+        covariance = found.gradients @ data @ found.gradients.T
         coefficients = tuple(
             Coefficient(name, float(value), text, float(own), float(dof), words)
             for name, value, text, own, dof, words in zip(
@@ -153,10 +156,7 @@ class ImuMultiPosition:
             warnings += doubted
         if len(triads) == 2 and len(triads[0].segments) > len(triads[1].segments):
             notes.append("The accelerometers are fitted from the segments at rest alone.")
-        bases = [
-            basis,
-            *(other for other in BASES if other != basis and all(one.fit.available(other) for one in triads)),
-        ]
+        spreads = {other: spread(found, triads, other) for other in bases_shown(basis, [one.fit for one in triads])}
         return Estimate(
             request.name,
             "imu_multi_position",
@@ -171,8 +171,11 @@ class ImuMultiPosition:
             },
             (
                 *(table for one in frame.responses for table in tables.matrices(one)),
-                *(tables.residuals(one.kind, one.observations, one.fit) for one in triads),
-                tables.both_bases(found, bases, lambda other: spread(found, triads, other)),
+                *(
+                    residual_table(f"Residuals of the {one.kind} triad", "segment", one.observations, one.fit)
+                    for one in triads
+                ),
+                basis_table(found.names, found.units, found.values, spreads),
             ),
             tuple(residual_plot(one.observations, one.fit, f"Residuals of the {one.kind} triad") for one in triads),
             tuple(dict.fromkeys(notes)),
@@ -274,17 +277,6 @@ def _response(one: Triad) -> Response:
     return Response(one.kind, units, one.model, one.fit.coefficients)
 
 
-def _joint(triads: Sequence[Triad], basis: str) -> Array:
-    """Covariance of all responses; the triads' noise is taken for independent."""
-    blocks = [one.fit.covariance(basis) for one in triads]
-    size = sum(len(block) for block in blocks)
-    joint, start = np.zeros((size, size)), 0
-    for block in blocks:
-        joint[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
-    return joint
-
-
 def _influences(request: EstimateRequest, triads: Sequence[Triad], found: Reported) -> tuple[Influence, ...]:
     """On everything that is reported; an input that acts on both triads is one input to whoever adds them up."""
     influences: list[Influence] = []
@@ -338,17 +330,12 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[C
                 values[axis, model.names.index(term)] = 1 / units[axis].factor
         responses.append(Response(kind, units, model, values))
         for block in blocks[3 * place : 3 * place + 3]:
-            scaled = block.matrix / block.magnitudes
-            if rank.look(scaled).rank < scaled.shape[1] or not np.all(block.sigma > 0):
+            if rank.look(block.matrix / block.magnitudes).rank < len(block.terms) or not np.all(block.sigma > 0):
                 return ()
-            root = np.linalg.pinv(scaled / block.sigma[:, None]) / block.magnitudes[:, None]
+            root = planned_gains(block) * block.sigma
             covariances.append(root @ root.T)
     found = reported(framed(responses, parameters.misalignment == "lower_triangular"))
-    variance, start = np.zeros(len(found.names)), 0
-    for covariance in covariances:
-        own = found.gradients[:, start : start + len(covariance)]
-        variance += np.einsum("qi,ij,qj->q", own, covariance, own)
-        start += len(covariance)
+    variance = np.einsum("qi,ij,qj->q", found.gradients, independent(covariances), found.gradients)
     rows = zip(found.names, found.values, found.units, np.sqrt(variance), found.words, strict=True)
     return tuple(
         Coefficient(name, float(value), text, float(u), math.inf, words) for name, value, text, u, words in rows

@@ -1,18 +1,13 @@
-"""What a reader and a user of an IMU's calibration need: the matrix and its inverse, residuals, and both bases of uncertainty."""
+"""What a user of an IMU's calibration needs: how to apply it, the matrices and their inverses."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.imu_coefficients import AXES, Framed, Reported, Response
+from planrunner.estimators.imu_coefficients import AXES, Framed, Response
 from planrunner.estimators.interface import Table
-from planrunner.estimators.observations import Observations
-from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.plan.units import unit
-from planrunner.uncertainty.decision import expanded_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -67,35 +62,3 @@ def inverse_matrix(one: Response) -> Array | None:
     if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:
         return None
     return np.asarray(np.linalg.inv(matrix))
-
-
-def residuals(kind: str, observations: Observations, fit: OutputsFit) -> Table:
-    """Means, residuals and the noise within the segments."""
-    columns = ["segment"]
-    for name, text in zip(observations.channels, observations.units, strict=True):
-        columns += [f"{name} mean [{text}]", f"{name} residual [{text}]", f"{name} u within [{text}]"]
-    rows = []
-    for n, label in enumerate(observations.labels):
-        row: list[object] = [label]
-        for k, (one, noise) in enumerate(zip(fit.fits, fit.noises, strict=True)):
-            within = float(noise.sigma[n]) if noise.known else None
-            row += [float(observations.mean[n, k]), float(one.residuals[n]), within]
-        rows.append(tuple(row))
-    return Table(f"Residuals of the {kind} triad", tuple(columns), tuple(rows))
-
-
-def both_bases(found: Reported, bases: Sequence[str], spread: Callable[[str], tuple[Array, Array]]) -> Table:
-    """Every coefficient's uncertainty by what the data show, on each basis that they give. spread: basis → (u, degrees of freedom)."""
-    columns = ["coefficient", "unit", "value"]
-    cells = []
-    for basis in bases:
-        shown = basis.replace("_", " ")
-        columns += [f"u ({shown})", f"dof ({shown})", f"U 95 % ({shown})"]
-        cells.append(spread(basis))
-    rows = []
-    for q, name in enumerate(found.names):
-        row: list[object] = [name, found.units[q], float(found.values[q])]
-        for u, freedom in cells:
-            row += [float(u[q]), float(freedom[q]), expanded_uncertainty(float(u[q]), float(freedom[q]))]
-        rows.append(tuple(row))
-    return Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows))

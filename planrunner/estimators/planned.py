@@ -54,3 +54,10 @@ def planned_blocks(
         ]
         blocks.append(DesignBlock(name, terms, matrix, magnitudes, np.array(sigma), labels))
     return tuple(blocks)
+
+
+def planned_gains(block: DesignBlock) -> Array:
+    """Coefficients from observations, (p, n), SI, by least squares weighted with the block's noise, which must not be zero; of least norm
+    where the segments cannot tell all terms."""
+    weighted = block.matrix / block.magnitudes / block.sigma[:, None]
+    return np.asarray(np.linalg.pinv(weighted) / block.magnitudes[:, None] / block.sigma)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.covariances import independent
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -231,12 +232,7 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
             words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
             rows.append(Coefficient(f"hysteresis_{name}", largest, text, u, description=words))
             blocks.append(np.array([[u**2]]))
-    size = sum(len(block) for block in blocks)
-    covariance, start = np.zeros((size, size)), 0
-    for block in blocks:
-        covariance[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
-    return tuple(rows), covariance
+    return tuple(rows), independent(blocks)
 
 
 def _per_kelvin(text: str, power: int) -> str:
