@@ -1,4 +1,4 @@
-"""Straight lines through series of rates, many at once: F_j = K·x_j + F_0 + ν_j by ordinary least squares, as M2's source fits them.
+"""Straight lines through series of rates, many at once: F_j = K·x_j + F_0 + ν_j by ordinary least squares.
 
 Also the two half-lines that meet at zero rate, for asymmetry, and the change of output between the lowest rates.
 """

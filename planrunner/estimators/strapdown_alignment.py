@@ -27,15 +27,13 @@ from planrunner.plan.schedule import Cycle, Rest, Segment
 Array = NDArray[np.float64]
 
 SHORTEST = 60.0  # s
-HIGHEST_LATITUDE = math.radians(
-    85
-)  # cos = 0.087: beyond, gyro errors turn into heading eleven times as much as at the equator
+# cos = 0.087: beyond, gyro errors turn into heading eleven times as much as at the equator.
+HIGHEST_LATITUDE = math.radians(85)
 STILL = 0.05  # m/s; a reference that moves faster is not at rest
 _COARSE = 300.0  # s at most that the coarse attitude is taken from, and the noise
 _GRAVITY_TOLERANCE = 0.01
-_EARTH_TOLERANCE = (
-    0.1  # of the Earth's rate: that much gyro error is 6 deg of heading at the equator, the end of small angles
-)
+# Of the Earth's rate: that much gyro error is 6 deg of heading at the equator, the end of small angles.
+_EARTH_TOLERANCE = 0.1
 _HEADING_LIMIT = math.radians(3)
 _WIDENED = 1.5  # consistency from which uncertainties are widened
 _MOVED = 0.1  # m/s; what stands on a floor, or in a parked vehicle, does not do so within a second
@@ -232,8 +230,7 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
     heading = math.sqrt(covariance[TILT, TILT][2, 2])
     if heading > _HEADING_LIMIT:
         raise EstimationError(
-            f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg (standard "
-            "uncertainty): align "
-            "longer, or use gyros with less noise"
+            f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg (standard uncertainty): "
+            "align longer, or use gyros with less noise"
         )
     return replace(found, covariance=covariance), tuple(warnings)

@@ -129,10 +129,13 @@ def _expected(
     parameters: StrapdownNavigationParameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
-    if (not white.any() and not constant.any()) or any(dwell is None for dwell in dwells) or stop.attitude is None:
+    if not white.any() and not constant.any():
         return (), (
             "No errors are predicted: neither noise nor gyro_uncertainty and accelerometer_uncertainty are known.",
         )
+    if stop.attitude is None or any(dwell is None for dwell in dwells):
+        what = "orientation" if stop.attitude is None else "dwell"
+        return (), (f"No errors are predicted: the plan leaves the {what} of a segment open.",)
     if sum(dwell or 0.0 for dwell in dwells) > _LONGEST:
         return (), (f"No errors are predicted for navigations of more than {_LONGEST / 86400:g} days.",)
     equations = ErrorEquations.at(request.site)
