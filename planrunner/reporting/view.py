@@ -17,6 +17,7 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
       plots, correlation              {title, svg}
       budgets                         as `budgets.budget_views` gives them
     segments                          like a table
+    segment_tables                    the same in tables that a page is wide enough for
     certificate                       as `certificate.certificate_view` gives it
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
@@ -38,11 +39,12 @@ from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band
-from planrunner.reporting.context import ReportContext, SegmentSummary, site_facts
+from planrunner.reporting.context import ReportContext, site_facts
 from planrunner.reporting.rounding import format_pair
+from planrunner.reporting.segment_tables import segment_table, segment_tables
 from planrunner.uncertainty.decision import coverage_factor
 
-__all__ = ["coefficient_row", "limit_row", "report_view", "segment_table", "table_view"]
+__all__ = ["coefficient_row", "limit_row", "report_view", "table_view"]
 
 MAX_ROWS = 2000
 STRONG = 0.3  # correlations from here on are named in words
@@ -71,6 +73,7 @@ def report_view(context: ReportContext) -> dict[str, Any]:
         ],
         "limits": [limit_row(limit) for limit in context.limits],
         "segments": table_view(segment_table(context.segments)),
+        "segment_tables": [table_view(one) for one in segment_tables(context.segments)],
         "warnings": list(context.warnings),
         "notes": list(context.notes),
         "provenance": named(context.provenance),
@@ -174,44 +177,6 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
         "producer": words.probability(limit.producer_risk),
         "reason": "" if limit.verdict == "pass" else limit.reason,
     }
-
-
-def segment_table(segments: Sequence[SegmentSummary]) -> Table:
-    """What was held and what was recorded, one row a segment; columns that no segment needs are left out."""
-    units: dict[str, str] = {}
-    for item in segments:
-        units.update({name: unit for name, unit in item.units.items() if item.statistics is not None})
-    columns: list[tuple[str, list[str]]] = [
-        ("#", [str(item.segment.index + 1) for item in segments]),
-        ("Segment", [item.segment.label for item in segments]),
-        ("Orientation", [words.orientation(item.segment) for item in segments]),
-        ("Motion", [words.motion(item.segment.motion) for item in segments]),
-        ("Temperature [°C]", [words.temperature(item.segment) for item in segments]),
-        ("Recorded [s]", [_recorded(item) for item in segments]),
-        ("Samples", ["–" if item.statistics is None else str(item.statistics.count) for item in segments]),
-        ("Rejected", [str(item.statistics.rejected) if item.statistics else "0" for item in segments]),
-    ]
-    for name, unit in units.items():
-        columns.append((f"{name} [{unit}]" if unit and unit != "1" else name, [_mean(item, name) for item in segments]))
-    columns.append(("Remarks", [item.remark for item in segments]))
-    idle = {"Motion": {"rest"}, "Rejected": {"0"}, "Remarks": {""}, "Temperature [°C]": {"–"}}
-    kept = [(title, cells) for title, cells in columns if not set(cells) <= idle.get(title, set())]
-    rows = tuple(zip(*(cells for _, cells in kept), strict=True)) if segments else ()
-    return Table("Segments: mean ± standard error", tuple(title for title, _ in kept), rows)
-
-
-def _recorded(item: SegmentSummary) -> str:
-    if item.statistics is None or not item.statistics.count:
-        return "–"
-    return words.number(round(item.statistics.end - item.statistics.start, 3), 9)
-
-
-def _mean(item: SegmentSummary, channel: str) -> str:
-    if item.statistics is None or channel not in item.statistics.channels or not item.statistics.count:
-        return "–"
-    place = item.statistics.of(channel)
-    value, width = format_pair(float(item.statistics.mean[place]), float(item.statistics.standard_error[place]))
-    return f"{value} ± {width}" if width else value
 
 
 def table_view(table: Table) -> dict[str, Any]:
