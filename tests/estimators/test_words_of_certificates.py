@@ -166,7 +166,7 @@ def test_no_translation_is_left_of_what_nobody_says(said: tuple[set[str], dict[s
     found = set()
     for words in said[1]:
         by_pattern = (translation for pattern, translation in sentences(language) if pattern.fullmatch(words))
-        found.add(words if words in texts else english[next(by_pattern)])
+        found.add(words if words in texts else english.get(next(by_pattern, ""), words))
     assert set(translated_words.DESCRIPTIONS) <= found
 
 
