@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.rocking_runs import Quadruple
+from planrunner.uncertainty.budget import effective_degrees_of_freedom
 
 Array = NDArray[np.float64]
 AXES = "xyz"
@@ -84,17 +85,14 @@ def combine(states: Sequence[StateDrifts]) -> Combined:
     values = sum((s @ state.rocking.mean(axis=0) for s, state in zip(shares, states, strict=True)), np.zeros(len(rows)))
     parts = [s @ state.scatter()[0] @ s.T for s, state in zip(shares, states, strict=True)]
     freedoms = [state.scatter()[1] for state in states]
-    degrees = tuple(_welch([part[m, m] for part in parts], freedoms) for m in range(len(rows)))
+    degrees = tuple(_freedom([part[m, m] for part in parts], freedoms) for m in range(len(rows)))
     axes, by_gimbals = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
     return Combined(axes, by_gimbals, values, np.sum(parts, axis=0), degrees, tuple(shares))
 
 
-def _welch(variances: Sequence[float], degrees: Sequence[float]) -> float:
-    """Effective degrees of freedom of a sum (JCGM 100:2008, G.4.1)."""
-    acting = [(v, n) for v, n in zip(variances, degrees, strict=True) if v > 0]
-    if not acting:
-        return min(degrees)
-    return float(sum(v for v, _ in acting) ** 2 / sum(v**2 / n for v, n in acting))
+def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
+    """Effective degrees of freedom of a sum; the fewest where nothing scatters."""
+    return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
 
 
 @dataclass(frozen=True, slots=True)
