@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shutil
+import sys
 from pathlib import Path
 
 from planrunner import cli
@@ -11,6 +13,8 @@ from planrunner.checking import Checked, Sound, check_plan
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
+
+WIDE = 160  # columns, away from a terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,9 +71,12 @@ def summary(checked: Checked) -> str:
     return "\n".join(lines)
 
 
-def _columns(pairs: list[tuple[str, str]], across: int = 3) -> str:
+def _columns(pairs: list[tuple[str, str]]) -> str:
+    """Three pairs a line, or as many as the terminal has room for."""
     wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
+    width = shutil.get_terminal_size((WIDE, 24)).columns if sys.stdout.isatty() else WIDE
+    across = max(1, min(3, (width - 1) // (sum(wide) + 4)))
     return "\n".join("    " + "   ".join(cells[row : row + across]).rstrip() for row in range(0, len(cells), across))
 
 

@@ -157,7 +157,7 @@ class _Columns:
             name, numeric = self.columns[place]
             most = None if numeric else least[place] + spare
             justify: Literal["left", "right"] = "right" if numeric else "left"
-            table.add_column(_text(name), justify=justify, min_width=least[place], max_width=most)
+            table.add_column(_text(name), justify=justify, min_width=least[place], max_width=most, overflow="fold")
         for row in self.rows:
             table.add_row(*(row[place] for place in places))
         return table

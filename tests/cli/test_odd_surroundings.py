@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from planrunner.estimators.interface import Coefficient, Estimate
+from planrunner.reporting import terminal
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
 GIVEN = ["--set", "device_serial=1", "--set", "operator=test", "--quiet"]
@@ -90,3 +96,37 @@ def test_a_plan_without_estimates_and_reports_says_where_its_recording_is(tmp_pa
     done = planrunner("run", "plan.yaml", "--quiet", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / done.stdout.splitlines()[-1] / "results.json").is_file()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are of Unix")
+def test_what_to_expect_fits_the_terminal(tmp_path: Path) -> None:
+    import pty
+
+    plan = FLAGSHIP.with_name("scale_factor_tilted.yaml")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "planrunner", "check", str(plan)]
+    with open(ours, "rb", buffering=0) as terminal:
+        running = subprocess.Popen(command, stdout=theirs, cwd=tmp_path, env={**os.environ, "COLUMNS": "80"})
+        os.close(theirs)
+        shown = b""
+        try:
+            while part := terminal.read(4096):
+                shown += part
+        except OSError:  # how Linux says that the other end has closed
+            pass
+        assert running.wait(60) == 0
+    predicted = [line for line in shown.decode().splitlines() if line.startswith("    K_")]
+    assert len(predicted) == 9  # one a line: two would take more
+    assert max(map(len, predicted)) <= 80
+
+
+def test_names_are_folded_on_a_narrow_terminal_and_never_cut() -> None:
+    coefficients = tuple(
+        Coefficient(f"temperature_coefficient_{axis}", 1.0, "(pulse/s)/(deg/s)/K", 0.1) for axis in "xyz"
+    )
+    text = io.StringIO()
+    console = terminal.console(width=40, file=text)
+    console.print(terminal.coefficients_table(Estimate("scale", "estimator", coefficients, np.eye(3))))
+    assert "…" not in text.getvalue()
+    for axis in "xyz":  # the tail of each name begins a line of its own
+        assert re.search(rf"^ *\w+_{axis}\b", text.getvalue(), re.MULTILINE)
