@@ -40,7 +40,6 @@ Progress = Callable[[str, float], None]
 
 SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
 _REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may do away with
-CRITERIA = ("D", "A", "G", "I")
 _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for; that of G is that of D
 
 

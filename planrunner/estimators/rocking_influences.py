@@ -45,7 +45,7 @@ def influences_of(
     runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest
 ) -> tuple[Influence, ...]:
     found = _shared(runs, combined, conditions, request)
-    for quantity, change in _of_each_run(request, runs):
+    for quantity, change in _of_each_run(request):
         columns = [
             combined.shares[s] @ (change(reduced) * weight / len(state))
             for s, state in enumerate(runs)
@@ -97,7 +97,7 @@ def _coefficients(runs: Runs, combined: Combined, conditions: Conditions) -> Arr
     return total
 
 
-def _of_each_run(request: EstimateRequest, runs: Runs) -> list[tuple[InputQuantity, Callable[[ReducedRun], Array]]]:
+def _of_each_run(request: EstimateRequest) -> list[tuple[InputQuantity, Callable[[ReducedRun], Array]]]:
     """Quantities that are drawn anew in each run, with ∂drift [deg/h]/∂input of a run, shape (k, inputs)."""
     parameters: RockingDriftParameters = request.parameters
     found: list[tuple[InputQuantity, Callable[[ReducedRun], Array]]] = []

@@ -14,8 +14,7 @@ from planrunner.design.cycles import FoundCycle, StudiedCycle
 from planrunner.estimators.interface import Plot, Table
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.reporting import words
-from planrunner.reporting.templates import render
-from planrunner.reporting.view import named, table_view
+from planrunner.reporting.study_page import StudyPage
 
 POINTS = 1500  # of a course, as drawn
 ROUNDS = 3  # cycles of the longest that are drawn
@@ -44,23 +43,11 @@ class CycleContext:
 
 def render_page(context: CycleContext, folder: Path | None = None) -> str:
     """One self-contained HTML page. Raises `ReportError`."""
-    from markupsafe import Markup
-
-    from planrunner.reporting.plots import plot_svg
-
-    given = {
-        "kicker": "Design of a rotation cycle",
-        "footer": FOOTER,
-        "title": context.title,
-        "facts": named({**context.facts, **facts(context)}),
-        "tables": [table_view(table) for table in tables(context)],
-        "plots": [
-            {"title": plot.title, "svg": Markup(plot_svg(plot, f"course-{number}"))}
-            for number, plot in enumerate(plots(context), start=1)
-        ],
-        "notes": notes(context),
-    }
-    return render("design-study.html", given, folder)
+    said = {**context.facts, **facts(context)}
+    study = StudyPage(
+        "Design of a rotation cycle", context.title, said, tables(context), plots(context), notes(context), FOOTER
+    )
+    return study.render(folder)
 
 
 def heading(context: CycleContext) -> str:

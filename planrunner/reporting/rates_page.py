@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import Coefficient, Plot, Table
 from planrunner.reporting import words
-from planrunner.reporting.templates import render
-from planrunner.reporting.view import named, table_view
+from planrunner.reporting.study_page import StudyPage
 
 TITLES = {"planned": "as planned", "best": "best found"}
 FOOTER = (
@@ -56,23 +55,9 @@ class RatesContext:
 
 def render_page(context: RatesContext, folder: Path | None = None) -> str:
     """One self-contained HTML page. Raises `ReportError`."""
-    from markupsafe import Markup
-
-    from planrunner.reporting.plots import plot_svg
-
-    given = {
-        "kicker": "Design of rates",
-        "footer": FOOTER,
-        "title": context.title,
-        "facts": named({**context.facts, **facts(context)}),
-        "tables": [table_view(table) for table in tables(context)],
-        "plots": [
-            {"title": plot.title, "svg": Markup(plot_svg(plot, f"rates-{number}"))}
-            for number, plot in enumerate(plots(context), start=1)
-        ],
-        "notes": notes(context),
-    }
-    return render("design-study.html", given, folder)
+    said = {**context.facts, **facts(context)}
+    study = StudyPage("Design of rates", context.title, said, tables(context), plots(context), notes(context), FOOTER)
+    return study.render(folder)
 
 
 def facts(context: RatesContext) -> dict[str, str]:
