@@ -328,3 +328,13 @@ def test_in_real_time_samples_come_a_second_at_a_time():
     _, gyro, _ = bench()
     gyro.world.real_time = True
     assert [b.time.size for b in gyro.stream(segment(2.5))] == [100, 100, 50]
+
+
+def test_flicker_over_steps_of_hours_is_finite() -> None:
+    """The shortest process forgets between two samples: each is drawn anew, and the sum has the variance of all fifteen."""
+    flicker, draw = Flicker(1.0), generator(9, 0)
+    flicker.begin(0.0, draw)
+    drawn = flicker.advance(4000, 1e7, draw)  # s, where even the longest has forgotten
+    assert np.var(drawn) == pytest.approx(
+        15 * math.log(2) / math.pi, rel=0.1
+    )  # 4.5 standard deviations of a variance of 4000

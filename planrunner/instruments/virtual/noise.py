@@ -33,8 +33,9 @@ def generator(seed: int, *occasion: int) -> np.random.Generator:
 
 @lru_cache(maxsize=8)
 def _growth(step: float, length: int) -> Array:
-    """e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1)."""
-    return np.exp(np.arange(length + 1) * (step / TIMES)[:, None])
+    """e^(n·step/τ) for every process and n = 0 … length, shape (OCTAVES, length + 1); of one long step, as much as leaves nothing of what
+    was before."""
+    return np.exp(np.minimum(np.arange(length + 1) * (step / TIMES)[:, None], _EXPONENT))
 
 
 class Flicker:
