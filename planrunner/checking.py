@@ -25,6 +25,7 @@ from planrunner.estimators.interface import Coefficient, Design, EstimationError
 from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
+from planrunner.plan.channels import check_channels
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.meaning import check_meaning
@@ -198,8 +199,11 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
 
 def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
     assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
+    outputs = None if checked.models.replays else [output.name for output in checked.models.sensor.outputs]
     for name, spec in plan.estimates.items():
-        if any(other not in checked.designs for other in spec.uses):
+        before = len(log.errors)
+        check_channels(spec.parameters, outputs, log)
+        if len(log.errors) > before or any(other not in checked.designs for other in spec.uses):
             continue
         try:
             design = design_of(

@@ -22,7 +22,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.outputs_fit import BASES
 from planrunner.estimators.planned import planned_blocks
-from planrunner.plan.kinds import Choice, ListOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class AccelerometerMultiPositionParameters(Record):
     """Keys of the estimator accelerometer_multi_position."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=3),
+        ListOf(CHANNEL, minimum=3),
         "The three accelerometer channels, of x, y and z.",
         ["accel_x", "accel_y", "accel_z"],
         ("accel_x", "accel_y", "accel_z"),

@@ -29,7 +29,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
-from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
 from planrunner.uncertainty.influences import Influence
@@ -52,7 +52,7 @@ class AllanDeviationParameters(Record):
     """Keys of the estimator allan_deviation."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        ListOf(CHANNEL, minimum=1, single=True),
         "Channels, each analysed by itself; all that the recording has when left out.",
         ["gyro_z"],
         default_factory=tuple,

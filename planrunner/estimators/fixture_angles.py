@@ -48,7 +48,7 @@ from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.turning_rates import recorded_seconds
-from planrunner.plan.kinds import Choice, ListOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
@@ -67,7 +67,7 @@ class FixtureAnglesParameters(Record):
     """Keys of the estimator fixture_angles."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        ListOf(CHANNEL, minimum=1, single=True),
         "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
         ["gyro_x", "gyro_y", "gyro_z"],
         default_factory=tuple,

@@ -31,7 +31,7 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
 from planrunner.physics.terms import ErrorModel
-from planrunner.plan.kinds import Boolean, Choice, ListOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence
@@ -44,7 +44,7 @@ class FlexureGyroStaticParameters(Record):
     """Keys of the estimator flexure_gyro_static."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=2),
+        ListOf(CHANNEL, minimum=2),
         "The two torquer outputs: of the x axis, then of the y axis.",
         ["torquer_x", "torquer_y"],
         ("torquer_x", "torquer_y"),

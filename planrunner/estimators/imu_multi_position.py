@@ -39,7 +39,7 @@ from planrunner.estimators.stated_influences import mean_stimulus, position_scat
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
 from planrunner.physics.terms import ErrorModel
-from planrunner.plan.kinds import Choice, ListOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 from planrunner.uncertainty.influences import Influence
@@ -48,7 +48,6 @@ Array = NDArray[np.float64]
 
 _RATES, _FORCES = ("rate_x", "rate_y", "rate_z"), ("accel_x", "accel_y", "accel_z")
 A_SENSOR = {"gyro": "a gyro", "accel": "an accelerometer"}
-_CHANNEL = Text("", "a channel's name")
 _EARTH_ALONE = 1.5  # times Earth rate; a table's rate is at least some hundred times as large
 
 
@@ -56,13 +55,13 @@ class ImuMultiPositionParameters(Record):
     """Keys of the estimator imu_multi_position."""
 
     gyros: tuple[str, ...] = key(
-        ListOf(_CHANNEL),
+        ListOf(CHANNEL),
         "The three gyro channels, of x, y and z.",
         ["gyro_x", "gyro_y", "gyro_z"],
         default_factory=tuple,
     )
     accelerometers: tuple[str, ...] = key(
-        ListOf(_CHANNEL),
+        ListOf(CHANNEL),
         "The three accelerometer channels, of x, y and z.",
         ["accel_x", "accel_y", "accel_z"],
         default_factory=tuple,

@@ -30,7 +30,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
-from planrunner.plan.kinds import ListOf, MapOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class RepeatabilityParameters(Record):
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        ListOf(CHANNEL, minimum=1, single=True),
         "Channels whose segment means are compared, without another estimate.",
         ["gyro_x"],
         default_factory=tuple,

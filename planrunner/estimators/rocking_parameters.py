@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Installation(Record):
 
 
 def _channels(description: str, names: tuple[str, ...], least: int) -> Any:
-    kind = ListOf(Text("", "a channel's name"), minimum=least, maximum=3)
+    kind = ListOf(CHANNEL, minimum=least, maximum=3)
     return key(kind, description, list(names), names)
 
 

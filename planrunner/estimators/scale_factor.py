@@ -29,7 +29,7 @@ from planrunner.estimators.rate_influences import all_rates, each_rate
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
-from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
 from planrunner.plan.units import Unit
@@ -44,7 +44,7 @@ class ScaleFactorParameters(Record):
     """Keys of the estimator scale_factor."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        ListOf(CHANNEL, minimum=1, single=True),
         "Channels to fit, each by a line of its own.",
         ["gyro_z"],
         default_factory=tuple,

@@ -44,7 +44,7 @@ from planrunner.estimators.tilted_scatter import (
     whole,
 )
 from planrunner.estimators.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
-from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
@@ -59,7 +59,7 @@ class ScaleFactorTiltedParameters(Record):
     """Keys of the estimator scale_factor_tilted."""
 
     outputs: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        ListOf(CHANNEL, minimum=1, single=True),
         "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
         ["gyro_x", "gyro_y", "gyro_z"],
         default_factory=tuple,
@@ -99,7 +99,7 @@ class ScaleFactorTiltedParameters(Record):
         parse_quantity("20 degC"),
     )
     temperature: str | None = key(
-        Text("", "a channel's name"),
+        CHANNEL,
         f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the planned temperatures.",
         THERMOMETER,
         None,

@@ -30,7 +30,7 @@ from planrunner.navigation import attitude
 from planrunner.navigation.mechanisation import Knots, Navigator
 from planrunner.navigation.wgs84 import normal_gravity
 from planrunner.physics.earth import Site
-from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity
 from planrunner.plan.selection import matches
 
@@ -48,13 +48,13 @@ class StrapdownNavigationParameters(Record):
     """Keys of the estimator strapdown_navigation."""
 
     gyros: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=3, maximum=3),
+        ListOf(CHANNEL, minimum=3, maximum=3),
         "Channels of the gyros about x, y, z: rates or increments of angle.",
         ["gyro_x", "gyro_y", "gyro_z"],
         ("gyro_x", "gyro_y", "gyro_z"),
     )
     accelerometers: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=3, maximum=3),
+        ListOf(CHANNEL, minimum=3, maximum=3),
         "Channels of the accelerometers along x, y, z: specific force or increments of velocity.",
         ["accel_x", "accel_y", "accel_z"],
         ("accel_x", "accel_y", "accel_z"),

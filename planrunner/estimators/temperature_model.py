@@ -25,7 +25,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.temperature_curve import FEWEST, FORMS, RULES, CurveFit, fit_curve, groups_of
 from planrunner.estimators.temperature_points import Points, from_channels, from_estimates
-from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, Text, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.uncertainty.decision import expanded_uncertainty
@@ -47,13 +47,13 @@ class TemperatureModelParameters(Record):
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
-        ListOf(Text("", "a channel's name"), minimum=1, single=True),
+        ListOf(CHANNEL, minimum=1, single=True),
         "Channels whose own course over temperature is wanted, without another estimate.",
         ["gyro_x"],
         default_factory=tuple,
     )
     temperature_channel: str | None = key(
-        Text("", "a channel's name"),
+        CHANNEL,
         "The sensor's own thermometer, for channels along a ramp; the planned temperature when left out.",
         "temperature",
         None,

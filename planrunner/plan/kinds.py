@@ -18,6 +18,7 @@ from typing import Any, Protocol, dataclass_transform
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.values import (
+    CHANNEL,
     Boolean,
     ByShape,
     Choice,
@@ -32,6 +33,7 @@ from planrunner.plan.values import (
 )
 
 __all__ = [
+    "CHANNEL",
     "Boolean",
     "ByShape",
     "Choice",

@@ -87,6 +87,9 @@ class Text:
         return schema
 
 
+CHANNEL = Text("", "a channel's name")  # of the sensor; what a plan names so is held against the bench's sensor
+
+
 _WORDS_FOR = {
     r"[A-Za-z][A-Za-z0-9_-]{0,39}": "begin with a letter; then letters, digits, _ and -, at most 40 in all",
     r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}": "letters, digits, '.', _ and -, no folders",
