@@ -32,9 +32,9 @@ class OutputsFit:
     weighted by: the noises', or with a part between segments added (`between_segments`). between: (m,), that part. ratios: (m,), residual
     variance over that expected from the noise within the segments. pooled: whether one variance factor holds for all outputs, as it
     does when their noise stays in the proportion that is seen within the segments. gains: (m, p, n), coefficients from observations.
-    cofactors: by basis, (m, p, m, p), covariance of
-    the coefficients if the observations had `sigma` (residual) or the noises (within_segment) as their uncertainties and were fully
-    correlated between outputs.
+    cofactors: by basis, (m, p, m, p), covariance of the coefficients if the observations had `sigma` (residual) or the noises
+    (within_segment) as their uncertainties and were fully correlated between outputs. stated: (m,), whether `sigma` holds uncertainties
+    that were stated beside the noise.
     """
 
     outputs: tuple[str, ...]
@@ -46,6 +46,7 @@ class OutputsFit:
     cofactors: Mapping[str, Array]
     correlation: Array
     gains: Array
+    stated: NDArray[np.bool_]
     pooled: bool = False
 
     @property
@@ -63,9 +64,15 @@ class OutputsFit:
 
     @property
     def variance_factors(self) -> Array:
-        """Residual variance over that expected from the weights, shape (m,): one for each output, or their mean for all if pooled."""
+        """Residual variance over that expected from the weights, shape (m,): one for each output, or their mean for all if pooled.
+
+        Not below one where the weights hold what was stated: the few errors of positions say by chance that they are small, and would
+        take with them the noise of segments that feel nothing of positions.
+        """
         factors = np.array([fit.variance_factor for fit in self.fits])
-        return np.full_like(factors, factors.mean()) if self.pooled else factors
+        if self.pooled:
+            return np.full_like(factors, factors.mean())
+        return np.where(self.stated, np.maximum(factors, 1.0), factors)
 
     def scatter(self, basis: str) -> Array:
         """Covariance (m, m) of the weighted observations between outputs. Its correlation is that of the samples on either basis: the
@@ -115,19 +122,19 @@ def fit_outputs(
     noises = tuple(within_segment_noise(observations, k) for k in range(len(observations.channels)))
     within = np.array([noise.sigma for noise in noises])
     sigma = within.copy() if beside is None else np.hypot(within, beside)
+    stated = np.array([beside is not None and bool(beside[k].any()) for k in range(len(noises))])
     fits, between, ratios = [], np.zeros(len(noises)), np.full(len(noises), np.nan)
     for k, noise in enumerate(noises):
         observed = observations.mean[:, k]
         found = least_squares.fit(matrix, observed, noise.sigma, magnitudes, names)
         ratios[k] = found.variance_factor
-        stated = beside is not None and bool(beside[k].any())
-        if stated:
+        if stated[k]:
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
         if equal:
             typical = float(np.sqrt(np.mean(noise.sigma**2)))
             sigma[k] = typical
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
-        elif basis == "residual" and (noise.unequal or stated) and exceeds_noise(found, noise):
+        elif basis == "residual" and (noise.unequal or stated[k]) and exceeds_noise(found, noise):
             between[k] = between_segments(matrix, observed, sigma[k], magnitudes, names)
             sigma[k] = np.hypot(sigma[k], between[k])
             found = least_squares.fit(matrix, observed, sigma[k], magnitudes, names)
@@ -138,10 +145,20 @@ def fit_outputs(
     for name, spread in (("residual", sigma), ("within_segment", within)):
         roots = gains * spread[:, None, :]
         cofactors[name] = np.einsum("ain,bjn->aibj", roots, roots)
-    pooled = pooled and all(noise.known for noise in noises) and not between.any()
+    pooled = pooled and all(noise.known for noise in noises) and not (between.any() or stated.any())
     correlation = observations.correlation
     return OutputsFit(
-        observations.channels, tuple(fits), noises, sigma, between, ratios, cofactors, correlation, gains, pooled
+        observations.channels,
+        tuple(fits),
+        noises,
+        sigma,
+        between,
+        ratios,
+        cofactors,
+        correlation,
+        gains,
+        stated,
+        pooled,
     )
 
 
