@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 ENOUGH = 3  # different rates that asymmetry needs beside both signs
+TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding takes over
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +52,17 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """By normal equations of columns divided by the largest rate, whose condition is that of the rates' spread."""
-    first = x[0, :, 0]
-    if not (np.any(first > 0) and np.any(first < 0) and np.unique(first).size >= ENOUGH):
-        return np.full((x.shape[0], x.shape[2]), np.nan)
+    """By normal equations of columns divided by the largest rate; NaN for axes that did not feel the rates on both sides of zero, as where
+    the Earth's rotation is larger than they are, or felt too few to tell the half-lines apart."""
+    told = np.full((x.shape[0], x.shape[2]), np.nan)
+    if np.unique(x[0, :, 0]).size < ENOUGH:
+        return told
     scaled = np.moveaxis(x / np.abs(x).max(), 1, 2)
     columns = np.stack([np.ones_like(scaled), np.maximum(scaled, 0), np.minimum(scaled, 0)], axis=-1)
     normal = np.einsum("qmni,qmnj->qmij", columns, columns)
     right = np.einsum("qmni,qnm->qmi", columns, f)
-    solved = np.linalg.solve(normal, right[..., None])[..., 0]
+    sound = np.linalg.cond(normal) < 1 / TOLERANCE
+    solved = np.linalg.solve(normal[sound], right[sound][..., None])[..., 0]
     plus, minus = solved[..., 1], solved[..., 2]
-    return np.asarray(2 * (plus - minus) / (plus + minus))
+    told[sound] = 2 * (plus - minus) / (plus + minus)
+    return told

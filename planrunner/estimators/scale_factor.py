@@ -232,7 +232,8 @@ def _metrics(
         residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
         answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
         found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words), answers))
-    if np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
+    responds = np.ptp(observations.mean[:, k]) > 0
+    if responds and np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
         halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
         half = least_squares.fit(
             halves, observations.mean[:, k], sigma, names=("offset", "rate forward", "rate backward")

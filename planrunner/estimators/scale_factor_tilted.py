@@ -185,6 +185,7 @@ def _situation(
     seconds = tuple(recorded_seconds(one) for one in kept)
     conditions, segments = _conditions(request, kept, axes, seconds)
     groups = _groups(request, kept, series, observations)
+    _require_response(groups, axes)
     reference = _reference(groups, request.parameters)
     found = evaluate(groups, conditions, reference)
     worst = worst_of(groups, found, reference)
@@ -277,6 +278,19 @@ def _groups(
         kelvin = _measured(request, [kept[row] for row in rows], planned)
         made.append(make_group(repeats, temperature_label(planned), kelvin, commanded, observations.mean))
     return tuple(made)
+
+
+def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
+    """Raises `EstimationError` for an output that is the same at all rates, as of a sensor without power."""
+    for group in groups:
+        silent = np.flatnonzero(np.any(np.ptp(group.outputs, axis=1) == 0, axis=0))
+        if silent.size:
+            name = axes.outputs[silent[0]]
+            where = f" at {group.label}" if group.label else ""
+            raise EstimationError(
+                f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the sensor had power and "
+                "measured (`mode`), and its wiring"
+            )
 
 
 def _measured(request: EstimateRequest, recorded: Sequence[RecordedSegment], planned: float | None) -> float:

@@ -122,6 +122,14 @@ def _series_remarks(request: DesignRequest, series: Sequence[RateSeries]) -> Ite
 
 def _earth_remarks(request: DesignRequest, axes: MountedAxes) -> Iterator[Remark]:
     how, planned = request.parameters.earth_rate, request.segments
+    slow = [segment for segment in planned if 0 < abs(segment.rate) < request.site.earth_rate]
+    if slow:
+        yield Remark(
+            "physics-slow-rate",
+            f"'{slow[0].label}' turns at {math.degrees(abs(slow[0].rate)) * 3600:.3g} deg/h, more slowly than the Earth: its rotation, not "
+            "the table's, decides what the axes feel",
+            "turn faster than 15 deg/h",
+        )
     parts = part_turns(planned, [segment.dwell for segment in planned], [0.0] * len(planned))
     if how == "corrected":
         axes.require_azimuths("`earth_rate: corrected` needs; or write `earth_rate: averaged`")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -115,6 +116,14 @@ def test_part_between_segments_makes_chi_square_one() -> None:
     assert found["K_gyro"].value == pytest.approx(equal["K_gyro"].value, abs=0.1 * equal["K_gyro"].standard_uncertainty)
     assert found["K_gyro"].standard_uncertainty == pytest.approx(equal["K_gyro"].standard_uncertainty, rel=0.05)
     assert any("added between segments" in note for note in found.notes)
+
+
+def test_an_output_that_never_changes_has_no_asymmetry() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = line(np.array([-2.0, -1.0, 1.0, 2.0]), np.zeros(4), weights="equal")
+    assert found["K_gyro"].value == 0.0
+    assert "asymmetry_gyro" not in [item.name for item in found.coefficients]
 
 
 def test_refusals() -> None:

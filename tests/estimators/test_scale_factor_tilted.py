@@ -328,6 +328,13 @@ def test_bad_recordings() -> None:
         estimate([*recorded[:4], other, *recorded[5:]], TRIAD)
 
 
+def test_a_sensor_without_power_is_no_scale_factor_of_zero() -> None:
+    recorded = series(TRIAD, GYROS)
+    dead = dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), 0.25)
+    with pytest.raises(EstimationError, match="'gyro_x' has no response to the rate at 20degC"):
+        estimate([from_means(one.segment, dead, "deg/s") for one in recorded], TRIAD)
+
+
 def test_a_broken_repeat_is_left_out_with_a_warning() -> None:
     recorded = [*series(TRIAD, GYROS), *series(TRIAD, GYROS, repeat=2)[:-3]]
     found = estimate(recorded, TRIAD)

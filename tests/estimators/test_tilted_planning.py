@@ -102,6 +102,14 @@ def test_check_says_what_is_wrong_with_a_plan(tmp_path: Path) -> None:
     assert any("mounting.w has no output" in message for _, _, message in found)
 
 
+def test_rates_far_below_that_of_the_earth_are_told_and_end_in_no_error(tmp_path: Path) -> None:
+    low = [("rate: ±300, ±150, ±60, ±20, ±10, ±1 deg/s", "rate: ±1e-9, ±2e-9 deg/s")]
+    low.append(("dwell: {turns: 1, at_least: 30 s}", "dwell: 30 s"))
+    found = changed(tmp_path, *low)
+    assert "physics-slow-rate" in {code for code, _, _ in found}
+    assert any("more slowly than the Earth" in message for _, _, message in found)
+
+
 def test_whole_turns_are_judged_by_the_mounted_axes(tmp_path: Path) -> None:
     """Along the rotation axis nothing of the level Earth rate is seen; a frame whose axes lie along or across it says nothing of a
     tilted fixture."""
