@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -32,7 +33,7 @@ from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
-from planrunner.plan.units import Unit
+from planrunner.plan.units import Unit, unit
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]
@@ -99,7 +100,9 @@ class ScaleFactor:
                 stated = _influences(request, gains[1:, None], np.array([nominal]), rates)
                 variance = cofactor[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
                 predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
-        return Design(blocks, tuple(predicted))
+        named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
+        saturated = beyond_full_scale(request, named, shares_by_name(request, named))
+        return Design(blocks, tuple(predicted), remarks=tuple(saturated))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Lines through the recorded means. Raises `EstimationError`."""
@@ -124,6 +127,11 @@ class ScaleFactor:
         )
         require_basis(fit, parameters.uncertainty, request.name)
         return _assemble(request, observations, rates, fit)
+
+
+def _is_rate(request: DesignRequest, name: str) -> bool:
+    output = request.sensor.output(name)
+    return output is not None and unit(output.unit).dimension == unit("rad/s").dimension
 
 
 def _rates(segments: Sequence[Segment]) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.fixture_calibration import planned_axes
+from planrunner.estimators.full_scale import beyond_full_scale
 from planrunner.estimators.interface import Coefficient, Design, DesignBlock, DesignRequest, EstimationError, Remark
 from planrunner.estimators.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.mounting_comparison import scheduled_seconds, time_note
@@ -73,6 +74,7 @@ def _blocks(request: DesignRequest, axes: MountedAxes) -> tuple[DesignBlock, ...
 def _remarks(request: DesignRequest, axes: MountedAxes, series: Sequence[RateSeries]) -> Iterator[Remark]:
     yield from _series_remarks(request, series)
     yield from _earth_remarks(request, axes)
+    yield from beyond_full_scale(request, axes.outputs, rotation_axis(request.segments) @ axes.directions.T)
     for name, angle in zip(axes.names, axes.angles, strict=True):
         if abs(math.cos(angle)) < FEEBLE:
             yield Remark(

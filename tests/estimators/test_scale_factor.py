@@ -137,6 +137,26 @@ def test_refusals() -> None:
         ScaleFactor().estimate(request)
 
 
+@pytest.mark.parametrize(
+    ("output", "unit", "K", "rate", "words"),
+    [
+        ("gyro_z", "deg/s", None, 399.9, ""),
+        ("gyro_z", "deg/s", None, -401.0, "would show 401 deg/s in 'R1', beyond its full scale of 400 deg/s"),
+        ("gyro_x", "deg/s", None, -401.0, ""),  # across the rotation axis
+        ("accel_z", "m/s^2", None, 401.0, ""),
+        ("gyro_z", "pulse/s", 2.0 / DEG, 250.0, "would show 500 pulse/s"),  # 2 pulses a degree, 400 pulses/s at most
+        ("gyro_z", "pulse/s", 2.0 / DEG, 150.0, ""),
+    ],
+)
+def test_rates_beyond_the_full_scale_are_refused(output: str, unit: str, K: float, rate: float, words: str) -> None:
+    model = SensorModel("gyro", (OutputModel(output, unit, 400.0),), 100.0, {} if K is None else {f"K_{output}": K})
+    planned = tuple(segment(f"R{n}", np.eye(3), Spin(one * DEG)) for n, one in enumerate((10.0, rate)))
+    parameters = ScaleFactorParameters(outputs=(output,))
+    found = ScaleFactor().design(DesignRequest("s", planned, parameters, SITE, model)).remarks
+    assert [(one.code, one.error) for one in found] == ([("physics-full-scale", True)] if words else [])
+    assert all(words in one.message for one in found)
+
+
 def test_design_is_sound_only_with_two_rates() -> None:
     from planrunner.design.identifiability import identify
 

@@ -110,6 +110,17 @@ def test_rates_far_below_that_of_the_earth_are_told_and_end_in_no_error(tmp_path
     assert any("more slowly than the Earth" in message for _, _, message in found)
 
 
+def test_the_full_scale_is_that_of_the_rate_along_the_tilted_axis(tmp_path: Path) -> None:
+    """150 deg/s along an axis at 54.7356 deg are 259.8 deg/s of the table."""
+    bench = (ROOT / "plans" / "benches" / "virtual_gyro_triad.yaml").read_text(encoding="utf-8")
+    (tmp_path / "bench.yaml").write_text(bench.replace("full_scale: 400 deg/s", "full_scale: 150 deg/s"))
+    own = ("bench: virtual_gyro_triad", "bench: bench.yaml")
+    assert not changed(tmp_path, own, ("±300, ±150", "±259, ±150"))
+    found = changed(tmp_path, own)
+    assert [code for code, _, _ in found] == ["physics-full-scale"] * 3
+    assert "'gyro_x' would show" in found[0][2]
+
+
 def test_whole_turns_are_judged_by_the_mounted_axes(tmp_path: Path) -> None:
     """Along the rotation axis nothing of the level Earth rate is seen; a frame whose axes lie along or across it says nothing of a
     tilted fixture."""
