@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
 from planrunner.estimators.rocking_parameters import RockingDriftParameters
 from planrunner.estimators.rocking_runs import Quadruple, Run, by_state, quadruples
-from planrunner.estimators.rocking_windows import passed
+from planrunner.estimators.rocking_windows import SAMPLES, passed
 from planrunner.plan.schedule import Rock
 from planrunner.plan.units import STANDARD_GRAVITY, unit
 
@@ -32,7 +33,8 @@ def span(runs: Sequence[Run]) -> float | None:
 
 def remarks(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
     parameters: RockingDriftParameters = request.parameters
-    found = [*_windows(parameters), *_caging(runs), *_rocking(runs, parameters)]
+    found = [*_windows(parameters), *_encoders(request), *_sampling(request, runs), *_caging(runs)]
+    found += _rocking(runs, parameters)
     try:
         groups = by_state(quadruples(runs))
     except EstimationError as error:
@@ -57,6 +59,39 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
         message = f"a window of {window:g} s is shorter than the 2 s that the method asks for"
         found.append(Remark("physics-rocking-window", message, "average over 2 s or more", "window"))
     return found
+
+
+def _encoders(request: DesignRequest) -> list[Remark]:
+    """Gimbals that cannot be as named, and encoders that are asked for and not there. A bench without a table may play back a recording
+    with more channels than it names."""
+    parameters: RockingDriftParameters = request.parameters
+    found = []
+    if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
+        message = f"two adjacent gimbals turn about one axis ({', '.join(parameters.gimbal_axes)}): the element could not be stabilised so"
+        hint = "name the three axes, outermost first, such as [x, y, z]"
+        found.append(Remark("physics-rocking-encoders", message, hint, "gimbal_axes", error=True))
+    table = request.setup.table
+    if table is None or parameters.azimuth != "encoders":
+        return found
+    hint = "correct the names, or write `azimuth: nominal`"
+    missing = [name for name in (*parameters.rings, *parameters.gimbals) if request.sensor.output(name) is None]
+    if missing:
+        key = "rings" if missing[0] in parameters.rings else "gimbals"
+        message = f"the azimuth is to come from encoders, but the sensor has no output '{missing[0]}'"
+        found.append(Remark("physics-rocking-encoders", message, hint, key, error=True))
+    if len(table.axes) != len(parameters.rings):
+        message = f"`rings` names {len(parameters.rings)}, the table has {len(table.axes)}"
+        found.append(Remark("physics-rocking-encoders", message, hint, "rings", error=True))
+    return found
+
+
+def _sampling(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
+    cutoff = request.parameters.cutoff.value
+    rate = min(run.segment.sample_rate or request.sensor.sample_rate for run in runs)
+    if cutoff <= rate / SAMPLES:
+        return []
+    message = f"a cutoff of {cutoff:g} Hz needs {SAMPLES * cutoff:g} samples a second, and {rate:g} are planned"
+    return [Remark("physics-rocking-filter", message, "lower `cutoff`, or sample faster", "cutoff", error=True)]
 
 
 def _caging(runs: Sequence[Run]) -> list[Remark]:
@@ -126,6 +161,14 @@ def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters
         return [
             Remark("physics-rocking-dwell", message, "dwell 10 min, or 15 min for a smaller method error", error=True)
         ]
+    cutoff, between = parameters.cutoff.value, second - _first_end(parameters)
+    if 1 / cutoff > between:
+        message = (
+            f"a filter with a cutoff of {cutoff:g} Hz averages over {1 / cutoff:.3g} s, and {between:g} s lie between the windows: it "
+            "would mix them"
+        )
+        hint = f"raise `cutoff` to {1 / between:.2g} Hz or more" if between > 0 else "dwell longer"
+        return [Remark("physics-rocking-filter", message, hint, "cutoff", error=True)]
     late = [run for run in runs if run.rocking_ends > second]
     if late:
         ends = late[0].rocking_ends

@@ -140,6 +140,11 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
         raise EstimationError(
             f"the runs last {end:g} s: too short for a window at {windows.first:g} s and one at the end"
         )
+    if 1 / windows.cutoff > windows.second - windows.first:
+        raise EstimationError(
+            f"a filter with a cutoff of {windows.cutoff:g} Hz averages over {1 / windows.cutoff:.3g} s, longer than the windows are apart: "
+            "raise `cutoff`"
+        )
     return windows
 
 

@@ -21,6 +21,7 @@ from planrunner.plan.units import UnknownUnitError, unit
 Array = NDArray[np.float64]
 ORDER = 4
 REACH = 3.0  # filter lengths 1/cutoff on either side of a window: what lies beyond counts for less than 1e-5
+SAMPLES = 4  # a period of the cutoff, at least
 LONGEST_GAP = 0.5  # s, filled on a straight line
 
 
@@ -55,9 +56,9 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
     scales = [_scale(recorded, name) for name in channels]
     statistics = recorded.statistics
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
-    if windows.cutoff > rate / 4:
+    if windows.cutoff > rate / SAMPLES:
         raise EstimationError(
-            f"a cutoff of {windows.cutoff:g} Hz needs {4 * windows.cutoff:g} samples a second; '{recorded.label}' has {rate:.3g}"
+            f"a cutoff of {windows.cutoff:g} Hz needs {SAMPLES * windows.cutoff:g} samples a second; '{recorded.label}' has {rate:.3g}"
         )
     times: tuple[list[Array], list[Array]] = ([], [])
     values: tuple[list[Array], list[Array]] = ([], [])

@@ -73,6 +73,9 @@ def also(key: str) -> list[tuple[str, str]]:
         ("caging", WARNING, [('segments: "*"', "segments: [static-*, dynamic-*]")], "cannot be told"),
         ("axes", WARNING, [HORIZONTAL, LIMIT_Y], "y is vertical in every state"),
         ("filter", WARNING, also("cutoff: 0.2 Hz"), "lets 50 % of the rocking at 0.2 Hz through"),
+        ("filter", ERROR, also("cutoff: 1e-12 Hz"), "averages over 1e+12 s, and 536 s lie between the windows"),
+        ("encoders", ERROR, also("gimbal_axes: [x, x, x]"), "turn about one axis (x, x, x)"),
+        ("encoders", ERROR, also("rings: [table_outer, table_middle]"), "`rings` names 2, the table has 3"),
         ("resolution", WARNING, also("smallest_drift: 0.0004 deg/h"), "takes 615 s at 0.0004 deg/h, and 538 s lie"),
     ],
 )  # fmt: skip
@@ -92,6 +95,13 @@ def test_the_coarse_range_is_told(tmp_path):
     assert "20 g range: one count (19.1 µg, 3.94 arcsec) takes 1.31e+03 s" in rocking(found)[0][2]
     hints = [finding.hint for finding in found.findings]
     assert hints == ["use the accelerometers' 1.25 g range"]
+
+
+def test_a_cutoff_that_the_sampling_is_too_slow_for_is_refused(tmp_path):
+    found = rocking(checked(tmp_path, *also("cutoff: 26 Hz")))
+    assert [words for _, severity, words in found if severity == ERROR] == [
+        "'rocking': a cutoff of 26 Hz needs 104 samples a second, and 100 are planned"
+    ]
 
 
 def test_findings_stand_at_their_keys(tmp_path):
