@@ -76,6 +76,9 @@ class ModulationResidual:
             message = "the comparison needs a navigation with rotation and one without, and the segments of both"
             hint = "name both in `uses` and their segments in `segments`"
             return Design((), remarks=(Remark("physics-modulation", message, hint, "uses", error=True),))
+        lacks = _lacks(request)
+        if lacks is not None:
+            return Design((), remarks=(lacks,))
         followed = {segment.index - 1: segment.motion for segment in moving}
         told = [
             segment for segment in moving if followed.get(segment.index) != segment.motion
@@ -114,6 +117,30 @@ class ModulationResidual:
             notes,
             segments=tuple(recorded.label for recorded in request.segments),
         )
+
+
+def _lacks(request: DesignRequest) -> Remark | None:
+    """What is missing among the navigations used, where their designs tell what they navigate."""
+    told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
+    if len(told) < len(request.uses):
+        return None
+    labels = {segment.label for segment in request.segments}
+    for name, extra in told.items():
+        if extra["navigated"] not in labels:
+            message = f"`segments` lacks '{extra['navigated']}', which '{name}' navigates"
+            return Remark("physics-modulation", message, "name the segments of every navigation used", error=True)
+    still = [name for name, extra in told.items() if not extra["turned"]]
+    if len(still) == 1:
+        return None
+    found = f"{' and '.join(still)} are" if still else "none is"
+    message = f"of the navigations used {found} without rotation, and the comparison needs exactly one"
+    return Remark(
+        "physics-modulation",
+        message,
+        "name one navigation at rest in `uses`, and those with rotation",
+        "uses",
+        error=True,
+    )
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:

@@ -59,7 +59,9 @@ def design(request: DesignRequest) -> Design:
     if any(remark.error for remark in remarks):
         return Design((), remarks=remarks)
     predicted, notes = _expected(request, stop, moving)
-    return Design((), predicted, notes, remarks=remarks)
+    last = moving[-1]
+    told = {"navigated": last.label, "turned": isinstance(last.motion, Spin | Cycle)}
+    return Design((), predicted, notes, told, remarks)
 
 
 def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:

@@ -48,6 +48,8 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
         at = spec.at(f"uses[{index}]")
         if other not in names:
             log.error("meaning-unknown-estimate", at, f"'{other}' is no estimate of this plan", closest(other, names))
+        elif other in spec.uses[:index]:
+            log.error("meaning-estimate-twice", at, f"'{name}' uses '{other}' twice", "name each estimate once")
         elif other == name:
             log.error("meaning-estimate-order", at, f"'{name}' uses itself", "name an estimate that stands above it")
         elif name in names and names.index(other) > names.index(name):

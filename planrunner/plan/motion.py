@@ -118,6 +118,10 @@ def _check_move(
         log.error("meaning-cycle-position", mark, message, closest(name, positions))
     if unknown:
         return
+    if not turn:
+        message = f"move {number} ({text}) turns by nothing"
+        log.error("meaning-cycle", mark, message, "leave it out; for a longer rest raise `stop`")
+        return
     there = positions[move.start] + turn
     if abs(math.remainder(there - positions[move.end], TURN)) > _ANGLE_TOLERANCE:
         angle = math.degrees(positions[move.end])
@@ -133,9 +137,6 @@ def _check_cycle(moves: list[Move], net: float, motion: model.Motion, log: Findi
     elif abs(net) > _ANGLE_TOLERANCE:
         message = f"every cycle winds the cables up by {math.degrees(net):+g} deg"
         log.error("physics-cable-wrap", motion.at("moves"), message, "let as many degrees go back as forth")
-    elif motion.stop is not None and not motion.stop.value and not any(move.turn for move in moves):
-        message = "the cycle takes no time: it neither stops nor turns"
-        log.error("meaning-cycle", motion.at("stop"), message, "give a stop, or moves that turn")
 
 
 def _degrees(angle: float) -> str:

@@ -120,11 +120,11 @@ def test_periodic_reversal_is_a_cycle_without_stops(tmp_path: Path) -> None:
     assert "physics-cycle-angle" in [f.code for f in check(tmp_path, EIGHT, stop="0 s", plan=one_sided).findings]
 
 
-def test_a_cycle_that_takes_no_time(tmp_path: Path) -> None:
+def test_a_cycle_that_neither_stops_nor_turns_is_refused_at_its_move(tmp_path: Path) -> None:
     plan = PLAN.replace("[MOVES]", "[A 0 A]")
     finding = only(check(tmp_path, EIGHT, dwell="1 h", stop="0 s", plan=plan))
     assert (finding.code, finding.severity) == ("meaning-cycle", "error")
-    assert "neither stops nor turns" in finding.message
+    assert "turns by nothing" in finding.message
 
 
 def test_a_cycle_that_drives_the_schuler_oscillation(tmp_path: Path) -> None:

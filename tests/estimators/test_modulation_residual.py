@@ -299,6 +299,28 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
     assert not any("make 0 m rms" in note for note in ModulationResidual().design(level).notes)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("uses: [at_rest, printed, sixteen]", "uses: [printed, sixteen]", "none is without rotation"),
+        ("segments: [align-*, at-rest, printed, sixteen]", "segments: [align-*, printed, sixteen]", "lacks 'at-rest'"),
+        (
+            "uses: [at_rest, printed, sixteen]",
+            "uses: [at_rest, printed, again]",
+            "at_rest and again are without rotation",
+        ),
+    ],
+)
+def test_check_says_which_navigation_is_missing(tmp_path: Path, old: str, new: str, words: str) -> None:
+    plan = (Path(__file__).resolve().parents[2] / "plans" / "rotation_stop_navigation.yaml").read_text(encoding="utf-8")
+    again = "  again: {estimator: strapdown_navigation, segments: [warm-up, align-at-rest, at-rest]}\n  rotation:\n"
+    path = tmp_path / "plan.yaml"
+    path.write_text(plan.replace("  rotation:\n", again).replace(old, new), encoding="utf-8")
+    (finding,) = check_plan(path).findings.errors
+    assert finding.code == "physics-modulation"
+    assert words in finding.message
+
+
 def test_a_plan_for_years_is_checked_at_once(tmp_path: Path) -> None:
     plan = (Path(__file__).resolve().parents[2] / "plans" / "rotation_stop_navigation.yaml").read_text(encoding="utf-8")
     path = tmp_path / "years.yaml"

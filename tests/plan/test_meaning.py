@@ -59,6 +59,7 @@ def test_the_plan_itself_is_sound() -> None:
         ("segments: P*", "segments: Q*", "meaning-undefined-label", "Q*", ""),
         ("segments: [V1]", "segments: [V1, V1, Vx]", "meaning-undefined-label", "Vx", "V1"),
         ("uses: [drift]", "uses: [drift, drfit]", "meaning-unknown-estimate", "drfit", "'drift'"),
+        ("uses: [drift]", "uses: [drift, drift]", "meaning-estimate-twice", "drift]", "once"),
         ("uses: [drift]", "uses: rest", "meaning-estimate-order", "rest", ""),
         ("segments: P*}", "segments: P*, uses: rest}", "meaning-estimate-order", "rest}", "above"),
         (
