@@ -31,7 +31,7 @@ def errors_of(folder: Path, plan: str, old: str, new: str) -> tuple[str, list[Fi
     [
         (IMU, "[gyro_x, gyro_y, gyro_z]", "[gyro_x, gyro_y, giro_z]", "giro_z", "gyro_z"),
         (IMU, "[accel_x, accel_y, accel_z]", "[acel_x, accel_y, accel_z]", "acel_x", "accel_x"),
-        (NAVIGATION, "at-rest]}", "at-rest], gyros: [gyro_x, gyro_q, gyro_z]}", "gyro_q", "gyro_"),
+        (NAVIGATION, "at-rest],", "at-rest], gyros: [gyro_x, gyro_q, gyro_z],", "gyro_q", "gyro_"),
         (ROCKING, "estimator: rocking_drift", "estimator: rocking_drift\n    rings: [tabel_outer]", "tabel_", "table_"),
         (
             ROCKING,
