@@ -31,13 +31,13 @@ def main() -> int:
     parser.add_argument("names", nargs="*", choices=[*NAMES, []], help="which (default: all)")
     parser.add_argument("--write", action="store_true", help="keep the figures in benchmarks/README.md")
     args = parser.parse_args()
-    sections = []
+    sections = {}
     for name in args.names or NAMES:
         print(f"running {name} …", file=sys.stderr)
         began = time.perf_counter()
         rows = import_module(f"benchmarks.{name}").run()
-        sections.append(table(name, rows, time.perf_counter() - began))
-        print(sections[-1])
+        sections[name] = table(name, rows, time.perf_counter() - began)
+        print(sections[name])
     if args.write:
         keep(sections)
     return 0
@@ -53,12 +53,16 @@ def table(name: str, rows: dict[str, object], seconds: float) -> str:
     return "\n".join(lines)
 
 
-def keep(sections: list[str]) -> None:
+def keep(sections: dict[str, str]) -> None:
+    """Writes the sections in the order of NAMES; those that were not run now stay as they were."""
     path = Path(__file__).with_name("README.md")
     before, _, rest = path.read_text(encoding="utf-8").partition(START)
-    _, _, after = rest.partition(END)
+    kept, _, after = rest.partition(END)
+    earlier = {part.split("\n", 1)[0]: f"### {part}" for part in kept.split("### ")[1:]}
     machine = f"Python {platform.python_version()}, {os.cpu_count()} cores, {platform.machine()} {platform.system()}."
-    path.write_text(f"{before}{START}\n{machine}\n\n" + "\n".join(sections) + END + after, encoding="utf-8")
+    figures = [(earlier | sections).get(name, "") for name in NAMES]
+    text = "\n".join(figure.rstrip() + "\n" for figure in figures if figure)
+    path.write_text(f"{before}{START}\n{machine}\n\n{text}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":
