@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from datetime import UTC, date, datetime
+from pathlib import Path
 from typing import Any
 
 from planrunner.archive.recording import RecordedSegment
@@ -18,6 +20,7 @@ from planrunner.plan.findings import Finding, Findings, Mark, closest
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting.certificate import CertificateFacts, Traced, named_in
 
+ISSUED = "issued.json"  # beside a certificate: under which number it was issued, and what it amends
 ROOM = ("temperature", "pressure", "humidity")
 
 
@@ -175,22 +178,46 @@ def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Fin
 def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
     """7.8.8: a certificate that was issued is replaced by one of its own number that says which it replaces, and why."""
     told = shown.told
-    issued = [
-        folder.name for folder in reader.analyses() if any(is_certificate(path.name) for path in folder.iterdir())
-    ]
-    if issued and not told.get("amends"):
-        message = f"a certificate of this run was issued already, in analysis {', '.join(issued)}"
+    earlier = [folder for folder in reader.analyses() if any(is_certificate(path.name) for path in folder.iterdir())]
+    numbers = [_number_of(folder) for folder in earlier]
+    amends, own = told.get("amends"), told.get("certificate_number")
+    if earlier and not amends:
+        message = f"a certificate of this run was issued already, in analysis {', '.join(one.name for one in earlier)}"
         hint = "for another one give amends (its number), amendment_reason and a new certificate_number"
         log.error("report-certificate-amendment", mark, message, hint)
-    elif told.get("amends") and not told.get("amendment_reason"):
+    elif amends and not told.get("amendment_reason"):
         log.error("report-certificate-amendment", mark, "an amendment gives its reason", "give amendment_reason")
-    elif told.get("amends") and told["amends"] == told.get("certificate_number"):
-        message = f"the amendment has the number of what it amends, '{told['amends'][:40]}'"
+    elif amends and own in (amends, *numbers):
+        message = f"'{str(own)[:40]}' is the number of a certificate that was issued before"
         log.error("report-certificate-amendment", mark, message, "give a new certificate_number")
+    elif amends and amends not in numbers and None not in numbers:
+        message = f"no certificate '{amends[:40]}' of this run was issued"
+        hint = (
+            f"issued so far: {', '.join(map(str, numbers))}" if numbers else "leave amends out: this is the first one"
+        )
+        log.error("report-certificate-amendment", mark, message, hint)
 
 
-def another_item(shown: CertificateFacts, reader: RunReader) -> list[Finding]:
-    """Whether the run before an adjustment was made on another item than the one that is certified."""
+def issued_as(shown: CertificateFacts) -> dict[str, Any]:
+    """What is kept beside a certificate, so that a later one can be held against it."""
+    kept = {name: shown.told.get(name, "") for name in ("certificate_number", "amends", "amendment_reason")}
+    return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}
+
+
+def _number_of(analysis: Path) -> str | None:
+    """The number of the certificate that was issued with an analysis; None where that was not kept."""
+    try:
+        return str(json.loads((analysis / ISSUED).read_text(encoding="utf-8"))["certificate_number"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
+    """Whether the run before an adjustment is the certified one itself, or was made on another item."""
+    if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
+        message = "it is the run that is certified, which cannot be the one before its adjustment"
+        hint = "give the run of the same item before its adjustment"
+        return [Finding(Mark(str(reader.path)), "report-certificate-before", "error", message, hint)]
     earlier = recorded_information(reader)
     for name in ("device_serial", "item_identification"):
         now = shown.told.get(name)

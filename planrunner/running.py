@@ -19,7 +19,7 @@ from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
 from planrunner.bench.opening import OpenBench, open_bench
 from planrunner.certificates import is_certificate
-from planrunner.certifying import another_item, facts, obstacles, recorded_information
+from planrunner.certifying import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.checking import Sound, check_plan
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute
@@ -133,7 +133,7 @@ def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
     """
     issue = issue or Issue()
     made = _analyse(run, issue)
-    reports = issue.reports or made.sound.plan.report
+    reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
     withheld: tuple[Finding, ...] = ()
     if any(is_certificate(name) for name in reports):
         withheld = tuple(_obstacles(made, issue))
@@ -143,6 +143,8 @@ def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
     files = {"results.json": to_bytes(made.results.to_json())}
     for report in reports:
         files[report] = render_report(made.context, report).encode()
+    if any(is_certificate(name) for name in reports):
+        files[ISSUED] = to_bytes(issued_as(made.shown))
     folder = add_analysis(run, files)
     return Analysis(folder, made.results, tuple(folder / name for name in reports), withheld)
 
@@ -182,4 +184,6 @@ def _analyse(run: Path, issue: Issue) -> _Made:
 
 def _obstacles(made: _Made, issue: Issue) -> list[Finding]:
     found = obstacles(made.reader, made.sound, made.results, made.shown)
-    return found if issue.before is None else [*found, *another_item(made.shown, RunReader.open(issue.before))]
+    return (
+        found if issue.before is None else [*found, *not_before(made.shown, made.reader, RunReader.open(issue.before))]
+    )

@@ -120,11 +120,21 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "plan.yaml").write_text(text.replace("bench: virtual", "bench: own.yaml"), encoding="utf-8")
     room = "ambient: {temperature: 23 degC}\nlaboratory:\n  authorised: [head of laboratory]\n"
     own_bench(folder, ("laboratory:\n", room))
+    return started(folder)
+
+
+def started(folder: Path) -> Path:
     sound = check_plan(folder / "plan.yaml").sound()
     info = {"device_serial": "FG-7", "operator": "test"}
     path, outcome = start(sound, info=info, runs=folder / "runs", stop=StopRequest(), durability="flushed")
     assert outcome.ok
     return path
+
+
+@pytest.fixture(scope="module")
+def earlier(recorded: Path) -> Path:
+    """Another run of the same plan on the same item."""
+    return started(recorded.parents[1])
 
 
 @pytest.fixture
@@ -191,6 +201,25 @@ def test_a_second_certificate_is_an_amendment(run: Path) -> None:
     page = page_of(analyse_run(run, Issue(PAGE, amended)))
     assert "Amendment to calibration certificate 2026-0117, which this certificate replaces" in page
     assert "customer&#39;s name" in page
+    third = {**amended, "certificate_number": "2026-0119", "amends": "2026-0011"}
+    assert refused(run, third) == ["amendment"], "a number that was never issued"
+    assert refused(run, {**amended, "amends": "2026-0118", "certificate_number": "2026-0117"}) == ["amendment"]
+    assert analyse_run(run, Issue(PAGE, {**third, "amends": "2026-0118"})).reports
+
+
+def test_what_was_never_issued_cannot_be_amended(run: Path) -> None:
+    amended = {**GIVEN, "certificate_number": "2026-0118", "amends": "2026-0117", "amendment_reason": "x"}
+    with pytest.raises(InputError, match="no certificate '2026-0117' of this run was issued"):
+        analyse_run(run, Issue(PAGE, amended))
+
+
+def test_a_report_named_twice_is_written_once(run: Path) -> None:
+    assert [path.name for path in analyse_run(run, Issue(("summary.md", "summary.md"))).reports] == ["summary.md"]
+
+
+def test_a_run_does_not_come_before_its_own_adjustment(run: Path, recorded: Path) -> None:
+    for itself in (run, recorded):  # a copy is the same run
+        assert refused(run, GIVEN, itself) == ["before"]
 
 
 def test_what_the_run_recorded_can_be_corrected_visibly(run: Path) -> None:
@@ -199,10 +228,10 @@ def test_what_the_run_recorded_can_be_corrected_visibly(run: Path) -> None:
     assert "Corrected after the run: device_serial, which was recorded as “FG-7”." in page
 
 
-def test_results_of_the_run_before_the_adjustment(run: Path, recorded: Path, tmp_path: Path) -> None:
-    page = page_of(analyse_run(run, Issue(PAGE, {**GIVEN, "adjustment": "gain trimmed"}, recorded)))
+def test_results_of_the_run_before_the_adjustment(run: Path, earlier: Path, tmp_path: Path) -> None:
+    page = page_of(analyse_run(run, Issue(PAGE, {**GIVEN, "adjustment": "gain trimmed"}, earlier)))
     assert "Before adjustment" in page and "gain trimmed" in page
-    assert refused(run, {**GIVEN, "device_serial": "FG-8"}, recorded) == ["amendment", "before"]
+    assert refused(run, {**GIVEN, "device_serial": "FG-8"}, earlier) == ["amendment", "before"]
 
 
 def test_a_run_that_is_not_finished_has_no_certificate(run: Path) -> None:
