@@ -109,9 +109,12 @@ def _list(names: list[str]) -> str:
     return f"{shown} {'is' if len(names) == 1 else 'are'}"
 
 
-def check_certificate(plan: Plan, bench: Bench, schedule: Schedule | None, log: Findings) -> None:
-    """Adds an error, at the first certificate that the plan's `report` asks for, for whatever it would not be able to show."""
-    places = [index for index, name in enumerate(plan.report) if is_certificate(name)]
+def check_certificate(
+    plan: Plan, bench: Bench, schedule: Schedule | None, known: Collection[str], log: Findings
+) -> None:
+    """Adds an error, at the first certificate that the plan's `report` asks for, for whatever it would not be able to show. known: the
+    reports that there are; of others it is said elsewhere that they are none."""
+    places = [index for index, name in enumerate(plan.report) if is_certificate(name) and name in known]
     if not places:
         return
     required = {name for name, item in plan.record.items() if item.required}

@@ -132,11 +132,12 @@ def check_plan(
     checked.plan = plan
     log = checked.findings
     stated = expand(plan, log)
-    check_meaning(plan, stated, report_names(), log)
+    reports = report_names()
+    check_meaning(plan, stated, reports, log)
     if _find_bench(checked, plan, path, bench, bench_path):
         _check_physics(checked, plan, stated)
         if checked.bench is not None:
-            check_certificate(plan, checked.bench, checked.schedule, checked.findings)
+            check_certificate(plan, checked.bench, checked.schedule, reports, log)
             seconds = checked.schedule.total if checked.schedule else 0.0
             check_validity(checked.bench.calibrations(), today or date.today(), seconds, log)
             if checked.models is not None:
@@ -187,7 +188,9 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
         log.error("meaning-no-sensor", plan.at("sensor"), "this bench has no sensor", "use another bench")
         return
     if sensor.kind != plan.sensor.kind:
-        message = f"the plan is for a {plan.sensor.kind}, the bench carries a {sensor.kind}"
+        message = (
+            f"the plan is for a sensor of kind '{plan.sensor.kind}', the bench carries one of kind '{sensor.kind}'"
+        )
         log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, "use a bench with such a sensor")
         return
     outputs = [output.name for output in sensor.outputs]

@@ -71,6 +71,11 @@ def test_check_names_every_missing_element_at_the_report(plan_file: Write) -> No
         assert f"ISO/IEC 17025:2017, {item.clause})" in one
 
 
+def test_an_unknown_certificate_is_only_called_unknown(plan_file: Write) -> None:
+    path = plan_file(("report: [report.html, summary.md]", "report: [certificate.htm]"))
+    assert [finding.code for finding in check_plan(path).findings.errors] == ["meaning-unknown-report"]
+
+
 def test_a_plan_that_asks_for_everything_passes(plan_file: Write) -> None:
     assert missing(plan_file((RECORD, ALL), ("report.html, summary.md", "certificate.html, certificate.zh.html"))) == []
     assert missing(FLAGSHIP) == [], "a plan without a certificate is asked for nothing"

@@ -127,7 +127,11 @@ def _check_limit(limit: Limit, names: list[str], log: Findings) -> None:
         log.error("meaning-uncertainty", limit.at("prior"), "a prior needs the spread of the quantity over items", hint)
     if limit.at_least is not None and limit.at_most is not None:
         if limit.at_least.unit.dimension != limit.at_most.unit.dimension:
-            message = f"at_least is in {limit.at_least.unit.text}, at_most in {limit.at_most.unit.text}: these are of different dimensions"
+            low, high = (
+                "a pure number" if bound.unit.text == "1" else f"in {bound.unit.text}"
+                for bound in (limit.at_least, limit.at_most)
+            )
+            message = f"at_least is {low}, at_most is {high}: these are of different dimensions"
             log.error("meaning-dimension", limit.at("at_most"), message, "give both in the unit of the coefficient")
         elif limit.at_least.value >= limit.at_most.value:
             message = f"at_least ({limit.at_least}) is not below at_most ({limit.at_most}): nothing could pass"

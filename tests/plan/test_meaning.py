@@ -105,6 +105,12 @@ def test_each_mistake_is_found_where_it_stands(old: str, new: str, code: str, at
     assert others <= {"form-missing-key"}, "one mistake gives one finding"
 
 
+def test_a_pure_number_is_named_in_words() -> None:
+    _, log = check(PLAN.replace("at_least: 0,", "at_least: 0 deg/h,"))
+    (finding,) = log
+    assert "at_least is in deg/h, at_most is a pure number" in finding.message
+
+
 def test_an_unused_segment_is_a_warning() -> None:
     text = PLAN.replace("  - {label: V1}\n", "  - {label: V1}\n  - for_each: {temperature: '1, 2, 3, 4, 5 K'}\n")
     _, log = check(text)
