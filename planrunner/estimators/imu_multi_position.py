@@ -122,7 +122,12 @@ class ImuMultiPosition:
             blocks += made
             if kind == "gyro":
                 remarks += _earth_rate_alone(request, made)
-        return Design(tuple(blocks), _predicted(request, blocks), remarks=tuple(remarks))
+        predicted = _predicted(request, blocks)
+        held = _held({segment.temperature for segment in request.segments})
+        told: dict[str, object] = {"temperatures": () if held is None else (held,)}
+        if predicted:
+            told["names_by_temperature"] = tuple(item.name for item in predicted)
+        return Design(tuple(blocks), predicted, extra=told, remarks=tuple(remarks))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Coefficients from the recorded segments. Raises `EstimationError`."""
@@ -351,10 +356,15 @@ def _extra(request: EstimateRequest, frame: Framed, found: Reported, u: Array) -
         }
         for one in frame.responses
     }
-    held = {recorded.segment.temperature for recorded in request.segments}
-    if len(held) == 1 and (kelvin := held.pop()) is not None:
+    kelvin = _held({recorded.segment.temperature for recorded in request.segments})
+    if kelvin is not None:
         extra["by_temperature"] = by_temperature(found, kelvin - ZERO_CELSIUS, u)
     return extra
+
+
+def _held(planned: set[float | None]) -> float | None:
+    """The one temperature [K] of all segments; None where there is none, or more than one."""
+    return next(iter(planned)) if len(planned) == 1 else None
 
 
 def _inverse(one: Response) -> Array | None:

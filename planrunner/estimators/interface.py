@@ -186,7 +186,8 @@ class Remark:
 @dataclass(frozen=True, slots=True)
 class Design:
     """blocks: one an output, none where there is no linear model. predicted: coefficients at their nominal values with the standard
-    uncertainty to expect."""
+    uncertainty to expect. extra: plain data for the designs of estimates that build on this one. An estimator that gives coefficients
+    by temperature says there at which `temperatures` [K], none where it will give none, and `names_by_temperature` where they are known."""
 
     blocks: tuple[DesignBlock, ...]
     predicted: tuple[Coefficient, ...] = ()

@@ -20,10 +20,10 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Plot,
-    Remark,
     Table,
 )
-from planrunner.estimators.temperature_curve import FEWEST, FORMS, RULES, CurveFit, fit_curve, groups_of
+from planrunner.estimators.temperature_curve import FORMS, RULES, CurveFit, fit_curve, groups_of
+from planrunner.estimators.temperature_planning import remarks
 from planrunner.estimators.temperature_points import Points, from_channels, from_estimates
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -112,24 +112,12 @@ class TemperatureModel:
     summary = "Coefficients or outputs over temperature: polynomial or spline, order chosen by held-out error"
     Parameters = TemperatureModelParameters
 
-    def design(self, request: DesignRequest) -> Design | None:
-        """Whether the planned temperatures are enough; nothing is known of ramps before they are recorded."""
+    def design(self, request: DesignRequest) -> Design:
+        """Whether the planned temperatures are enough, and the coefficients asked for are given. Raises `EstimationError` for keys that
+        contradict each other."""
         parameters: TemperatureModelParameters = request.parameters
         _one_source(parameters, bool(request.uses))
-        if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):
-            return Design(())
-        planned = np.array([segment.temperature for segment in request.segments], dtype=float)
-        distinct = int(groups_of(planned, parameters.bin.value).max(initial=-1)) + 1
-        needed = FEWEST if parameters.order is None else parameters.order + 1
-        if distinct >= needed:
-            return Design(())
-        order = "an order to be chosen" if parameters.order is None else f"order {parameters.order}"
-        message = (
-            f"{distinct} planned temperatures are too few for a {parameters.form} of {order}, which needs {needed}"
-        )
-        return Design(
-            (), remarks=(Remark("physics-temperatures", message, "sweep over more temperatures", error=True),)
-        )
+        return Design((), remarks=remarks(request))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Curves through all values. Raises `EstimationError`."""

@@ -56,7 +56,17 @@ def design(request: DesignRequest) -> Design:
         return Design(blocks, remarks=remarks)
     waiting = scheduled_seconds(request.segments, [None] * len(request.segments))
     note = time_note(waiting, len(axes.names), request.parameters.remounting.value)
-    return Design(blocks, _predicted(request, axes, fixture, complete), (note,), remarks=remarks)
+    return Design(
+        blocks, _predicted(request, axes, fixture, complete), (note,), _by_temperature(axes, complete), remarks
+    )
+
+
+def _by_temperature(axes: MountedAxes, complete: Sequence[RateSeries]) -> dict[str, object]:
+    """What the estimate will give over temperature; nothing where only the recording can tell its temperature."""
+    planned = [kelvin for kelvin in by_temperature(complete) if kelvin is not None]
+    if not planned:
+        return {}
+    return {"temperatures": tuple(planned), "names_by_temperature": tuple(f"K_{axis}" for axis in axes.names)}
 
 
 def _blocks(request: DesignRequest, axes: MountedAxes) -> tuple[DesignBlock, ...]:

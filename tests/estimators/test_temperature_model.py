@@ -6,11 +6,13 @@ import csv
 import math
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from recorded import from_means, from_samples, real, segment, sensor
 
+from planrunner.checking import check_plan
 from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.temperature_curve import (
     HeldOut,
@@ -271,6 +273,52 @@ def test_too_few_planned_temperatures_are_an_error_before_the_run() -> None:
         DesignRequest("curve", held, TemperatureModelParameters(channels=("gyro",), order=1), SITE, sensor("gyro"))
     )
     assert design is not None and not design.remarks
+
+
+PLANS = Path(__file__).resolve().parents[2] / "plans"
+SIX = "uses: [m30, m10, p10, p30, p50, p70]"
+
+
+@pytest.mark.parametrize(
+    ("plan", "changes", "code", "words"),
+    [
+        ("imu_over_temperature", [], None, ""),
+        (
+            "imu_over_temperature",
+            [(SIX, "uses: [m30, m10]")],
+            "physics-temperatures",
+            "2 planned temperatures are too few",
+        ),
+        (
+            "imu_over_temperature",
+            [("gyro_scale_*]", "gyro_skale_*]")],
+            "meaning-unknown-quantity",
+            "like 'gyro_skale_*'",
+        ),
+        (
+            "imu_over_temperature",
+            [('"-30degC/*", gyros', '["-30degC/*", "-10degC/*"], gyros')],
+            "physics-temperatures",
+            "'m30' gives no coefficients by temperature",
+        ),
+        ("scale_factor_tilted", [], None, ""),
+        ("scale_factor_tilted", [("K_*", "bias_*")], "meaning-unknown-quantity", "like 'bias_*'"),
+        ("scale_factor_tilted", [("order: 1", "order: 3")], "physics-temperatures", "K_x: 3 planned temperatures"),
+    ],
+)
+def test_what_other_estimates_cannot_give_is_told_by_check(
+    tmp_path: Path, plan: str, changes: list[tuple[str, str]], code: str | None, words: str
+) -> None:
+    text = (PLANS / f"{plan}.yaml").read_text(encoding="utf-8")
+    curve = "  curve: {estimator: temperature_model, uses: scale, coefficients: K_*, order: 1}\n\nlimits:"
+    text = text.replace("\nlimits:", curve) if plan == "scale_factor_tilted" else text
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "plan.yaml").write_text(text, encoding="utf-8")
+    found = check_plan(tmp_path / "plan.yaml").findings.errors
+    assert [one.code for one in found] == ([] if code is None else [code])
+    assert all(words in one.message for one in found)
 
 
 def test_residuals_that_resemble_each_other() -> None:
