@@ -12,8 +12,6 @@ from planrunner.estimators.interface import Design, DesignRequest, Remark
 from planrunner.estimators.temperature_curve import FEWEST, groups_of
 from planrunner.plan.findings import closest
 
-CODE = "physics-temperatures"
-
 
 def remarks(request: DesignRequest) -> tuple[Remark, ...]:
     """Errors for what no recording could give; nothing where it is not known: ramps, and estimates whose designs do not say what they
@@ -31,7 +29,7 @@ def _of_estimates(request: DesignRequest) -> list[Remark]:
     if none:
         message = f"'{none[0]}' gives no coefficients by temperature: its segments have no temperature, or not one for all of them"
         hint = "choose segments of one stated temperature for it, or use another estimate"
-        return [Remark(CODE, message, hint, "uses", error=True)]
+        return [Remark("physics-temperatures", message, hint, "uses", error=True)]
     designs = [used for used in request.uses.values() if _given(used) is not None]
     if len(designs) < len(request.uses):
         return []
@@ -73,4 +71,4 @@ def _too_few(request: DesignRequest, what: str, kelvin: Sequence[float], key: st
     order = "an order to be chosen" if parameters.order is None else f"order {parameters.order}"
     count = f"{distinct} planned temperature{'s are' if distinct != 1 else ' is'} too few"
     message = f"{what}{count} for a {parameters.form} of {order}, which needs {needed}"
-    return [Remark(CODE, message, "sweep over more temperatures", key, error=True)]
+    return [Remark("physics-temperatures", message, "sweep over more temperatures", key, error=True)]
