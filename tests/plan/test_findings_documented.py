@@ -12,7 +12,17 @@ ROW = re.compile(r"^\| `([a-z-]+)` \| (.+) \| (.+) \|$", re.MULTILINE)
 CODE = re.compile(r"syntax|[a-z]+(-[a-z]+)+")
 
 # Where a call carries its code.
-PLACES = {"error": 0, "warning": 0, "note": 0, "_once": 0, "add": 0, "QuantityError": 0, "at": 1, "Finding": 1, "Remark": 0}
+PLACES = {
+    "error": 0,
+    "warning": 0,
+    "note": 0,
+    "_once": 0,
+    "add": 0,
+    "QuantityError": 0,
+    "at": 1,
+    "Finding": 1,
+    "Remark": 0,
+}
 
 
 def codes_in(path: Path) -> Iterator[str]:
