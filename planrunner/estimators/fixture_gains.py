@@ -19,7 +19,7 @@ from planrunner.estimators.mounted_axes import MountedAxes, rotation_axis
 from planrunner.estimators.rate_influences import rate_part
 from planrunner.estimators.turning_rates import as_recording_begins, mean_rates
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import Unreachable
+from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.influences import InputQuantity
 
@@ -164,6 +164,7 @@ def stated_changes(
         (orthogonality := setup.inputs.get("table orthogonality"))
         and setup.table is not None
         and len(setup.table.axes) > 1
+        and _outermost(setup.table.axes, model.segments, site.azimuth)
     ):
         try:
             tilts = orthogonality_tilts(setup.table.axes, [one.attitude for one in model.segments], site.azimuth)
@@ -181,3 +182,16 @@ def stated_changes(
     if azimuth == STATED and (mounted := setup.inputs.get(f"fixture azimuth {axes.names[k]}")):
         turned = np.array([-math.sin(axes.azimuths[k]), math.cos(axes.azimuths[k]), 0.0])
         yield mounted, {"": gain[0] * (model.felt @ turned)}
+
+
+def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
+    """Whether the outermost axis makes every spin: only then does the table's rate lean with nothing outside it."""
+    for one in segments:
+        if isinstance(one.motion, Spin) and one.attitude is not None:
+            try:
+                joints = joint_angles(axes, one.attitude, np.zeros(len(axes)), azimuth)
+                if spin_axis(axes, joints, one.motion.about, azimuth):
+                    return False
+            except Unreachable:
+                return False
+    return True

@@ -29,6 +29,10 @@ from planrunner.uncertainty.monte_carlo import (
 )
 
 TITLE = "Intervals validated by Monte Carlo (JCGM 101)"
+COLUMNS = (
+    "coefficient", "unit", "y − U", "y + U", "low", "high", "shortest low", "shortest high", "s", "d low", "d high", "δ",
+    "validated",
+)  # fmt: skip
 _SHARE = 5.0  # the tolerance of validation over that at which draws end (JCGM 101:2008, 8.2)
 
 
@@ -81,21 +85,7 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
                 verdict,
             )
         )
-    columns = (
-        "coefficient",
-        "unit",
-        "y − U",
-        "y + U",
-        "low",
-        "high",
-        "shortest low",
-        "shortest high",
-        "s",
-        "d low",
-        "d high",
-        "δ",
-    )
-    table = Table(TITLE, (*columns, "validated"), tuple(cells))
+    table = Table(TITLE, COLUMNS, tuple(cells))
     notes, warnings = _words(found.draws, found.stabilised, first_order, verdicts)
     settings = {"validate": "monte_carlo", "draws": found.draws, "seed": asked.seed, "digits": asked.digits}
     return replace(
