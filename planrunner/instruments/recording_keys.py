@@ -132,6 +132,13 @@ class SegmentColumns(Record):
     unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", "s")
     trim: Quantity = key(QuantityOf("time", "not negative"), "Left out at either end of a stretch.", "2 s", _NO_TRIM)
 
+    @classmethod
+    def of(cls, table: str) -> SegmentColumns:
+        """Columns by their usual names."""
+        make: Any = cls
+        made: SegmentColumns = make(table=table)
+        return made
+
 
 class RecordingParameters(Record):
     """A recording that is played back."""

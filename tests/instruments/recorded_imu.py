@@ -1,6 +1,6 @@
 """A recording such as a laboratory hands over: a Parquet file of an IMU on a turned, rocked and heated table, and a table of segments.
 
-Written apart from planrunner: kinematics by hand, SI only inside `samples`. The device has a bias and a matrix a triad; an effect may be added.
+Written apart from planrunner, kinematics by hand. The device has a bias and a matrix a triad; an effect may be added.
 """
 
 from __future__ import annotations
@@ -104,14 +104,18 @@ def felt(row: Row, before: float) -> Felt:
 Effect = Callable[[Felt], tuple[np.ndarray, np.ndarray]]
 
 
-def write_recording(folder: Path, seed: int = 1, effect: Effect | None = None, noise: float = 1.0) -> Path:
-    """`recording.parquet` and `segments.csv` in `folder`. effect: what it adds to the gyros [deg/s] and accelerometers [m/s^2]."""
+def write_recording(
+    folder: Path, seed: int = 1, effect: Effect | None = None, noise: float = 1.0, listed: list[Row] | None = None
+) -> Path:
+    """`recording.parquet` and `segments.csv` in `folder`. effect: what it adds to the gyros [deg/s] and accelerometers [m/s^2]. listed:
+    segments, all of `rows()` without it."""
+    listed = rows() if listed is None else listed
     rng = np.random.default_rng(seed)
     matrices = np.eye(3) + rng.normal(0, 2e-3, (2, 3, 3))
     biases = rng.normal(0, 1, (2, 3)) * np.array([[0.05], [0.02]])
     columns: dict[str, list[np.ndarray]] = {}
     before = 25.0
-    for row in rows():
+    for row in listed:
         sensed = felt(row, before)
         before = row.celsius
         n = sensed.time.size
@@ -138,5 +142,5 @@ def write_recording(folder: Path, seed: int = 1, effect: Effect | None = None, n
     with (folder / "segments.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("label", "start_s", "end_s"))
-        writer.writerows((row.label, f"{row.start:.3f}", f"{row.start + row.seconds:.3f}") for row in rows())
+        writer.writerows((row.label, f"{row.start:.3f}", f"{row.start + row.seconds:.3f}") for row in listed)
     return folder
