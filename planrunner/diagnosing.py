@@ -84,6 +84,7 @@ def observe(recorded: Recorded) -> tuple[Observed, Findings]:
             recorded.segments,
             sound.models.site,
             sound.sensor,
+            axes=_axes(sound.plan.sensor.outputs),
             angle_channel=_only(units, "angle"),
             temperature_channel=_only(units, "temperature"),
             magnetic=field,
@@ -118,7 +119,7 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
         columns = SegmentColumns.of(segments.name) if columns is None else replace(columns, table=segments.name)
     table = segments
     if table is None and columns is not None:
-        table = recording.parent / columns.table
+        table = recording.parent / Path(columns.table).name
     parameters = replace(parameters, file=recording.name, segments=columns)
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
@@ -152,6 +153,12 @@ def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
 def _again(whole: Sequence[Block], channels: Sequence[str]) -> Iterator[Block]:
     for block in whole:
         yield Block(block.time, {name: block.channels[name] for name in channels})
+
+
+def _axes(outputs: Sequence[str]) -> dict[str, str] | None:
+    """The sensor axis of each output that the plan uses, by the letter in its name; None where it names no outputs."""
+    letters = {name: [word for word in name.lower().split("_") if word in ("x", "y", "z")] for name in outputs}
+    return {name: found[0] for name, found in letters.items() if found} or None
 
 
 def _only(units: dict[str, str], dimension: str) -> str | None:

@@ -208,6 +208,35 @@ def test_a_bench_that_maps_no_columns_is_refused(tmp_path):
     assert [finding.code for finding in caught.value.findings] == ["recording-no-mapping"]
 
 
+def test_the_table_of_segments_lies_beside_the_recording_unless_it_is_named(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "bench.yaml", "table: segments.csv", "table: elsewhere/segments.csv")
+    recorded = recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet")
+    assert [item.label for item in recorded.segments] == [row.label for row in listed()]
+    (tmp_path / "segments.csv").rename(tmp_path / "other.csv")
+    with pytest.raises(InputError, match="recording-unfit"):
+        recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet")
+    recorded = recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "other.csv")
+    assert len(recorded.segments) == len(listed())
+
+
+def test_only_the_outputs_of_the_plan_are_looked_at(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "plan.yaml", "[gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]", "[gyro_x, gyro_z]")
+    seen, _ = observe(recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet"))
+    assert [channel.name for channel in seen.channels] == ["gyro_x", "gyro_z"]
+    # Since power-on, and the encoder's angle: P1 begins 600 s after it.
+    assert seen.time[0] == pytest.approx(600.0)
+    assert np.degrees(np.ptp(seen.angle[seen.segments()[6]])) == pytest.approx(60 * (6 - 0.02))
+
+
+def test_an_unknown_nominal_term_is_refused(tmp_path, capsys):
+    laboratory(tmp_path)
+    given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet")]
+    assert main(["diagnose", *given, "--nominal", "gyro_bias", "gyro_scale"]) == WRONG_INPUT
+    assert "error[gap-nominal]: 'gyro_scale' is no nominal term" in capsys.readouterr().err
+
+
 def test_a_plan_alone_and_a_run_with_a_recording_are_wrong_arguments(tmp_path, capsys):
     laboratory(tmp_path)
     assert main(["diagnose", str(tmp_path / "plan.yaml")]) == WRONG_INPUT

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from planrunner import cli
 from planrunner.cli.printing import print_findings, print_json, write_file
-from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.findings import InputError, Mark, closest
 from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.diagnosing import Diagnosed, Recorded
+    from planrunner.gap.diagnosis import Options
     from planrunner.reporting.diagnosis_page import DiagnosisContext
 
 
@@ -30,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
     parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan that would settle what is left")
+    parser.add_argument(
+        "--nominal",
+        metavar="TERM",
+        nargs="+",
+        help="what the simulation fits (default: all; see the documentation); what is left out is a candidate like any effect",
+    )
     parser.add_argument("--jobs", metavar="N", type=_jobs, default=1, help="processors to use (default: 1)")
 
 
@@ -46,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     recorded = _recorded(args)
     from planrunner.diagnosing import diagnose_recorded
 
-    made = diagnose_recorded(recorded)
+    made = diagnose_recorded(recorded, _options(args.nominal))
     print_findings(made.findings)
     found = made.to_json()
     text = _next(args, found)
@@ -64,6 +71,16 @@ def run(args: argparse.Namespace) -> int:
     if args.next is not None:
         print(args.next if text else "No plan is proposed.", file=out)
     return cli.DONE
+
+
+def _options(nominal: list[str] | None) -> Options:
+    from planrunner.gap.candidates import FULL
+    from planrunner.gap.diagnosis import Options
+
+    for name in nominal or ():
+        if name not in FULL:
+            raise InputError.at(Mark("--nominal"), "gap-nominal", f"'{name}' is no nominal term", closest(name, FULL))
+    return Options() if nominal is None else Options(nominal=tuple(nominal))
 
 
 def _recorded(args: argparse.Namespace) -> Recorded:
