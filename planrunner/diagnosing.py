@@ -20,6 +20,7 @@ from planrunner.bench.model import Bench, driver_of
 from planrunner.checking import Sound, check_plan
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
+from planrunner.instruments.recording_file import HeldRecording
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.findings import Findings, InputError, Mark
 from planrunner.plan.schedule import Segment
@@ -123,6 +124,7 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     parameters = replace(parameters, file=recording.name, segments=columns)
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
+        player.file = HeldRecording.of(player.file)
         player.foresee(sound.schedule.segments)
         played = tuple(_play(player, segment) for segment in sound.schedule.segments)
     except InstrumentError as error:
