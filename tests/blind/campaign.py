@@ -21,6 +21,11 @@ Answerer = Callable[[store.Shown], dict[str, Any]]
 
 ANSWERERS = {
     "planrunner": "tests.blind.product:diagnose",
+    "oracle": "tests.blind.oracle:diagnose",
+    "stepwise-bic": "tests.blind.baselines:stepwise_bic",
+    "whitened-bic": "tests.blind.baselines:whitened_bic",
+    "lasso": "tests.blind.baselines:lasso",
+    "stlsq": "tests.blind.baselines:stlsq",
 }
 BATCH = 24  # cases of one set-up that a worker takes at a time
 

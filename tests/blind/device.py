@@ -162,7 +162,7 @@ def _accel(s: Stimulus, device: Device, faults: Faults, gravity: float) -> Array
     return felt
 
 
-def _lock_in(rate: Array, threshold: float) -> Array:
+def lock_in(rate: Array, threshold: float) -> Array:
     return np.where(np.abs(rate) < threshold, 0.0, np.sign(rate) * np.sqrt(np.maximum(rate**2 - threshold**2, 0.0)))
 
 
@@ -184,7 +184,7 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
             past = stimulus(schedule, faults, delay + lag * float(node))
             rate += weight * _gyro(past, device, faults, schedule.index)
     if "gyro_dead_zone" in faults:
-        rate = _lock_in(rate, float(faults["gyro_dead_zone"].theta[0]))
+        rate = lock_in(rate, float(faults["gyro_dead_zone"].theta[0]))
     if "gyro_saturation" in faults:
         stop = limit(rate, float(faults["gyro_saturation"].theta[0]))
         rate = np.clip(rate, -stop, stop)

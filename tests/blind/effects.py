@@ -138,3 +138,36 @@ def applies(kind: Kind, schedule: Schedule, sensor: Sensor) -> bool:
         case "turning_ramp":
             return any(s.ramp and s.kind == "rate" for s in schedule.segments)
     return True
+
+
+# Factors under which an effect shows, in the words of the answers' "where": the top-ranked place must name one of them. Temperature and
+# time go together, since every plan here visits its temperatures one after the other.
+SHOWS_UNDER: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(
+        ("gyro_bias_temperature", "accel_bias_temperature", "gyro_thermal_hysteresis", "magnetic_times_temperature"),
+        ("temperature", "time"),
+    ),
+    **dict.fromkeys(("gyro_scale_temperature", "temperature_rate_times_rate"), ("temperature", "time", "rate")),
+    "accel_scale_temperature": ("temperature", "time", "orientation"),
+    "gyro_thermal_gradient": ("temperature", "time", "band"),
+    **dict.fromkeys(
+        ("gyro_scale_nonlinearity", "gyro_scale_asymmetry", "gyro_dead_zone", "gyro_saturation", "rate_resonance"),
+        ("rate",),
+    ),
+    **dict.fromkeys(("lever_arm", "vibration_rectification"), ("rate",)),
+    **dict.fromkeys(
+        ("gyro_g_sensitivity", "gyro_g2_sensitivity", "accel_second_order", "table_position_error"), ("orientation",)
+    ),
+    **dict.fromkeys(
+        ("magnetic_sensitivity", "table_tilt", "table_azimuth", "site_latitude"), ("orientation", "table angle", "rate")
+    ),
+    **dict.fromkeys(("table_rate_ripple", "table_wobble", "ripple_three_per_turn"), ("table angle", "rate")),
+    **dict.fromkeys(("gyro_bandwidth", "time_latency", "backlash"), ("rate", "band", "table angle")),
+    **dict.fromkeys(
+        ("gyro_bias_random_walk", "gyro_warm_up", "slow_sine_bias", "sawtooth_bias", "segment_offsets"),
+        ("time", "band"),
+    ),
+    **dict.fromkeys(("gyro_noise_excess", "gyro_quantization", "vibration_tone"), ("channel", "band")),
+    "emi_bursts": ("time", "band", "channel"),
+    "table_rate_error": (),
+}

@@ -22,6 +22,7 @@ GONE = 1e-3  # below it, the nominal parameters take it whole
 WRONG_NOISE, WITH_OUTLIERS = 0.20, 0.10
 TEMPERATURE_NOISE = 0.02  # degC
 TRIES = 400
+COARSEST = 1.25  # by what a coarse resolution may raise the noise (2.6 σ a step): beyond, its errors of segment means are no noise
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ def _of_strength(kind: Kind, direction: Array, shape: tuple[float, ...], energy:
     amplitude, low, high = 1.0, 0.0, np.inf
     if kind.covariance:
         ratio = excess_ratio(energy)
+        if kind.name == "gyro_quantization" and ratio > COARSEST:
+            return None
         theta = ratio - 1 if kind.name == "gyro_noise_excess" else work.sigma[0] * np.sqrt(12 * (ratio**2 - 1))
         return Fault(kind.name, np.array([theta])) if theta <= kind.largest else None
     for _ in range(1 if kind.linear else 25):
@@ -199,6 +202,7 @@ def _label(name: str, kind: str, faults: list[Fault], work: Work, factors: Array
         "noise_factors": [float(f) for f in factors],
         "also_true": ["gyro_noise_excess"] if factors[0] > 1.0 else [],
         "outliers": bool(spiked),
+        "channel_names": channel_names(work.around.sensor),
     }
 
 

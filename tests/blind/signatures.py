@@ -13,7 +13,8 @@ from tests.blind.motion import Array, Fault, Schedule
 from tests.blind.noise import FLAT, Metric
 
 WALK_TERMS = 24  # Karhunen–Loève terms of a random walk, per axis
-CELLS = np.geomspace(1e-3, 1.0, 13)  # amplitudes of a non-linear effect, in its largest
+CELL = 10**0.2  # ratio of consecutive amplitudes at which a non-linear effect's signature is taken
+WEAK, STRONG = 1.0, 1e5  # λ between which such signatures are kept
 TRUSTED = 0.02  # relative standard deviation with which a declared white noise is trusted
 INSEPARABLE = 10.0  # λ(1 − ρ) below which the data cannot tell two effects apart
 REPRODUCED = 0.9  # ρ above which they are one class
@@ -61,7 +62,7 @@ class Signatures:
         if kind.name == "gyro_bias_random_walk":
             return [self._walk(kind)]
         if not kind.linear:
-            return [self._cell(kind, float(cell) * kind.largest) for cell in CELLS]
+            return self._cells(kind)
         found = []
         for shape in shapes or kind.shapes:
             columns = self._placing(kind) if kind.name == "table_position_error" else self._columns(kind, shape)
@@ -97,6 +98,18 @@ class Signatures:
         for axis in range(3):
             columns[axis * WALK_TERMS : (axis + 1) * WALK_TERMS, :, axis] = kind.scale[axis] * waves
         return Signature(kind.name, (), columns, np.ones(3 * WALK_TERMS))
+
+    def _cells(self, kind: Kind) -> list[Signature]:
+        """Signatures at amplitudes from the largest down to where nothing can be seen any more."""
+        found, amplitude = [], kind.largest
+        while True:
+            one = self._cell(kind, amplitude)
+            energy = self.metric.energy(one.columns[0].astype(float))
+            if energy < STRONG or amplitude < 1e-7 * kind.largest:
+                found.append(one)
+            if energy < WEAK or amplitude < 1e-7 * kind.largest:
+                return found
+            amplitude /= CELL
 
     def _cell(self, kind: Kind, amplitude: float) -> Signature:
         fault = Fault(kind.name, amplitude * np.array(kind.scale))
