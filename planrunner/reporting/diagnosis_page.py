@@ -16,6 +16,8 @@ from planrunner.reporting.view import named, table_view
 
 SHOWN = 0.005
 """Hypotheses less probable than this are summed up as others."""
+SURE = 0.95
+"""Probability of noise alone from which on there is said to be no gap."""
 MOST_PLACES = 12
 MOST_HYPOTHESES = 12
 FOOTER = (
@@ -64,6 +66,8 @@ def verdict(found: Data) -> str:
     """The answer in one sentence."""
     said, posterior = found["verdict"], found["posterior"]
     kind, effects = said["kind"], list(said["effects"])
+    if kind == "none" and posterior["none"] < SURE:
+        return f"No effect is named: noise alone may explain the recording ({probability(posterior['none'])})."
     if kind == "none":
         return f"No gap: noise alone explains the recording ({probability(posterior['none'])})."
     if kind == "unknown":

@@ -71,6 +71,17 @@ def test_the_verdict_in_one_sentence(kind, words):
     assert verdict(diagnosis(kind)) == words
 
 
+def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
+    found = diagnosis("none", posterior={"none": 0.4, "unknown": 0.1, "lever_arm": 0.5})
+    assert verdict(found) == "No effect is named: noise alone may explain the recording (P = 0.40)."
+
+
+def test_an_effect_of_its_form_is_named_beside_it():
+    found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
+    check(found)
+    assert "What time_latency would add is below 5 % and taken for its form." in verdict(found)
+
+
 def test_the_closure_with_its_interval_or_not_resolvable():
     assert closure_words(diagnosis()) == (
         "The gap of withheld segments shrinks by 96 % (90 % interval 94 % to 98 %), from 5.21 to 0.21 standard deviations of the noise."
