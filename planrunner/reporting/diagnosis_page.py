@@ -18,6 +18,8 @@ SHOWN = 0.005
 """Hypotheses less probable than this are summed up as others."""
 SURE = 0.95
 """Probability of noise alone from which on there is said to be no gap."""
+CONSPICUOUS = 0.05
+"""Places that noise alone makes as conspicuous more often than this are not shown."""
 MOST_PLACES = 12
 MOST_HYPOTHESES = 12
 FOOTER = (
@@ -151,6 +153,7 @@ def _where(found: Data) -> Table:
     rows = tuple(
         (one["channel"], _spaced(one["factor"]), _plain(one["level"]), _percent(one["share"]), _p(one["p"]))
         for one in found["where"][:MOST_PLACES]
+        if one["p"] < CONSPICUOUS
     )
     return Table("Where", ("Channel", "factor", "level", "share of the gap", "p"), rows)
 

@@ -104,6 +104,14 @@ def test_hypotheses_are_ranked_and_the_rest_summed_up():
     assert sum(p for _, p in ranked(diagnosis())) == pytest.approx(1.0)
 
 
+def test_only_places_that_noise_does_not_explain_are_shown():
+    found = diagnosis()
+    assert [row[0] for row in tables(found)["where"].rows] == ["gyro_z"]
+    for place in found["where"]:
+        place["p"] = 0.4
+    assert "where" not in tables(found)
+
+
 def test_tables_in_the_terminal_hold_every_answer(capsys):
     console = terminal.console(width=120)
     for table in tables(diagnosis()).values():
