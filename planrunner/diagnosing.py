@@ -73,22 +73,22 @@ def observe(recorded: Recorded) -> tuple[Observed, Findings]:
     from planrunner.gap.observed import ObservationError, observed
     from planrunner.gap.recording_checks import check_observed, check_recording
 
-    sound = recorded.sound
+    sound, used = recorded.sound, recorded.sound.plan.sensor.outputs
+    sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
     findings = Findings()
-    check_recording(recorded.segments, sound.sensor, recorded.where, findings)
+    check_recording(recorded.segments, sensor, recorded.where, findings)
     if findings.errors:
         raise InputError(findings)
-    field = sound.models.site.magnetic_field
     units = recorded.segments[0].units
     try:
         seen = observed(
             recorded.segments,
             sound.models.site,
-            sound.sensor,
-            axes=_axes(sound.plan.sensor.outputs),
+            sensor,
+            axes=_axes(used),
             angle_channel=_only(units, "angle"),
             temperature_channel=_only(units, "temperature"),
-            magnetic=field,
+            magnetic=sound.models.site.magnetic_field,
         )
     except ObservationError as error:
         raise _unfit(recorded, error) from None

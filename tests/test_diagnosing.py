@@ -180,6 +180,13 @@ def test_a_channel_that_stands_still_is_refused(tmp_path):
     assert "error[gap-dead-channel]: 'accel_y' stands at 1.5 m/s^2 in every segment" in refused(tmp_path)
 
 
+def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
+    laboratory(tmp_path)
+    change(tmp_path, accel_y_m_per_s2=lambda values: 0 * values + 1.5)
+    replace(tmp_path / "plan.yaml", "accel_x, accel_y, accel_z", "accel_x, accel_z")
+    assert look(tmp_path) == []
+
+
 def test_too_few_segments_to_hold_any_out_are_remarked(tmp_path):
     laboratory(tmp_path, listed()[:3])
     said = look(tmp_path)

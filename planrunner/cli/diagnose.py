@@ -143,3 +143,4 @@ def _show(context: DiagnosisContext) -> None:
     expected = diagnosis_page.expected_words(found)
     if expected:
         console.print(printable(f"next: {expected}"))
+    console.print(printable(diagnosis_page.priors_words(found)), style="dim")

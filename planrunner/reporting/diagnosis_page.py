@@ -23,7 +23,7 @@ CONSPICUOUS = 0.05
 MOST_PLACES = 12
 MOST_HYPOTHESES = 12
 FOOTER = (
-    "Probabilities rest on the priors that the documentation prints and on the noise that the bench declares. An effect is named only "
+    "Probabilities rest on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot tell apart are named together."
 )
 Data = Mapping[str, Any]
@@ -56,7 +56,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
         "pictures": pictures(found),
         "expected": expected_words(found),
         "next_plan": context.next_plan,
-        "footer": FOOTER,
+        "footer": " ".join((FOOTER, priors_words(found))),
     }
     return render("diagnosis.html", given, folder)
 
@@ -111,6 +111,12 @@ def expected_words(found: Data) -> str:
     if isinstance(expected, Mapping):
         return "; ".join(f"{name.replace('_', ' ')}: {_plain(value)}" for name, value in expected.items())
     return _plain(expected)
+
+
+def priors_words(found: Data) -> str:
+    """The priors that the probabilities rest on, where the diagnosis names them."""
+    listed = [f"{name} {p:.2f}" for name, p in found.get("priors", {}).items()]
+    return f"Priors: {', '.join(listed)}." if listed else ""
 
 
 def probability(p: float) -> str:

@@ -44,6 +44,7 @@ def diagnosis(kind: str = "effect", **changes: Any) -> dict[str, Any]:
         ],
         "closure": {"before": 5.21, "after": 0.21, "shrinks_by": 0.96, "interval_90": [0.94, 0.978], "resolvable": True},
         "next": {"plan": None, "text": "planrunner: 1\ntitle: What would settle it\n", "expected": "P = 0.98 after 12 min"},
+        "priors": {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15},
         "pictures": _pictures(),
     }  # fmt: skip
     return found | changes

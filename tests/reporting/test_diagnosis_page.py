@@ -155,7 +155,13 @@ def test_the_page_is_whole_and_fetches_nothing(kind):
     assert not re.search(r"url\(\s*['\"]?(?!#)", html)
     assert len(words.ids) == len(set(words.ids))
     text = " ".join(words.text)
-    for shown in (verdict(diagnosis(kind)), closure_words(diagnosis(kind)), "3 rows are left out", "planrunner: 1"):
+    for shown in (
+        verdict(diagnosis(kind)),
+        closure_words(diagnosis(kind)),
+        "3 rows are left out",
+        "planrunner: 1",
+        "Priors: none 0.20, single 0.50,",
+    ):
         assert shown in text
     for name in (*CHANNELS[:3], *EFFECTS, SEGMENTS[0], "ramp-20"):
         assert name in text
