@@ -70,6 +70,11 @@ class Candidate:
         return max(self.variants, key=lambda weighed: float(weighed.log_bayes.max()))
 
     @property
+    def shape_cost(self) -> float:
+        """log of what averaging over the shape costs against the best shape, at the first setting."""
+        return float(self.log_bayes[0] - self.best.log_bayes[0])
+
+    @property
     def kept(self) -> float:
         return max((weighed.kept for weighed in self.variants), default=0.0)
 
@@ -205,13 +210,14 @@ class Weighing:
         return Candidate(effect, tuple(usable), log_bayes)
 
     def _refined(self, effect: Shaped, coarse: list[Weighed]) -> tuple[list[Weighed], Array]:
-        """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule over the logarithm of the shape.
+        """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule, every interval of the grid
+        having the same prior.
 
         Three rounds put four values between each neighbour and the best: the peak of an effect at a hundred standard deviations is
         that sharp.
         """
         have = {float(item.variant.shape or 0.0): item for item in coarse}
-        total = np.log(max(have)) - np.log(min(have))
+        grid = np.array(sorted(have))
         for _ in range(3):
             shapes = np.array(sorted(have))
             top = int(np.argmax([float(have[shape].log_bayes.max()) for shape in shapes]))
@@ -220,12 +226,13 @@ class Weighing:
             new = self.weigh([effect.at(self.observed, float(np.exp(value))) for value in between])
             have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
         shapes = np.array(sorted(have))
-        steps = np.diff(np.log(shapes))
+        place = np.interp(np.log(shapes), np.log(grid), np.linspace(0.0, 1.0, len(grid)))
+        steps = np.diff(place)
         share = np.zeros(len(shapes))
         share[:-1] += steps / 2
         share[1:] += steps / 2
         stacked = np.array([have[shape].log_bayes for shape in shapes])
-        return [have[shape] for shape in shapes], log_mean_exp(stacked, 0, (share / total)[:, None])
+        return [have[shape] for shape in shapes], log_mean_exp(stacked, 0, (share / share.sum())[:, None])
 
 
 def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:

@@ -83,32 +83,35 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     """Log evidence of pairs of effects with signatures, and the best of them weighed.
 
     A quick look takes each likely effect at its most probable size as given and weighs every form of the others on what it leaves; the
-    best of those are weighed with both amplitudes on a grid, under every setting of the noise.
+    best of those are weighed with both amplitudes on a grid, under every setting of the noise; the others count with what they have at the
+    declared noise alone.
     """
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
-    quick: dict[str, tuple[float, Weighed, Weighed]] = {}
+    quick: dict[str, tuple[float, Weighed, Weighed, float]] = {}
     for first in ranked:
         a = first.best
         for second in usable:
             if second.id == first.id:
                 continue
             b, value = _given(a, second)
-            value += weighing.evidence(first.log_bayes)
+            cost = first.shape_cost + second.shape_cost
+            value += float(a.log_bayes[0]) + cost
             key = pair_key(first.id, second.id)
             if key not in quick or value > quick[key][0]:
-                quick[key] = (value, a, b)
-    found = {key: value for key, (value, _, _) in quick.items()}
+                quick[key] = (value, a, b, cost)
+    declared = float(weighing.base[0] + weighing.log_prior[0][0])
+    found = {key: declared + value for key, (value, *_) in quick.items()}
     best: dict[str, Weighed] = {}
     for key in sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]:
-        _, a, b = quick[key]
+        _, a, b, cost = quick[key]
         (both,) = weighing.weigh([Variant(a.variant.columns + b.variant.columns)])
         log_bayes = np.full(len(weighing.base), -np.inf)
         for g in np.flatnonzero(np.isfinite(weighing.log_prior[0])):
             log_bayes[g] = pair_log_bayes_factor(
                 both.gram[g], both.score[g], len(a.variant.columns), (a.trace, b.trace), PAIR_ENERGIES
             )
-        found[key], best[key] = weighing.evidence(log_bayes), both
+        found[key], best[key] = weighing.evidence(log_bayes + cost), both
     return found, best
 
 

@@ -15,7 +15,7 @@ from planrunner.gap.diagnosis import Options, diagnose
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.posterior import PRIORS
 from planrunner.gap.where import places
-from tests.gap.turntable import DEG, GYRO_WHITE, RATE, G, record
+from tests.gap.turntable import DEG, GYRO_WHITE, G, record
 
 Array = np.ndarray
 
@@ -174,7 +174,3 @@ def test_closure_covers_the_truth() -> None:
 def test_closure_of_too_little_is_not_resolvable() -> None:
     draw = np.random.default_rng(8)
     assert not measured(draw.normal(size=400), draw.normal(size=400) * 0.05).resolvable
-
-
-def test_constants_of_the_simulation_are_those_assumed() -> None:
-    assert np.diff(record().bounds)[0] == RATE * 20
