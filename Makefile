@@ -4,8 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DATA ?= ../shared/data
+CASES ?= 3000
+SEED ?= 41
+JOBS ?= 2
+CAMPAIGN ?= build/blind-$(SEED)-$(CASES)
 
-.PHONY: all demo test test-slow lint schemas catalogues wheel benchmark clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel benchmark campaign clean
 
 all: $(READY)
 
@@ -43,6 +47,15 @@ catalogues: $(READY)
 benchmark: $(READY)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
 	$(BIN)/python -m benchmarks
+
+# Recordings with sealed effects, answered by the diagnosis, an oracle and baselines; goes on where it stopped. See docs/blind-campaign.md.
+campaign: export OMP_NUM_THREADS := 1
+campaign: $(READY)
+	mkdir -p build
+	$(BIN)/python -m tests.blind make $(CASES) --seed $(SEED) --jobs $(JOBS) $(CAMPAIGN)
+	$(BIN)/python -m tests.blind answer $(CAMPAIGN) --jobs $(JOBS) --by planrunner --by oracle \
+	  --by stepwise-bic --by whitened-bic --by lasso --by stlsq
+	$(BIN)/python -m tests.blind score $(CAMPAIGN) --json $(CAMPAIGN)/score.json
 
 wheel: $(READY)
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .

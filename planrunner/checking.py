@@ -146,8 +146,8 @@ def check_plan(
 
 
 def report_names() -> list[str]:
-    """The reports that can be written of a run: the shipped templates but those of `show` and `design`."""
-    return [name for name in available() if not name.startswith(("show.", "design.", "design-"))]
+    """The reports that can be written of a run: the shipped templates but those of `show`, `design` and `diagnose`."""
+    return [name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis."))]
 
 
 def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:

@@ -28,6 +28,14 @@ NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 SINGLE_ROLES = ("table", "chamber", "sensor")
 
 
+class MagneticFieldSpec(Record):
+    """The Earth's magnetic field at the site, by its true components. Only ratios matter unless sensitivities are to have a unit."""
+
+    east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, 0.0)
+    north: float = key(Number(-1e6, 1e6), "Component towards north.", 22.0)
+    up: float = key(Number(-1e6, 1e6), "Component upwards; negative on the northern hemisphere.", -44.0)
+
+
 class SiteSpec(Record):
     """Where the bench stands."""
 
@@ -47,6 +55,12 @@ class SiteSpec(Record):
     )
     height: Quantity = key(
         QuantityOf("length"), "Height above the ellipsoid; for navigation.", "50 m", parse_quantity("0 m")
+    )
+    magnetic_field: MagneticFieldSpec | None = key(
+        RecordOf(MagneticFieldSpec),
+        "The Earth's magnetic field, all components in one unit; for sensors that feel it.",
+        {"north": 22.0, "up": -44.0},
+        None,
     )
     survey: Calibration | None = key(
         RecordOf(Calibration),
@@ -175,12 +189,14 @@ def driver_of(entry: InstrumentEntry) -> Any:
 
 def site_of(bench: Bench) -> Site:
     site = bench.site
+    magnetic = site.magnetic_field
     return Site(
         site.latitude.value,
         site.gravity.value,
         site.azimuth.value,
         longitude=site.longitude.value,
         height=site.height.value,
+        magnetic_field=None if magnetic is None else (magnetic.east, magnetic.north, magnetic.up),
     )
 
 

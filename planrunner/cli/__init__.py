@@ -27,6 +27,7 @@ COMMANDS = {
     "resume": "go on with a run that was cut short",
     "estimate": "estimate again from a recording, as a new analysis",
     "report": "write the reports of an analysis again",
+    "diagnose": "find what a recording holds beyond its simulation: where, which effect, how far the gap shrinks, what to measure next",
     "new": "list the shipped plans, or copy one to start from",
     "bench": "list the shipped benches and the installed instrument drivers",
     "export": "export coefficients to CSV, MATLAB, YAML or a C header",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +158,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 def start_place(request: EstimateRequest, stop: RecordedSegment, factor: float) -> Site:
     """Where alignment stands: as told of the run, else as the reference channels show, else the bench's site. factor: on normal gravity.
     Raises `EstimationError`."""
-    places: dict[str, float] = {}
+    places: dict[str, Any] = {}
     for name, dimension in _POSITION.items():
         text = request.setup.information.get(name, "").strip()
         channel = name.replace("initial", "reference")
@@ -268,7 +268,7 @@ def _begin(
     parameters: StrapdownNavigationParameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     told = request.setup.information
-    moved = {
+    moved: dict[str, Any] = {
         name: first[f"reference_{name}"]
         for name in ("latitude", "longitude", "height")
         if f"reference_{name}" in first and not told.get(f"initial_{name}", "").strip()

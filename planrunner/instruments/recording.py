@@ -1,14 +1,15 @@
 """The recording player: a sensor that plays back a CSV or Parquet file as if it were measured now.
 
 Columns are mapped to channels with units. A table of segments says which stretch of the recording belongs to which
-label; without one the whole recording is one stretch. Files lie beneath the data root, never outside it. Rows stream;
-a long recording is never held as a whole.
+label; without one the whole recording is one stretch. Files lie beneath the data root, never outside it, unless they are
+named on the command line. Rows stream; a long recording is never held as a whole.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,118 +18,12 @@ from numpy.typing import NDArray
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
+from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
 from planrunner.instruments.recording_table import SegmentTable, Span, read_segment_table
-from planrunner.plan.findings import Findings
-from planrunner.plan.kinds import Choice, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
-from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
-from planrunner.plan.source import Node, Scalar
-from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
 Array = NDArray[np.float64]
-NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
-COLUMN = r"[^\x00-\x1f]{1,200}"
-TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
-SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0), strict=True))
 RATE_TOLERANCE = math.log(1.25)
-_NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
-
-
-class UnitText:
-    """The text of a unit, such as deg/s."""
-
-    def read(self, node: Node, log: Findings) -> str | None:
-        text = node.text if isinstance(node, Scalar) else ""
-        try:
-            unit(text)
-        except UnknownUnitError as error:
-            log.error("meaning-unit", node.mark, f"{error}", "write for example deg/s, g, m/s^2 or degC")
-            return None
-        return text
-
-    def schema(self) -> dict[str, Any]:
-        return {"type": "string"}
-
-
-class TimeColumn(Record):
-    """The column that holds time."""
-
-    column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
-    unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", "s")
-
-
-class ChannelColumn(Record):
-    """The column that a channel is read from."""
-
-    column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
-    unit: str = key(UnitText(), "Unit of the numbers in the file, kept in the recording.", "deg/s")
-    sign: int = key(Number(-1, 1, integer=True), "-1 where the sensor's axis points the other way.", -1, 1)
-    noise: Quantity | None = key(
-        QuantityOf(None, "not negative"),
-        "Standard deviation of one sample at rest, for predictions.",
-        "0.1 deg/s",
-        None,
-    )
-    full_scale: Quantity | None = key(QuantityOf(None, "positive"), "Full scale, either sign.", "2000 deg/s", None)
-
-
-class ChannelKind:
-    """A channel's column; its noise and full scale are of its own dimension."""
-
-    _record = RecordOf(ChannelColumn)
-
-    def read(self, node: Node, log: Findings) -> ChannelColumn | None:
-        channel: ChannelColumn | None = self._record.read(node, log)
-        if channel is None:
-            return None
-        if channel.sign == 0:
-            log.error("meaning-range", channel.at("sign"), "a sign is 1 or -1", "write 1 or -1")
-        for name in ("noise", "full_scale"):
-            value = getattr(channel, name)
-            if value is not None and value.unit.dimension != unit(channel.unit).dimension:
-                message = f"'{value.unit.text}' is not of the dimension of {channel.unit}"
-                log.error("meaning-dimension", channel.at(name), message, f"write it in {channel.unit}")
-        return channel
-
-    def schema(self) -> dict[str, Any]:
-        return self._record.schema()
-
-
-class SegmentColumns(Record):
-    """The table that says which stretch of the recording belongs to which label."""
-
-    table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file beneath the data root.", "jig/stops.csv")
-    label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", "label")
-    start: str = key(
-        Text(COLUMN, "a column's name"), "Column of the beginnings, in the recording's time.", "start_s", "start_s"
-    )
-    end: str = key(Text(COLUMN, "a column's name"), "Column of the ends.", "end_s", "end_s")
-    unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", "s")
-    trim: Quantity = key(QuantityOf("time", "not negative"), "Left out at either end of a stretch.", "2 s", _NO_TRIM)
-
-
-class RecordingParameters(Record):
-    """A recording that is played back."""
-
-    file: str = key(
-        Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
-        "CSV or Parquet file beneath the data root.",
-        "jig/staircase.parquet",
-    )
-    kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")
-    time: TimeColumn = key(RecordOf(TimeColumn), "The column that holds time.", {"column": "time_s", "unit": "s"})
-    channels: dict[str, ChannelColumn] = key(
-        MapOf(ChannelKind(), pattern=NAME),
-        "Channel name → column of the file.",
-        {"gyro_y": {"column": "gyro_y_deg_per_s", "unit": "deg/s"}},
-    )
-    segments: SegmentColumns | None = key(
-        RecordOf(SegmentColumns),
-        "Where the segments lie; without it the whole recording is one segment.",
-        {"table": "jig/stops.csv", "trim": "2 s"},
-        None,
-    )
-    sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
 
 
 class RecordingPlayer:
@@ -151,35 +46,45 @@ class RecordingPlayer:
         self.spans = spans
         self.clock = clock
         self.piece = piece
+        power_on = parameters.time.power_on
+        self.origin = file.origin if power_on is None else power_on.value
         self._served: str | None = None
 
     @classmethod
     def model(cls, parameters: RecordingParameters) -> SensorModel:
         rate = parameters.sample_rate.value
-        outputs = []
-        for name, channel in parameters.channels.items():
-            factor = unit(channel.unit).factor
-            white = 0.0 if channel.noise is None else _width(channel.noise) / factor / math.sqrt(rate)
-            full_scale = math.inf if channel.full_scale is None else _width(channel.full_scale) / factor
-            outputs.append(OutputModel(name, channel.unit, full_scale, NoiseModel(white)))
-        return SensorModel(parameters.kind, tuple(outputs), rate)
+        outputs = tuple(
+            OutputModel(
+                name,
+                channel.unit,
+                channel.amount("full_scale", math.inf),
+                NoiseModel(channel.white(rate), channel.amount("bias_instability"), channel.amount("resolution")),
+            )
+            for name, channel in parameters.channels.items()
+        )
+        return SensorModel(parameters.kind, outputs, rate)
 
     @classmethod
     def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer:
+        table = None if parameters.segments is None else beneath(surroundings.data_root, parameters.segments.table)
+        piece = 1.0 if surroundings.real_time else math.inf
+        return cls.open(parameters, beneath(surroundings.data_root, parameters.file), table, surroundings.clock, piece)
+
+    @classmethod
+    def open(
+        cls, parameters: RecordingParameters, path: Path, table: Path | None, clock: Clock, piece: float = math.inf
+    ) -> RecordingPlayer:
+        """A player of the file at `path`. table: file of the segments; piece: s, the longest block. Raises `InstrumentError`."""
         columns = {name: channel.column for name, channel in parameters.channels.items()}
-        path = beneath(surroundings.data_root, parameters.file)
-        scale = SECONDS[parameters.time.unit]
-        file = open_recording(path, parameters.file, parameters.time.column, scale, columns)
-        _check_rate(file, parameters)
+        file = open_recording(path, parameters.file, parameters.time.column, SECONDS[parameters.time.unit], columns)
+        _check_time(file, parameters)
         spans = None
         stated = parameters.segments
-        if stated is not None:
-            table = beneath(surroundings.data_root, stated.table)
+        if stated is not None and table is not None:
             spans = read_segment_table(
                 table, stated.table, (stated.label, stated.start, stated.end), SECONDS[stated.unit], stated.trim.value
             )
-        piece = 1.0 if surroundings.real_time else math.inf
-        return cls(parameters, file, spans, surroundings.clock, piece)
+        return cls(parameters, file, spans, clock, piece)
 
     # -- what it does ----------------------------------------------------------------------------------------------
 
@@ -202,8 +107,8 @@ class RecordingPlayer:
                 raise self._too_short(segment, span.end - span.start)
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The stretch of one label: its first `dwell` seconds, or all of it. Time counts from the recording's first
-        row.
+        """The stretch of one label: its first `dwell` seconds, or all of it. Time counts from power-on where that is declared,
+        else from the recording's first row.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
@@ -254,7 +159,7 @@ class RecordingPlayer:
                 values = columns[name][part]
                 channels[name] = values if channel.sign > 0 else -values
             self.clock.sleep(len(time[part]) / rate)
-            yield Block(time[part] - self.file.origin, channels)
+            yield Block(time[part] - self.origin, channels)
 
     def _span(self, segment: Segment) -> Span:
         if self.spans is not None:
@@ -277,8 +182,8 @@ class RecordingPlayer:
         )
 
 
-def _check_rate(file: RecordingFile, parameters: RecordingParameters) -> None:
-    """A declared rate that the time column contradicts: most often a wrong unit of time."""
+def _check_time(file: RecordingFile, parameters: RecordingParameters) -> None:
+    """A declared rate that the time column contradicts, most often by a wrong unit of time, and a power-on after the first row."""
     declared = parameters.sample_rate.value
     if not math.isnan(file.interval) and abs(math.log(file.interval * declared)) > RATE_TOLERANCE:
         message = (
@@ -286,8 +191,7 @@ def _check_rate(file: RecordingFile, parameters: RecordingParameters) -> None:
             f"({1 / file.interval:.4g} Hz): correct `sample_rate`, or the unit of the column '{parameters.time.column}'"
         )
         raise InstrumentError(message)
-
-
-def _width(quantity: Quantity) -> float:
-    """An amount in SI units, such as a standard deviation, without the offset of a temperature scale."""
-    return quantity.value - quantity.unit.offset
+    power_on = parameters.time.power_on
+    if power_on is not None and power_on.value > file.origin:
+        message = f"{parameters.file} begins at {file.origin:g} s, before the power-on at {power_on.value:g} s"
+        raise InstrumentError(f"{message}: correct `time: {{power_on: …}}` in the bench file")

@@ -49,8 +49,10 @@ class RecordingFile(Protocol):
     """A recording that can be read again and again. origin: time of its first row, s; interval: median time between its
     first rows, s, NaN for a single row."""
 
-    origin: float
-    interval: float
+    @property
+    def origin(self) -> float: ...
+    @property
+    def interval(self) -> float: ...
 
     def rows(self, start: float, end: float) -> Rows:
         """Times [s], shape (n,), and channels, each (n,), with start ≤ time ≤ end, in batches of at most `BATCH`
@@ -79,6 +81,31 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
         file.interval = float(np.median(np.diff(first))) if first.size > 1 else math.nan
         return file
     raise InstrumentError(f"{name} holds no samples")
+
+
+@dataclass(frozen=True, slots=True)
+class HeldRecording:
+    """A recording in memory: many stretches of one file without reading it as often. time: (n,), s; columns: each (n,)."""
+
+    origin: float
+    interval: float
+    time: Array
+    columns: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, file: RecordingFile) -> HeldRecording:
+        """All rows of a file, read once. Raises `InstrumentError` as the file does."""
+        pieces = list(file.rows(-np.inf, np.inf))
+        time = np.concatenate([piece for piece, _ in pieces])
+        names = pieces[0][1]
+        columns = {name: np.concatenate([values[name] for _, values in pieces]) for name in names}
+        return cls(file.origin, file.interval, time, columns)
+
+    def rows(self, start: float, end: float) -> Rows:
+        """As of a file; one batch at most."""
+        low, high = np.searchsorted(self.time, start, side="left"), np.searchsorted(self.time, end, side="right")
+        if low < high:
+            yield self.time[low:high], {name: values[low:high] for name, values in self.columns.items()}
 
 
 def _column_hint(column: str, known: list[str]) -> str:

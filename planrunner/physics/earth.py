@@ -18,6 +18,7 @@ class Site:
     longitude: rad, east positive; height: m above the ellipsoid; both only matter where positions are navigated.
     azimuth: of the table's reference direction, from true north, positive clockwise seen from above (towards east). Orientation
     words in plans mean true directions; the table's joint angles take the azimuth into account.
+    magnetic_field: of the Earth, in true East-North-Up, in whatever unit the bench names; None where it is not known.
     """
 
     latitude: float
@@ -26,6 +27,7 @@ class Site:
     earth_rate: float = EARTH_RATE
     longitude: float = 0.0
     height: float = 0.0
+    magnetic_field: tuple[float, float, float] | None = None
 
     @property
     def earth_rate_enu(self) -> NDArray[np.float64]:

@@ -162,6 +162,8 @@ _DAILY = {
         Unit("deg/h/sqrt(h)", _DEG / 3600 / 60, (("angle", 1.0), ("time", -1.5))),
         Unit("ug*sqrt(s)", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("time", -1.5))),
         Unit("ug/sqrt(h)", STANDARD_GRAVITY / 1e6 / 60, (("length", 1.0), ("time", -2.5))),
+        Unit("deg/s/sqrt(Hz)", _DEG, (("angle", 1.0), ("time", -0.5))),
+        Unit("ug/sqrt(Hz)", STANDARD_GRAVITY / 1e6, (("length", 1.0), ("time", -1.5))),
         Unit("ppm/K", 1e-6, (("temperature", -1.0),)),
         Unit("ppm/K^2", 1e-6, (("temperature", -2.0),)),
         Unit("deg/h/K", _DEG / 3600, (("angle", 1.0), ("temperature", -1.0), ("time", -1.0))),

@@ -57,7 +57,7 @@ def plot_svg(plot: Plot, key: str) -> str:
     key: a name unique in the page, of letters, digits and hyphens; ids in the picture begin with it.
     """
     labels = _labels(plot.x)
-    with _figure(WIDTH, 3.1) as (figure, save):
+    with drawing(WIDTH, 3.1) as (figure, save):
         axes = figure.add_subplot()
         if plot.lines and not labels:
             _draw_courses(axes, plot)
@@ -66,9 +66,23 @@ def plot_svg(plot: Plot, key: str) -> str:
         if plot.log and not labels and any(value > 0 for values in plot.series.values() for value in values):
             axes.set_xscale("log")
             axes.set_yscale("log")
+            _plain_ticks(axes)
         _finish(axes, plot, labels)
         described = f"{plot.y_title} against {plot.x_title}, {len(plot.x)} points, series: {', '.join(plot.series)}"
         return save(key, plot.title, described)
+
+
+def _plain_ticks(axes: Any) -> None:
+    """Numbers beside logarithmic axes as text, since formulas are not drawn; 2 and 5 as well where an axis spans less than two decades."""
+
+    def between(value: float, _: int) -> str:
+        leading = round(value / 10 ** math.floor(math.log10(value)), 6)
+        return f"{value:g}" if leading in (2, 5) else ""
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
+        axis.set_minor_formatter(between if high < 100 * low else lambda value, _: "")
 
 
 def _draw_points(axes: Any, plot: Plot, labels: list[str]) -> None:
@@ -163,7 +177,7 @@ def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
 
     matrix = correlation(np.asarray(covariance, dtype=float))
     size = len(names)
-    with _figure(WIDTH, WIDTH * 0.97) as (figure, save):
+    with drawing(WIDTH, WIDTH * 0.97) as (figure, save):
         axes = figure.add_subplot()
         colours = LinearSegmentedColormap.from_list("correlation", ["#b45309", "#ffffff", "#0b5394"])
         for row in range(size):
@@ -205,7 +219,7 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
     from planrunner.reporting.timeline import draw_panels, panels_of
 
     panels = panels_of(schedule)
-    with _figure(7.2, 0.75 + 0.95 * len(panels)) as (figure, save):
+    with drawing(7.2, 0.75 + 0.95 * len(panels)) as (figure, save):
         rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         draw_panels(rows, panels, schedule)
         described = f"{len(schedule.segments)} segments in {clock(schedule.total)} (hours, minutes, seconds)."
@@ -213,7 +227,7 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
 
 
 @contextmanager
-def _figure(width: float, height: float) -> Iterator[tuple[Any, Any]]:
+def drawing(width: float, height: float) -> Iterator[tuple[Any, Any]]:
     """A figure of our style and a function that turns it into an `<svg>` element."""
     import io
 

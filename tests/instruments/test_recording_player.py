@@ -15,6 +15,7 @@ from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.recording import RecordingParameters, RecordingPlayer
+from planrunner.instruments.recording_file import HeldRecording
 from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
@@ -99,6 +100,31 @@ def test_a_segment_is_its_stretch_trimmed_and_cut_to_the_dwell(tmp_path, name, l
     time, data = play(instrument, label, dwell)
     assert np.array_equal(data["x"], np.arange(first, last + 1, dtype=float))
     assert time[0] == pytest.approx(first / RATE)
+
+
+@FORMATS
+def test_a_recording_held_in_memory_serves_the_same_stretches(tmp_path, name):
+    x = np.arange(100.0)
+    x[7] = np.nan
+    write(tmp_path, name, x=x, t=500 + np.arange(100) / RATE)
+    file = player(tmp_path, file=name).file
+    held = HeldRecording.of(file)
+    assert (held.origin, held.interval) == (file.origin, file.interval)
+    for start, end in (
+        (-np.inf, np.inf),
+        (500.7, 503.0),
+        (501.0, 501.0),
+        (499.0, 500.05),
+        (509.9, 600.0),
+        (600.0, 700.0),
+    ):
+        read = [list(one.rows(start, end)) for one in (file, held)]
+        whole = [[np.concatenate([np.empty(0), *[part(row) for row in rows]]) for part in PARTS] for rows in read]
+        for one, other in zip(*whole, strict=True):
+            assert np.array_equal(one, other, equal_nan=True)
+
+
+PARTS = (lambda row: row[0], lambda row: row[1]["x"], lambda row: row[1]["y"])
 
 
 def test_time_and_table_may_have_units_of_their_own(tmp_path):

@@ -146,3 +146,16 @@ def test_a_long_course_keeps_its_peaks_and_gaps() -> None:
 def test_band_of_a_course() -> None:
     band = Plot("t", "s", "y", (0.0, 1.0, 2.0), {"a": (1.0, 2.0, 3.0)}, {"a": (0.5, 0.5, 0.5)}, lines=True)
     assert plots.plot_svg(band, "k").count("fill-opacity: 0.18") == 1
+
+
+def test_numbers_beside_logarithmic_axes_are_numbers():
+    """Formulas are not drawn: a power of ten would stand there as its markup."""
+    wide = plots.plot_svg(
+        Plot("Spectrum", "f", "d", (0.1, 1.0, 100.0), {"a": (2.0, 20.0, 4e4)}, log=True, lines=True), "wide"
+    )
+    narrow = plots.plot_svg(
+        Plot("Spectrum", "f", "d", (1.0, 3.0, 8.0), {"a": (0.001, 0.003, 0.004)}, log=True, lines=True), "narrow"
+    )
+    assert "mathdefault" not in wide + narrow
+    assert {"0.1", "10", "1000"} <= set(re.findall(r">([\d.]+)</text>", wide))
+    assert {"2", "5", "0.002"} <= set(re.findall(r">([\d.]+)</text>", narrow))

@@ -1,0 +1,146 @@
+"""`planrunner diagnose`: where recording and simulation differ, which effect explains it, how far the gap shrinks, what to measure next."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planrunner import cli
+from planrunner.cli.printing import print_findings, print_json, write_file
+from planrunner.plan.findings import InputError, Mark, closest
+from planrunner.reporting.printable import printable
+
+if TYPE_CHECKING:
+    from planrunner.diagnosing import Diagnosed, Recorded
+    from planrunner.gap.diagnosis import Options
+    from planrunner.reporting.diagnosis_page import DiagnosisContext
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "subject", metavar="RUN|PLAN", type=Path, help="run folder, or the plan of a recording in a file"
+    )
+    parser.add_argument("--bench", metavar="BENCH", help="with a plan: bench that maps the recording's columns")
+    parser.add_argument(
+        "--recording", metavar="FILE", type=Path, help="with a plan: CSV or Parquet file of the samples"
+    )
+    parser.add_argument("--segments", metavar="CSV", type=Path, help="with a plan: table of the segments by label")
+    parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
+    parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
+    parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan that would settle what is left")
+    parser.add_argument(
+        "--nominal",
+        metavar="TERM",
+        nargs="+",
+        help="what the simulation fits (default: all; see the documentation); what is left out is a candidate like any effect",
+    )
+    parser.add_argument("--jobs", metavar="N", type=_jobs, default=1, help="processors to use (default: 1)")
+
+
+def _jobs(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"at least one: {value}")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    # Many small systems are solved: threads of the linear algebra would wait for each other. It reads this as it is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(args.jobs))
+    recorded = _recorded(args)
+    from planrunner.diagnosing import diagnose_recorded
+
+    made = diagnose_recorded(recorded, _options(args.nominal))
+    print_findings(made.findings)
+    found = made.to_json()
+    text = _next(args, found)
+    context = _context(made, found, text)
+    if args.json:
+        print_json(found)
+    else:
+        _show(context)
+    out = sys.stderr if args.json else sys.stdout
+    if args.html is not None:
+        from planrunner.reporting.diagnosis_page import render_page
+
+        write_file(args.html, render_page(context))
+        print(args.html, file=out)
+    if args.next is not None:
+        print(args.next if text else "No plan is proposed.", file=out)
+    return cli.DONE
+
+
+def _options(nominal: list[str] | None) -> Options:
+    from planrunner.gap.candidates import FULL
+    from planrunner.gap.diagnosis import Options
+
+    for name in nominal or ():
+        if name not in FULL:
+            raise InputError.at(Mark("--nominal"), "gap-nominal", f"'{name}' is no nominal term", closest(name, FULL))
+    return Options() if nominal is None else Options(nominal=tuple(nominal))
+
+
+def _recorded(args: argparse.Namespace) -> Recorded:
+    """A run folder, or a plan with a recording."""
+    from planrunner.diagnosing import recorded_file, recorded_run
+
+    subject: Path = args.subject
+    if subject.is_dir():
+        given = [f"--{name}" for name in ("bench", "recording", "segments") if getattr(args, name) is not None]
+        if given:
+            message = f"{' and '.join(given)} cannot be given for a run folder, which holds its plan, bench and samples"
+            raise InputError.at(
+                Mark(str(subject)), "gap-arguments", message, "give the run folder alone, or a plan instead"
+            )
+        return recorded_run(subject)
+    if args.recording is None:
+        hint = "add --recording FILE, or give a run folder instead of the plan"
+        raise InputError.at(Mark(str(subject)), "gap-arguments", "a plan alone holds nothing to diagnose", hint)
+    return recorded_file(subject, args.bench, args.recording, args.segments)
+
+
+def _next(args: argparse.Namespace, found: dict[str, Any]) -> str:
+    """The proposed plan's text, written where --next says; its place then stands in the diagnosis."""
+    following = found["next"]
+    if following is None:
+        return ""
+    text = str(following.get("text", ""))
+    if args.next is not None:
+        write_file(args.next, text)
+        following["plan"] = str(args.next)
+    return text
+
+
+def _context(made: Diagnosed, found: dict[str, Any], next_plan: str) -> DiagnosisContext:
+    from planrunner.reporting.context import site_facts
+    from planrunner.reporting.diagnosis_page import DiagnosisContext
+
+    sound = made.recorded.sound
+    facts = {
+        "Recording": made.recorded.where,
+        "Plan": sound.file,
+        "Bench": sound.bench.name,
+        "Segments": str(len(made.recorded.segments)),
+        **site_facts(sound.models.site),
+    }
+    remarks = tuple(f"{finding.message}: {finding.hint}" for finding in made.findings)
+    return DiagnosisContext(sound.plan.title, found, facts, remarks, next_plan)
+
+
+def _show(context: DiagnosisContext) -> None:
+    """The answer first, then the tables it rests on."""
+    from planrunner.reporting import diagnosis_page, terminal
+
+    found = context.diagnosis
+    console = terminal.console()
+    console.print(printable(diagnosis_page.verdict(found)), style="bold")
+    console.print(printable(diagnosis_page.closure_words(found)))
+    for table in diagnosis_page.tables(found).values():
+        console.print(terminal.data_table(table))
+    expected = diagnosis_page.expected_words(found)
+    if expected:
+        console.print(printable(f"next: {expected}"))
+    console.print(printable(diagnosis_page.priors_words(found)), style="dim")

@@ -1,0 +1,252 @@
+"""The candidates weighed: for every effect the evidence for each of its forms, and what the nominal parameters leave of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.effects.interface import Column, Shaped, Variant
+from planrunner.gap.effects.nominal import PARTS
+from planrunner.gap.evidence import by_energy, log_mean_exp
+from planrunner.gap.noise_levels import counts
+from planrunner.gap.observed import Observed
+from planrunner.gap.spectrum import Spectrum, spectrum, white_level
+from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, settings_of, walking_alike
+
+Array = NDArray[np.float64]
+ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
+FULL = (
+    "gyro_bias",
+    "gyro_scale_factor",
+    "gyro_misalignment",
+    "earth_rate",
+    "accel_bias",
+    "accel_scale_factor",
+    "accel_misalignment",
+)
+_REFINE = 8.0  # log BF from which on a shape is worth refining
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A variant, whitened. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
+    setting, kept:
+    its share of the energy before. by_channel: whitened, projected columns (M, p) at the first setting; raw: before that, in magnitudes."""
+
+    variant: Variant
+    gram: Array = field(repr=False)
+    score: Array = field(repr=False)
+    trace: float
+    kept: float
+    by_channel: tuple[Array, ...] = field(repr=False)
+    raw: tuple[Array, ...] = field(repr=False)
+
+    @cached_property
+    def log_bayes(self) -> Array:
+        """(G,), averaged over s²."""
+        return log_mean_exp(by_energy(self.gram, self.score, self.trace), -1)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect and its weighed variants. log_bayes: (G,), averaged over the shape."""
+
+    effect: Any
+    variants: tuple[Weighed, ...]
+    log_bayes: Array
+
+    @property
+    def id(self) -> str:
+        return str(self.effect.id)
+
+    @property
+    def best(self) -> Weighed:
+        return max(self.variants, key=lambda weighed: float(weighed.log_bayes.max()))
+
+    @property
+    def shape_cost(self) -> float:
+        """log of what averaging over the shape costs against the best shape, at the first setting."""
+        return float(self.log_bayes[0] - self.best.log_bayes[0])
+
+    @property
+    def kept(self) -> float:
+        return max((weighed.kept for weighed in self.variants), default=0.0)
+
+
+class Weighing:
+    """The recording with its noise and its nominal model, ready to be asked about effects.
+
+    Settings of both triads are combined: index = gyro setting × accelerometer settings + accelerometer setting.
+    """
+
+    def __init__(self, observed: Observed, nominal: Sequence[str] = FULL):
+        self.steps = counts(observed)
+        channels = zip(observed.channels, self.steps, strict=True)
+        self.declared = observed
+        self.observed = observed = replace(
+            observed, channels=tuple(replace(channel, resolution=float(step)) for channel, step in channels)
+        )
+        self.nominal_columns = nominal_columns(observed, nominal)
+        self.spectrum: Spectrum = spectrum(observed, simulated(observed, nominal))
+        self.white, self.white_degrees = white_level(observed, self.spectrum)
+        self.settings: dict[str, tuple[Setting, ...]] = {
+            kind: settings_of(observed, self.white, kind) for kind in ("gyro", "accel")
+        }
+        coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
+        self.nominal = [
+            part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
+            for index, part in enumerate(coefficients)
+        ]
+        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal)))
+        self.weights: list[list[ChannelWeights]] = []
+        self.log_likelihood: list[Array] = []
+        for index, channel in enumerate(observed.channels):
+            settings = self.settings[channel.kind]
+            each = [
+                ChannelWeights(observed, self.spectrum, index, float(self.white[index]), setting, self.nominal[index])
+                for setting in settings
+            ]
+            chosen, likelihood = walking_alike(each, settings)
+            self.weights.append(chosen)
+            self.log_likelihood.append(likelihood)
+
+    def _fitted(self, reference: Array) -> Array:
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients."""
+        out = reference.copy()
+        for index, nominal in enumerate(self.nominal):
+            own = [column for column in self.nominal_columns if index in column.parts]
+            size = np.linalg.norm(nominal, axis=0) + 1e-300
+            values = np.linalg.lstsq(nominal / size, self.spectrum.values[:, index], rcond=None)[0] / size
+            for column, value in zip(own, values, strict=True):
+                out[:, index] += column.parts[index] * (column.magnitude * value)
+        return out
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        return len(self.settings["gyro"]), len(self.settings["accel"])
+
+    @cached_property
+    def base(self) -> Array:
+        """Log likelihood (G,) without any effect."""
+        parts = {"gyro": np.zeros(self.shape[0]), "accel": np.zeros(self.shape[1])}
+        for channel, likelihood in zip(self.observed.channels, self.log_likelihood, strict=True):
+            parts[channel.kind] += likelihood
+        return np.add.outer(parts["gyro"], parts["accel"]).ravel()
+
+    @cached_property
+    def log_prior(self) -> tuple[Array, Array]:
+        """Log prior (G,) of the settings without, and with, an undeclared random walk of the gyros."""
+        gyro, accel = self.settings["gyro"], self.settings["accel"]
+        prior = np.outer([s.prior for s in gyro], [s.prior for s in accel]).ravel()
+        walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
+        with np.errstate(divide="ignore"):
+            return np.log(np.where(walking, 0.0, prior)), np.log(np.where(walking, prior, 0.0))
+
+    def evidence(self, log_bayes: Array, walking: bool = False) -> float:
+        """Log evidence of a hypothesis with log BF (G,) over the noise, marginalised."""
+        terms = self.base + log_bayes + self.log_prior[int(walking)]
+        return float(np.logaddexp.reduce(terms))
+
+    def weigh(self, variants: Sequence[Variant]) -> list[Weighed]:
+        """Variants whitened and weighed under every setting."""
+        columns = [column for variant in variants for column in variant.columns]
+        bounds = np.concatenate(([0], np.cumsum([len(variant.columns) for variant in variants]))).astype(int)
+        raw = coefficients_of(self.observed, self.spectrum, columns)
+        sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
+        widths = [len(variant.columns) for variant in variants]
+        grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
+        scores = [{kind: np.zeros((n, p)) for kind, n in sizes.items()} for p in widths]
+        before = np.zeros(len(columns))
+        first: list[Array] = []
+        for index, channel in enumerate(self.observed.channels):
+            used = np.flatnonzero([index in column.parts for column in columns])
+            whole = np.zeros_like(raw[index])
+            done: dict[int, tuple[Array, Array]] = {}
+            for g, weight in enumerate(self.weights[index]):
+                if not len(used):
+                    break
+                if id(weight) not in done:
+                    own = weight.project(raw[index][:, used])
+                    done[id(weight)] = own, own.T @ weight.residual
+                own, score = done[id(weight)]
+                if g == 0:
+                    whole[:, used] = own
+                    before[used] += (weight.whiten(raw[index][:, used]) ** 2).sum(0)
+                for v in range(len(variants)):
+                    inside = np.flatnonzero((used >= bounds[v]) & (used < bounds[v + 1]))
+                    if len(inside):
+                        at = used[inside] - bounds[v]
+                        grams[v][channel.kind][np.ix_([g], at, at)] += own[:, inside].T @ own[:, inside]
+                        scores[v][channel.kind][g, at] += score[inside]
+            first.append(whole)
+        found = []
+        for v, variant in enumerate(variants):
+            gram = (grams[v]["gyro"][:, None] + grams[v]["accel"][None]).reshape(
+                -1, len(variant.columns), len(variant.columns)
+            )
+            score = (scores[v]["gyro"][:, None] + scores[v]["accel"][None]).reshape(-1, len(variant.columns))
+            part = slice(bounds[v], bounds[v + 1])
+            trace = float(np.trace(gram[0]))
+            kept = trace / max(float(before[part].sum()), 1e-300)
+            blocks = tuple(block[:, part] for block in first)
+            found.append(Weighed(variant, gram, score, trace, kept, blocks, tuple(block[:, part] for block in raw)))
+        return found
+
+    def candidate(self, effect: Any) -> Candidate:
+        """An effect weighed: its shape on the effect's grid, refined where the evidence is sharp."""
+        weighed = self.weigh(effect.variants(self.observed))
+        usable = [item for item in weighed if item.kept > ABSORBED and item.trace > 0]
+        if not usable:
+            return Candidate(effect, tuple(weighed), np.full(len(self.base), -np.inf))
+        log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
+        if isinstance(effect, Shaped) and float(log_bayes.max()) > _REFINE and len(usable) > 2:
+            usable, log_bayes = self._refined(effect, usable)
+        return Candidate(effect, tuple(usable), log_bayes)
+
+    def _refined(self, effect: Shaped, coarse: list[Weighed]) -> tuple[list[Weighed], Array]:
+        """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule, every interval of the grid
+        having the same prior.
+
+        Three rounds put four values between each neighbour and the best: the peak of an effect at a hundred standard deviations is
+        that sharp.
+        """
+        have = {float(item.variant.shape or 0.0): item for item in coarse}
+        grid = np.array(sorted(have))
+        for _ in range(3):
+            shapes = np.array(sorted(have))
+            top = int(np.argmax([float(have[shape].log_bayes.max()) for shape in shapes]))
+            around = np.log(shapes[max(0, top - 1) : top + 2])
+            between = np.concatenate([np.linspace(a, b, 6)[1:-1] for a, b in pairwise(around)])
+            new = self.weigh([effect.at(self.observed, float(np.exp(value))) for value in between])
+            have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
+        shapes = np.array(sorted(have))
+        place = np.interp(np.log(shapes), np.log(grid), np.linspace(0.0, 1.0, len(grid)))
+        steps = np.diff(place)
+        share = np.zeros(len(shapes))
+        share[:-1] += steps / 2
+        share[1:] += steps / 2
+        stacked = np.array([have[shape].log_bayes for shape in shapes])
+        return [have[shape] for shape in shapes], log_mean_exp(stacked, 0, (share / share.sum())[:, None])
+
+
+def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
+    """The columns of the nominal model."""
+    columns: list[Column] = []
+    for kind in ("gyro", "accel"):
+        for part, make in PARTS.items():
+            if f"{kind}_{part}" in nominal:
+                columns += make(observed, kind)
+    return columns
+
+
+def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
+    """What the nominal simulation gives before any parameter is fitted, (N, K), SI."""
+    omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
+    felt = {"gyro": omega, "accel": observed.force}
+    return np.column_stack([felt[channel.kind][:, channel.axis] for channel in observed.channels])

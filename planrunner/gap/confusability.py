@@ -1,0 +1,57 @@
+"""Confusability: which effects this plan can tell apart, before and after data.
+
+ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. Of an effect fitted with the
+energy λ, λ(1 − ρ) is what is left to tell it from B: the non-centrality of the test between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.candidates import Candidate, Weighed
+from planrunner.gap.evidence import best_amplitudes
+
+Array = NDArray[np.float64]
+DISCRIMINABLE = 10.0  # non-centrality below which two effects are not told apart
+ALIKE = 0.9  # share from which on they count as one class whatever the energy
+_RIDGE = 1e-9
+
+
+def fitted(weighed: Weighed) -> list[Array]:
+    """The whitened, projected signature of an effect at its fitted amplitudes, (M,) per channel."""
+    amplitudes, _ = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
+    return [block @ amplitudes for block in weighed.by_channel]
+
+
+def energy(signature: Sequence[Array]) -> float:
+    return float(sum(part @ part for part in signature))
+
+
+def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
+    """The share of a signature's energy that the best of some variants reproduces."""
+    total = energy(signature)
+    if total <= 0:
+        return 0.0
+    shares = []
+    for rival in rivals:
+        score = np.sum([block.T @ part for block, part in zip(rival.by_channel, signature, strict=True)], axis=0)
+        gram = rival.gram[0] + _RIDGE * rival.trace / len(rival.gram[0]) * np.eye(len(rival.gram[0]))
+        shares.append(float(score @ np.linalg.solve(gram, score)) / total)
+    return min(1.0, max(shares, default=0.0))
+
+
+def expected(a: Weighed, b: Weighed) -> float:
+    """ρ(A|B) before data: over amplitudes from A's prior, tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
+    cross = np.sum([x.T @ y for x, y in zip(a.by_channel, b.by_channel, strict=True)], axis=0)
+    gram = b.gram[0] + _RIDGE * b.trace / len(b.gram[0]) * np.eye(len(b.gram[0]))
+    return float(np.clip(np.trace(cross @ np.linalg.solve(gram, cross.T)) / a.trace, 0.0, 1.0))
+
+
+def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
+    """Names and ρ(A|B), rows A, of all candidates that leave a signature, each at its likeliest shape."""
+    present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
+    best = [candidate.best for candidate in present]
+    return [c.id for c in present], np.array([[expected(a, b) for b in best] for a in best])

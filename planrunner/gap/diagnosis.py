@@ -1,0 +1,166 @@
+"""The diagnosis of a recording: where it differs from its simulation, which effect explains that, and how far the gap shrinks.
+
+Steps: spectra and noise, nominal parameters projected out (`weighing`); evidence for every effect that is installed (`candidates`),
+for pairs
+and for competitors that are nobody's effect (`posterior`, `open_set`); a verdict that names no member of a class that the plan cannot
+separate
+(`verdict`, `confusability`); where the gap lives (`where`) and whether it closes on segments held out (`closure`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planrunner import plugins
+from planrunner.gap import parameters as estimates
+from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighing
+from planrunner.gap.closure import NOT_RESOLVABLE, Closure, closure
+from planrunner.gap.observed import ObservationError, Observed
+from planrunner.gap.parameters import Parameter
+from planrunner.gap.pictures import gap_by_channel, pictures
+from planrunner.gap.posterior import PRIORS, Posterior, posterior
+from planrunner.gap.verdict import Verdict, ambiguity_set, verdict
+from planrunner.gap.where import Place, places
+
+EFFECTS = "planrunner.effects"
+FEWEST_SEGMENTS = 4
+SHOWN_PLACES = 20
+_CHOICES = 6  # candidates among which a fold of the closure chooses
+_ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """nominal: what the nominal simulation fits, of `candidates.FULL`; effects: candidates, all that are installed without it."""
+
+    nominal: tuple[str, ...] = FULL
+    effects: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that nominal parameters leave.
+    pictures: numbers for drawings, as plain data."""
+
+    gap: Mapping[str, Mapping[str, Any]]
+    where: tuple[Place, ...]
+    posterior: Posterior
+    verdict: Verdict
+    ambiguity_set: tuple[str, ...]
+    absorbed: Mapping[str, float]
+    parameters: tuple[Parameter, ...]
+    closure: Closure
+    pictures: Mapping[str, Any] = field(repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data as `schemas/diagnosis.schema.json` has it; NaN becomes null."""
+        shut = self.closure
+        plain = {
+            "gap": {name: dict(entry) for name, entry in self.gap.items()},
+            "where": [
+                {"channel": p.channel, "factor": p.factor, "level": p.level, "share": p.share, "p": p.p}
+                for p in self.where
+            ],
+            "posterior": dict(self.posterior.probability),
+            "verdict": {
+                "kind": self.verdict.kind,
+                "effects": list(self.verdict.effects),
+                "class": list(self.verdict.members),
+                "form_residue": self.verdict.residue,
+            },
+            "ambiguity_set": list(self.ambiguity_set),
+            "absorbed": [{"effect": name, "kept_share": share} for name, share in self.absorbed.items()],
+            "parameters": [
+                {
+                    "effect": p.effect,
+                    "name": p.name,
+                    "value": p.value,
+                    "unit": p.unit,
+                    "standard_uncertainty": p.standard_uncertainty,
+                }
+                for p in self.parameters
+            ],
+            "closure": {
+                "before": shut.before,
+                "after": shut.after,
+                "shrinks_by": shut.shrinks_by,
+                "interval_90": list(shut.interval_90) if shut.resolvable else None,
+                "resolvable": shut.resolvable,
+            },
+            "next": None,
+            "priors": dict(PRIORS),
+            "pictures": dict(self.pictures),
+        }
+        finite: dict[str, Any] = _finite(plain)
+        return finite
+
+
+def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
+    """Diagnose a recording. Raises `ObservationError` where it cannot be."""
+    if len(observed) < FEWEST_SEGMENTS:
+        few = f"the recording has {len(observed)} segments; telling an effect from fitted parameters takes {FEWEST_SEGMENTS}"
+        raise ObservationError(f"{few} or more: add orientations or rates to the plan")
+    names = plugins.names(EFFECTS) if options.effects is None else options.effects
+    effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
+    weighing = Weighing(observed, options.nominal)
+    candidates = [weighing.candidate(effect) for effect in effects if effect.stage != "covariance"]
+    found = posterior(weighing, effects, candidates)
+    said = verdict(weighing, found, candidates)
+    by_id = {candidate.id: candidate for candidate in candidates}
+    named = [name for name in said.effects if name in by_id]
+    absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
+    usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
+    ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
+    choices = [c.best for c in ranked[:_CHOICES]] + list(found.pairs.values())[:2]
+    key = "+".join(sorted(named))
+    after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
+    return Diagnosis(
+        gap_by_channel(weighing),
+        tuple(places(weighing)[:SHOWN_PLACES]),
+        found,
+        said,
+        tuple(ambiguity_set(found.probability)),
+        absorbed,
+        tuple(_parameters(weighing, said, found, by_id, effects)),
+        closure(weighing, choices) if said.kind != "none" else NOT_RESOLVABLE,
+        pictures(weighing, usable, after),
+    )
+
+
+def _parameters(
+    weighing: Weighing, said: Verdict, found: Posterior, by_id: Mapping[str, Candidate], effects: list[Any]
+) -> list[Parameter]:
+    """Estimates for the likeliest effects. Those of a pair are fitted together."""
+    listed: list[Parameter] = []
+    pair = found.pairs.get("+".join(sorted(said.effects)))
+    for name in said.effects:
+        if name not in by_id:
+            listed += estimates.of_noise(weighing, next(effect for effect in effects if effect.id == name))
+            continue
+        columns = slice(None)
+        weighed = by_id[name].best
+        if pair is not None:
+            own = {column.name for column in weighed.variant.columns}
+            size = len(weighed.variant.columns)
+            head = [column.name for column in pair.variant.columns[:size]]
+            first = set(head) == own and by_id[name].best.variant.columns[0].unit == pair.variant.columns[0].unit
+            columns, weighed = (slice(None, size) if first else slice(len(pair.variant.columns) - size, None)), pair
+        listed += estimates.amplitudes(name, weighed, columns) + estimates.shape(by_id[name])
+    return listed
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+__all__ = ["ABSORBED", "EFFECTS", "Diagnosis", "Options", "diagnose"]

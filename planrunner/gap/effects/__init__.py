@@ -1,0 +1,1 @@
+"""Candidate effects: what may be missing from a simulation, one small class each."""

@@ -1,0 +1,102 @@
+"""White noise and resolution beside what is declared: the evidence for the effects that act on the noise alone.
+
+A declaration can be wrong: with four chances in five it holds within some per cent, with one in five it is off by up to a factor of two, in
+all channels alike or in each triad by its own. Only what goes beyond that, or stands in the gyros alone, speaks for excess noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.observed import Observed
+
+Array = NDArray[np.float64]
+HOLDS = 0.05  # standard deviation of the logarithm of a declaration that holds
+WRONG = 0.2  # chance that it is off by up to a factor of two
+LARGEST_EXCESS = np.log(10.0)
+COARSER = 1.2  # of the declared count: a larger common step is another resolution
+CERTAIN = 60.0  # log of the odds that a lattice of counts is, or is not, there
+_DISTINCT = 20  # different values needed to tell a lattice
+
+
+def counts(observed: Observed) -> Array:
+    """The count (K,) that each channel's values are multiples of, the declared one where none is seen to be coarser."""
+    found = []
+    for index, channel in enumerate(observed.channels):
+        step = channel.resolution
+        if step > 0:
+            levels = np.unique(np.round(observed.values[:, index] / step, 2))
+            if len(levels) >= _DISTINCT:
+                gaps = np.diff(levels)
+                smallest = float(gaps.min())
+                step *= smallest if smallest > COARSER else 1.0
+        found.append(step)
+    return np.array(found)
+
+
+def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[str, float]:
+    """Log densities of the white levels under 'declared', 'white' (excess in the gyros) and 'resolution' (a coarser count explains it).
+
+    A count that the noise does not dither leaves no white level to compare: that of the gyros then counts as declared.
+    """
+    gyro, counted = _excess(observed, white, degrees, None), _excess(observed, white, degrees, steps)
+    if any(steps[c] > 2 * observed.channels[c].white * np.sqrt(observed.sample_rate) for c in observed.of_kind("gyro")):
+        counted[0]["gyro"] = counted[0].get("accel", 0.0)
+    seen = any(
+        channel.kind == "gyro" and channel.resolution > 0 and step > COARSER * channel.resolution
+        for channel, step in zip(observed.channels, steps, strict=True)
+    )
+    known = any(channel.kind == "gyro" and channel.resolution > 0 for channel in observed.channels)
+    lattice = 0.0 if not known else (0.0 if seen else -CERTAIN)
+    missed = -CERTAIN if seen else 0.0
+    return {
+        "declared": _declared(*gyro) + missed,
+        "white": (_larger(*gyro) if "gyro" in gyro[0] else -np.inf) + missed,
+        "resolution": (_declared(*counted) if known else -np.inf) + lattice,
+    }
+
+
+def _excess(observed: Observed, white: Array, degrees: Array, steps: Array | None) -> tuple[dict[str, float], float]:
+    """Log of (measured ÷ declared) white level by triad, and its standard deviation."""
+    found, sigma = {}, 0.01
+    for kind in ("gyro", "accel"):
+        ratios = []
+        for index in observed.of_kind(kind):
+            channel = observed.channels[index]
+            declared = channel.white**2 * observed.sample_rate
+            step = channel.resolution if steps is None else float(steps[index])
+            if channel.white > 0:
+                ratios.append(np.log(white[index] ** 2 / (declared + step**2 / 12)) / 2)
+                sigma = float(np.sqrt(1 / (2 * degrees[index] * len(observed.of_kind(kind))) + 1e-6))
+        if ratios:
+            found[kind] = float(np.mean(ratios))
+    return found, sigma
+
+
+def _normal(x: float, sigma: float) -> float:
+    return float(np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)))
+
+
+def _within_two(x: float) -> float:
+    """Uniform in the logarithm over a factor of two either way, with edges of 10 %, and a floor for what is beyond."""
+    edge = 0.1
+    top = 1 / (1 + np.exp((abs(x) - np.log(2.0)) / (edge / 4)))
+    return float(top / (2 * np.log(2.0)) + 1e-9)
+
+
+def _declared(excess: dict[str, float], sigma: float) -> float:
+    width = float(np.hypot(HOLDS, sigma))
+    holds = float(np.prod([_normal(x, width) for x in excess.values()])) if excess else 1.0
+    each = float(np.prod([_within_two(x) for x in excess.values()])) if excess else 1.0
+    alike = each
+    if len(excess) == 2:
+        alike = _within_two(excess["gyro"]) * _normal(excess["accel"] - excess["gyro"], width)
+    return float(np.log((1 - WRONG) * holds + WRONG * (alike + each) / 2 + 1e-300))
+
+
+def _larger(excess: dict[str, float], sigma: float) -> float:
+    x = excess["gyro"]
+    uniform = (1 / LARGEST_EXCESS) if 0 < x < LARGEST_EXCESS else 1e-9
+    others = {kind: value for kind, value in excess.items() if kind != "gyro"}
+    return float(np.log(uniform)) + _declared(others, sigma)

@@ -1,0 +1,316 @@
+"""What a diagnosis looks at: samples with the state that was planned for them, in arrays over the whole run.
+
+Everything is SI with radians, temperature apart (degC). Samples of all segments stand one after the other; `bounds` says where a segment
+begins. The nominal stimulus at every sample follows from attitude, table angle and site; an Observed holds no error model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.instruments.models import NoiseModel, SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.findings import closest
+from planrunner.plan.schedule import Motion, Rest, Rock, Spin
+from planrunner.plan.units import ZERO_CELSIUS, unit
+
+Array = NDArray[np.float64]
+REFERENCE_TEMPERATURE = 25.0  # degC
+_SMOOTHING = 4  # coefficients of the polynomial by which a segment's temperature is smoothed
+_CHANGED = 1.0  # K between mean temperatures of consecutive segments: less is no change
+
+
+class ObservationError(Exception):
+    """The recording cannot be diagnosed. The message says why and what to do, for a quality engineer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A measured channel. kind: 'gyro' or 'accel'; axis: index 0, 1, 2 of the sensor's axis it measures along. factor: SI value of one
+    `unit`. white: one-sided declared noise, SI·√s, so that a sample at rate f has the standard deviation white·√f; flicker: declared bias
+    instability, SI; resolution: one count, SI."""
+
+    name: str
+    kind: str
+    axis: int
+    unit: str
+    factor: float
+    white: float
+    flicker: float = 0.0
+    resolution: float = 0.0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A recording beside its plan. S segments, N samples, K channels.
+
+    labels, attitude (S, 3, 3; rows are the sensor's axes in East-North-Up at table angle 0), motions: of the segments. bounds: (S + 1,).
+    time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature,
+    temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first.
+    values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN.
+    """
+
+    site: Site
+    channels: tuple[Channel, ...]
+    labels: tuple[str, ...]
+    motions: tuple[Motion, ...]
+    attitude: Array
+    bounds: NDArray[np.int64]
+    time: Array
+    angle: Array
+    rate: Array
+    acceleration: Array
+    temperature: Array
+    temperature_rate: Array
+    last_change: Array
+    values: Array
+    magnetic: Array | None = None
+    rejected: int = 0
+    fitted: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def segments(self) -> list[slice]:
+        """The samples of every segment."""
+        return [slice(int(a), int(b)) for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True)]
+
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
+        """The segment of every sample, (N,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.bounds))
+
+    @cached_property
+    def turning(self) -> Array:
+        """The site direction about which the table turns, (S, 3)."""
+        return np.array([m.about if isinstance(m, Spin) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float)
+
+    @cached_property
+    def sample_rate(self) -> float:
+        """Samples per second, the median over the run."""
+        return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
+
+    def in_sensor_axes(self, site_vector: Array) -> Array:
+        """A vector in site axes, (3,) or (N, 3), as the sensor's axes see it at every sample, (N, 3).
+
+        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis.
+        """
+        axis = self.turning[self.owner]
+        vector = np.broadcast_to(np.asarray(site_vector, dtype=float), axis.shape)
+        along = np.einsum("ni,ni->n", axis, vector)[:, None] * axis
+        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+        turned = along + (vector - along) * cosine - np.cross(axis, vector) * sine
+        return np.einsum("nij,nj->ni", self.attitude[self.owner], turned)
+
+    @cached_property
+    def earth_rate(self) -> Array:
+        """Earth rotation in sensor axes, (N, 3), rad/s."""
+        return self.in_sensor_axes(self.site.earth_rate_enu)
+
+    @cached_property
+    def table_axis(self) -> Array:
+        """The axis about which the table turns in sensor axes, (N, 3): fixed within a segment."""
+        return np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
+
+    @cached_property
+    def omega(self) -> Array:
+        """Nominal angular rate against inertial space in sensor axes, (N, 3), rad/s."""
+        return self.earth_rate + self.rate[:, None] * self.table_axis
+
+    @cached_property
+    def force(self) -> Array:
+        """Nominal specific force in sensor axes on the axis of rotation, (N, 3), m/s²."""
+        return self.in_sensor_axes(self.site.specific_force_enu)
+
+    @cached_property
+    def nominal_output(self) -> Array:
+        """What the channels give without the effect, (N, K), SI: of the fitted nominal model, before that of an ideal sensor."""
+        if self.fitted is not None:
+            return self.fitted
+        felt = {"gyro": self.omega, "accel": self.force}
+        return np.column_stack([felt[channel.kind][:, channel.axis] for channel in self.channels])
+
+    @cached_property
+    def warmth(self) -> Array:
+        """Temperature above the reference, (N,), K."""
+        return self.temperature - REFERENCE_TEMPERATURE
+
+    def of_kind(self, kind: str) -> list[int]:
+        """Indices of the channels of a triad."""
+        return [index for index, channel in enumerate(self.channels) if channel.kind == kind]
+
+
+def observed(
+    recording: Sequence[RecordedSegment],
+    site: Site,
+    sensor: SensorModel,
+    *,
+    axes: Mapping[str, str] | None = None,
+    angle_channel: str | None = None,
+    temperature_channel: str | None = None,
+    magnetic: Sequence[float] | None = None,
+    power_on: float = 0.0,
+) -> Observed:
+    """The recorded segments of a run as a diagnosis needs them.
+
+    axes: channel → sensor axis x, y or z; without it the last letter of names such as gyro_x and accel_z, or a part of the name between
+    underscores. Angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the
+    table's encoder; temperature_channel: thermometer; without them the plan's values. power_on: recording time of power-on, s. Raises
+    `ObservationError` for whatever cannot be diagnosed.
+    """
+    if not recording:
+        raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
+    channels = _channels(recording[0], sensor, axes)
+    if not channels:
+        raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")
+    parts = [_part(item, channels, angle_channel, temperature_channel, power_on) for item in recording]
+    means = [float(np.mean(part["temperature"])) for part in parts]
+    stacked = {name: np.concatenate([part[name] for part in parts]) for name in _PER_SAMPLE}
+    return Observed(
+        site,
+        channels,
+        tuple(item.label for item in recording),
+        tuple(item.segment.motion for item in recording),
+        np.array([item.segment.attitude for item in recording]),
+        np.concatenate(([0], np.cumsum([len(part["time"]) for part in parts]))).astype(np.int64),
+        last_change=changes(recording, means),
+        magnetic=None if magnetic is None else np.asarray(magnetic, dtype=float),
+        rejected=sum(int(part["rejected"][0]) for part in parts),
+        **stacked,
+    )
+
+
+_PER_SAMPLE = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
+
+
+def _channels(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
+    found = []
+    for name, text in first.units.items():
+        kind = {"angular rate": "gyro", "acceleration": "accel"}.get(_quantity(text))
+        words = name.lower().split("_")
+        letter = axes.get(name) if axes is not None else next((w for w in words if w in ("x", "y", "z")), None)
+        if kind is None or letter is None:
+            continue
+        factor = unit(text).factor
+        output = sensor.output(name)
+        noise = output.noise if output else NoiseModel()
+        found.append(
+            Channel(
+                name, kind, "xyz".index(letter), text, factor,
+                noise.white * factor, noise.bias_instability * factor, noise.resolution * factor,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _quantity(text: str) -> str:
+    dimension = unit(text).dimension
+    if dimension == unit("rad/s").dimension:
+        return "angular rate"
+    return "acceleration" if dimension == unit("m/s^2").dimension else ""
+
+
+def _part(
+    item: RecordedSegment, channels: tuple[Channel, ...], angle: str | None, thermometer: str | None, power_on: float
+) -> dict[str, Array]:
+    """One segment's samples, rows with a NaN left out."""
+    if item.segment.attitude is None:
+        raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
+    if not isinstance(item.segment.motion, Rest | Spin | Rock):
+        raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
+    extra = [name for name in (angle, thermometer) if name is not None]
+    names = [*(channel.name for channel in channels), *extra]
+    missing = [name for name in names if name not in item.units]
+    if missing:
+        raise ObservationError(
+            f"segment '{item.label}' has no channel '{missing[0]}'; {closest(missing[0], item.units)}"
+        )
+    blocks = list(item.blocks(names))
+    time = np.concatenate([block.time for block in blocks]) if blocks else np.empty(0)
+    table = {name: np.concatenate([np.asarray(block.channels[name]) for block in blocks]) for name in names if blocks}
+    good = np.isfinite(time)
+    for column in table.values():
+        good &= np.isfinite(column)
+    if int(good.sum()) < 8:
+        raise ObservationError(
+            f"segment '{item.label}' holds {int(good.sum())} usable samples: leave it out or record it again"
+        )
+    time = time[good]
+    begin = float(time[0]) if len(time) else 0.0
+    part = motion_at(item.segment.motion, time - begin, _in_si(item, angle, table, good) if angle is not None else None)
+    warm = _in_si(item, thermometer, table, good) if thermometer is not None else None
+    part["temperature"], part["temperature_rate"] = _temperature(item, time, warm)
+    part["values"] = np.column_stack([table[channel.name][good] * channel.factor for channel in channels])
+    part["time"] = time - power_on
+    part["rejected"] = np.array([np.count_nonzero(~good)], dtype=float)
+    return part
+
+
+def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array], good: NDArray[np.bool_]) -> Array:
+    scale = unit(item.units[name])
+    return np.asarray(table[name][good] * scale.factor + scale.offset)
+
+
+def _temperature(item: RecordedSegment, time: Array, kelvin: Array | None) -> tuple[Array, Array]:
+    """Temperature [degC] and its rate [K/s]: the thermometer smoothed by a cubic, else what was planned."""
+    if kelvin is None:
+        planned = item.segment.temperature
+        celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
+        target = celsius if item.segment.ramp_to is None else item.segment.ramp_to - ZERO_CELSIUS
+        span = max(float(time[-1] - time[0]), 1e-9)
+        return celsius + (target - celsius) * (time - time[0]) / span, np.full(len(time), (target - celsius) / span)
+    return smoothed(time, kelvin - ZERO_CELSIUS)
+
+
+def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
+    """A cubic through a segment's values, (n,), and its derivative: a thermometer's noise must not become a stimulus."""
+    middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
+    order = min(_SMOOTHING, len(time)) - 1
+    series = np.polynomial.chebyshev.Chebyshev.fit((time - middle) / half, values, order, domain=[-1, 1])
+    scaled = (time - middle) / half
+    return np.asarray(series(scaled)), np.asarray(series.deriv()(scaled)) / half
+
+
+def motion_at(motion: Motion, since: Array, encoder: Array | None) -> dict[str, Array]:
+    """Angle, rate and acceleration of the table `since` s after a segment's first sample.
+
+    With an encoder the planned form (a constant rate; a sine) is fitted to its angle, so that phases are those of the table that turned.
+    """
+    zero = np.zeros(len(since))
+    if isinstance(motion, Spin):
+        start = 0.0 if encoder is None else float(np.angle(np.mean(np.exp(1j * (encoder - motion.rate * since)))))
+        return {"angle": start + motion.rate * since, "rate": zero + motion.rate, "acceleration": zero}
+    if isinstance(motion, Rock):
+        pulse = 2 * np.pi * motion.frequency
+        sine, cosine = np.sin(pulse * since + motion.phases[0]), np.cos(pulse * since + motion.phases[0])
+        a, b, c = motion.amplitude, 0.0, 0.0
+        if encoder is not None:
+            a, b, c = np.linalg.lstsq(np.column_stack([sine, cosine, zero + 1]), np.unwrap(encoder), rcond=None)[0]
+        swing = a * sine + b * cosine
+        rate = pulse * (a * cosine - b * sine)
+        if since[-1] > motion.duration:
+            still = since > motion.duration
+            swing, rate = np.where(still, a * np.sin(motion.phases[0]), swing), np.where(still, 0.0, rate)
+            return {"angle": swing + c, "rate": rate, "acceleration": np.where(still, 0.0, -(pulse**2) * swing)}
+        return {"angle": swing + c, "rate": rate, "acceleration": -(pulse**2) * swing}
+    level = zero if encoder is None else zero + float(np.angle(np.mean(np.exp(1j * encoder))))
+    return {"angle": level, "rate": zero, "acceleration": zero}
+
+
+def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
+    """Sign of the last change of temperature in every segment, (S,): from setpoints where they are planned, else from means."""
+    signs, last, before = [], 0.0, None
+    for item, mean in zip(recording, means, strict=True):
+        now = item.segment.ramp_to if item.segment.ramp_to is not None else item.segment.temperature
+        now = mean + ZERO_CELSIUS if now is None else now
+        if before is not None and abs(now - before) > _CHANGED:
+            last = float(np.sign(now - before))
+        before = now
+        signs.append(last)
+    return np.array(signs)

@@ -1,0 +1,209 @@
+"""Competitors that are nobody's effect, so that a diagnosis can say "something that the catalogue does not hold".
+
+Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
+at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
+segment; more noise in one band; and a tone that keeps its phase over the whole run. They are weighed like effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.candidates import Weighing
+from planrunner.gap.evidence import ENERGIES, from_eigen, log_mean_exp
+from planrunner.gap.spectrum import BANDS
+from planrunner.plan.schedule import Rest, Rock, Spin
+
+Array = NDArray[np.float64]
+Setting = dict[str, int]  # triad → index of its noise
+SMOOTH_ORDERS = 6
+TIME_ORDERS = 40  # of a drift over the run
+LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
+
+
+def competitors(weighing: Weighing) -> dict[str, Array]:
+    """log BF (G,) of each competitor against none over the settings of the noise, −∞ where the gyros' bias walks; under names such as
+    'offset smooth in time'."""
+    settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
+    accels = weighing.shape[1]
+    each = {g: _at(weighing, {"gyro": int(g) // accels, "accel": int(g) % accels}) for g in settings}
+    found = {name: np.full(len(weighing.base), -np.inf) for name in each[settings[0]]}
+    for g, values in each.items():
+        for name, value in values.items():
+            found[name][g] = value
+    return found
+
+
+def unknown(each: dict[str, Array]) -> Array:
+    """log BF (G,) of "something else": the mean over its kinds."""
+    return log_mean_exp(np.array(list(each.values())), 0)
+
+
+def _at(weighing: Weighing, setting: Setting) -> dict[str, float]:
+    found: dict[str, list[float]] = {}
+    channels = weighing.observed.channels
+    designs = list(_designs(weighing))
+    for name, per_channel in designs:
+        spectra = [_eigen(weighing, index, design, setting) for index, design in enumerate(per_channel)]
+        scopes = [[index] for index in range(len(channels))]
+        scopes += [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
+        for scope in scopes:
+            values = np.concatenate([spectra[index][0] for index in scope])
+            along = np.concatenate([spectra[index][1] for index in scope])
+            if values.sum() > 0:
+                found.setdefault(name, []).append(float(log_mean_exp(from_eigen(values, along), -1)))
+    found["one odd segment"] = [_one_segment(weighing, setting)]
+    found["noise of one band"] = _bands(weighing)
+    found["a tone"] = [_line(weighing, index) for index in range(len(channels))]
+    return {name: float(log_mean_exp(np.array(each), 0)) for name, each in found.items() if each}
+
+
+def _designs(weighing: Weighing) -> Iterator[tuple[str, list[Array]]]:
+    """Name, and per channel raw columns (M, P)."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    everywhere = len(observed.channels)
+    counts = np.sqrt(np.diff(observed.bounds))
+    starts = observed.bounds[:-1]
+    kinds = {name: _smooth(values) for name, values in _coordinates(weighing).items()}
+    kinds["time, in many turns"] = _smooth(_coordinates(weighing)["time"], TIME_ORDERS, 0.0)
+    kinds["gravity"] = _monomials(observed.force[starts] / observed.site.gravity)
+
+    def at_means(table: Array) -> Array:
+        out = np.zeros((len(spectrum.segment), table.shape[1]))
+        out[spectrum.means] = table * counts[:, None]
+        return out
+
+    yield "offset per segment", [at_means(np.eye(len(observed)))] * everywhere
+    for name, basis in kinds.items():
+        yield f"offset smooth in {name}", [at_means(basis)] * everywhere
+    rates = np.column_stack([observed.rate[starts] * observed.table_axis[starts, axis] for axis in range(3)])
+    for name, basis in {"segment": np.eye(len(observed)), **{k: kinds[k] for k in ("temperature", "time")}}.items():
+        word = "per" if name == "segment" else "smooth in"
+        yield (
+            f"scale factor {word} {name}",
+            [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
+        )
+    low = (spectrum.harmonic == 0) & (spectrum.frequency > 0)
+    yield "transient per segment", [np.eye(len(low))[:, low]] * everywhere
+    spin = np.array([isinstance(motion, Spin) for motion in observed.motions])[spectrum.segment]
+    rock = np.array([isinstance(motion, Rock) for motion in observed.motions])[spectrum.segment]
+    for h in (1, 2, 3):
+        rows = spin & (spectrum.harmonic == h)
+        yield f"{h} per turn, per segment", [np.eye(len(rows))[:, rows]] * everywhere
+        yield f"{h} per turn, alike", [_alike(weighing, rows)] * everywhere
+    rows = rock & (spectrum.harmonic > 0)
+    yield "rocking waveform", [np.eye(len(rows))[:, rows]] * everywhere
+
+
+def _coordinates(weighing: Weighing) -> dict[str, Array]:
+    observed = weighing.observed
+    middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
+    return {
+        "rate": observed.rate[observed.bounds[:-1]],
+        "temperature": observed.temperature[middles],
+        "time": observed.time[middles],
+    }
+
+
+def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
+    """Cosines of a coordinate's position in its range, orders 1 to `most`, each weaker as 1/order^fading; (S, ≤ orders)."""
+    span = float(np.ptp(values))
+    if span <= 0:
+        return np.zeros((len(values), 0))
+    orders = np.arange(1, min(most, len(np.unique(np.round(values / span, 6)))) + 1)
+    return np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
+
+
+def _monomials(direction: Array) -> Array:
+    """Monomials of degrees 2 to 4 of the direction of gravity."""
+    columns = [
+        direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
+        for d in (2, 3, 4)
+        for a in range(d + 1)
+        for b in range(d + 1 - a)
+    ]
+    return np.column_stack(columns)
+
+
+def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
+    """Cosine and sine of a harmonic with the same amplitude in all segments, or in proportion to rate and its square."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    if not rows.any():
+        return np.zeros((len(rows), 0))
+    owners = spectrum.segment[rows]
+    first = np.r_[True, np.diff(owners) != 0]
+    rate = observed.rate[observed.bounds[:-1]][owners]
+    rate = rate / np.abs(rate).max()
+    size = np.sqrt(np.diff(observed.bounds))[owners]
+    out = np.zeros((len(rows), 6))
+    for part, phase in enumerate((first, ~first)):
+        for power in range(3):
+            out[rows, 3 * part + power] = np.where(phase, size * rate**power, 0.0)
+    return out
+
+
+def _eigen(weighing: Weighing, index: int, design: Array, setting: Setting) -> tuple[Array, Array]:
+    """Eigenvalues of a design's whitened Gram matrix and the squared scores along its eigenvectors."""
+    if not design.shape[1] or not design.any():
+        return np.zeros(0), np.zeros(0)
+    weight = weighing.weights[index][setting[weighing.observed.channels[index].kind]]
+    columns = weight.project(design)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    return np.maximum(values, 0.0), ((columns @ vectors).T @ weight.residual) ** 2
+
+
+def _one_segment(weighing: Weighing, setting: Setting) -> float:
+    """One segment's means of all channels stand off, whichever it is."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    design = np.zeros((len(spectrum.segment), len(observed)))
+    design[spectrum.means, np.arange(len(observed))] = 1.0
+    each = []
+    for index in range(len(observed.channels)):
+        weight = weighing.weights[index][setting[weighing.observed.channels[index].kind]]
+        columns = weight.project(design)
+        size = (columns**2).sum(0)
+        score = (columns.T @ weight.residual) ** 2
+        each.append(log_mean_exp(from_eigen(size[:, None], score[:, None], float(size.max())), -1))
+    return float(log_mean_exp(np.concatenate(each), 0))
+
+
+def _bands(weighing: Weighing) -> list[float]:
+    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    found = []
+    for index in range(len(observed.channels)):
+        declared = observed.channels[index].flicker
+        if declared > 0 or not chosen.any():
+            continue
+        for band in range(BANDS - 2):
+            energy, count = float(spectrum.energy[chosen, band, index].sum()), float(spectrum.count[chosen, band].sum())
+            if count < 8:
+                continue
+            excess = np.log(max(energy, 1e-300) / count / weighing.white[index] ** 2)
+            sigma = np.hypot(np.sqrt(2 / count), 0.01)
+            grid = np.linspace(0.0, np.log(10.0), 400)
+            found.append(float(log_mean_exp(-0.5 * ((excess - grid) / sigma) ** 2, 0) + 0.5 * (excess / sigma) ** 2))
+    return found
+
+
+def _line(weighing: Weighing, index: int) -> float:
+    """log BF of a tone of any frequency that keeps its phase, from the periodogram of what the basis leaves, segments at rest and
+    turning."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    step = 1 / observed.sample_rate
+    slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
+    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
+    if slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
+        return -np.inf
+    from scipy.fft import next_fast_len, rfft
+
+    grid = np.zeros(next_fast_len(int(slot[-1]) + 1, real=True))
+    grid[slot[chosen]] = spectrum.remainder[chosen, index]
+    power = np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * float(chosen.sum()))
+    s2 = np.geomspace(1.0, ENERGIES[-1], 12)
+    each = [float(log_mean_exp(power * s / (1 + s), 0)) - np.log1p(s) for s in s2]
+    return float(log_mean_exp(np.array(each), 0))

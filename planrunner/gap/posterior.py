@@ -1,0 +1,128 @@
+"""The posterior over {none, each effect, pairs, unknown}, with fixed and published priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.candidates import Candidate, Weighed, Weighing
+from planrunner.gap.effects.interface import Variant
+from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, pair_log_bayes_factor
+from planrunner.gap.noise_levels import log_densities
+from planrunner.gap.open_set import competitors, unknown
+
+Array = NDArray[np.float64]
+PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
+FIRST = 6  # effects that pairs are built on: the likeliest alone
+WEIGHED = 10  # pairs, of those that a quick look finds best, that are weighed in full
+PAIR_ENERGIES = np.geomspace(2.0, 4e4, 9)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none. pairs: the
+    weighed variant
+    of pairs of two deterministic effects. kinds: log evidence, relative to none, of what
+    "unknown" could be."""
+
+    probability: dict[str, float]
+    log_evidence: dict[str, float]
+    pairs: dict[str, Weighed] = field(repr=False)
+    kinds: dict[str, float]
+
+
+def pair_key(first: str, second: str) -> str:
+    return "+".join(sorted((first, second)))
+
+
+def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[Candidate]) -> Posterior:
+    """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed."""
+    nothing = np.zeros(len(weighing.base))
+    levels = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
+    acting = {effect.noise: str(effect.id) for effect in effects if effect.stage == "covariance"}
+    walk, others = acting.pop("random walk", None), {name: level for level, name in acting.items()}
+    start = weighing.evidence(nothing) + levels["declared"]
+    alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
+    found: dict[str, float] = {}
+    for name, log_bayes in alone.items():
+        plain = weighing.evidence(log_bayes)
+        _put(found, (name,), plain + levels["declared"] - start)
+        for other, level in others.items():
+            _put(found, (name, other), plain + levels[level] - start)
+        if walk is not None and np.isfinite(weighing.log_prior[1]).any():
+            _put(found, (name, walk), weighing.evidence(log_bayes, True) + levels["declared"] - start)
+    together, weighed = _pairs(weighing, candidates)
+    found |= {key: value + levels["declared"] - start for key, value in together.items()}
+    kinds = competitors(weighing)
+    found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
+    plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.items()}
+    return Posterior(_normalised(found, len(effects)), found, weighed, plainly)
+
+
+def _put(found: dict[str, float], names: tuple[str, ...], value: float) -> None:
+    present = sorted(name for name in names if name)
+    found["+".join(present) or "none"] = value
+
+
+def _normalised(log_evidence: dict[str, float], effects: int) -> dict[str, float]:
+    """Priors shared evenly by all effects and all pairs of what is installed, those included that cannot act here."""
+    shares = {"single": PRIORS["single"] / effects, "pair": PRIORS["pair"] / (effects * (effects - 1) / 2)}
+    logs = {}
+    for name, value in log_evidence.items():
+        kind = name if name in PRIORS else ("pair" if "+" in name else "single")
+        logs[name] = value + float(np.log(shares.get(kind, PRIORS.get(kind, 0.0))))
+    total = np.logaddexp.reduce(list(logs.values()))
+    return {name: float(np.exp(value - total)) for name, value in sorted(logs.items(), key=lambda item: -item[1])}
+
+
+def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[str, float], dict[str, Weighed]]:
+    """Log evidence of pairs of effects with signatures, and the best of them weighed.
+
+    A quick look takes each likely effect at its most probable size as given and weighs every form of the others on what it leaves; the
+    best of those are weighed with both amplitudes on a grid, under every setting of the noise; the others count with what they have at the
+    declared noise alone.
+    """
+    usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
+    ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
+    quick: dict[str, tuple[float, Weighed, Weighed, float]] = {}
+    for first in ranked:
+        a = first.best
+        for second in usable:
+            if second.id == first.id:
+                continue
+            b, value = _given(a, second)
+            cost = first.shape_cost + second.shape_cost
+            value += float(a.log_bayes[0]) + cost
+            key = pair_key(first.id, second.id)
+            if key not in quick or value > quick[key][0]:
+                quick[key] = (value, a, b, cost)
+    declared = float(weighing.base[0] + weighing.log_prior[0][0])
+    found = {key: declared + value for key, (value, *_) in quick.items()}
+    best: dict[str, Weighed] = {}
+    for key in sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]:
+        _, a, b, cost = quick[key]
+        (both,) = weighing.weigh([Variant(a.variant.columns + b.variant.columns)])
+        log_bayes = np.full(len(weighing.base), -np.inf)
+        for g in np.flatnonzero(np.isfinite(weighing.log_prior[0])):
+            log_bayes[g] = pair_log_bayes_factor(
+                both.gram[g], both.score[g], len(a.variant.columns), (a.trace, b.trace), PAIR_ENERGIES
+            )
+        found[key], best[key] = weighing.evidence(log_bayes + cost), both
+    return found, best
+
+
+def _given(a: Weighed, second: Candidate) -> tuple[Weighed, float]:
+    """The form of an effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
+    mean, covariance = best_amplitudes(a.gram[0], a.score[0], a.trace)
+    best, value = second.variants[0], -np.inf
+    for item in second.variants:
+        cross = np.sum([x.T @ y for x, y in zip(a.by_channel, item.by_channel, strict=True)], axis=0)
+        gram = item.gram[0] - cross.T @ covariance @ cross
+        added = float(log_bayes_factors(gram[None], (item.score[0] - cross.T @ mean)[None], item.trace)[0])
+        if added > value:
+            best, value = item, added
+    return best, value

@@ -1,0 +1,162 @@
+"""What a recording must be like to be diagnosed: findings in words before anything is computed.
+
+An error where a diagnosis would say nothing or something false; a warning where it can go on but the user should know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.gap.observed import Observed
+from planrunner.instruments.models import SensorModel
+from planrunner.plan.findings import Findings, Mark
+from planrunner.plan.units import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+INTERVALS = 1.5
+"""A step in time longer than this many sample intervals is a gap; shorter ones are jitter."""
+RATE_TOLERANCE = 0.1
+"""A segment sampled faster or slower than declared by more than this has another clock."""
+PRESENT = 0.9
+"""A segment with less of its planned dwell is short; with less of its rows usable, poor."""
+STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
+"""A plan moves a channel when its stimulus scatters by more than this over the segments (rad/s, m/s²): only there can a misfit be seen."""
+MISFIT = 0.5
+"""The nominal model does not fit at all where it leaves more than this share of what the plan put in."""
+
+
+def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
+    """Segments, missing numbers, clock and ranges. where: the run or recording, for messages."""
+    mark = Mark(where)
+    if len(recording) < 2:
+        held = (
+            f"the recording holds only the segment '{recording[0].label}'" if recording else "no segment was recorded"
+        )
+        hint = "record at least two states: one alone tells neither nominal parameters nor effects apart"
+        log.error("gap-one-segment", mark, held, hint)
+        return
+    _check_missing(recording, mark, log)
+    _check_length(recording, mark, log)
+    _check_clock(recording, sensor.sample_rate, mark, log)
+    _check_ranges(recording, sensor, mark, log)
+
+
+def check_observed(observed: Observed, where: str, log: Findings) -> None:
+    """Whether anything can be held out, and whether the nominal model fits at all, by segment means."""
+    mark = Mark(where)
+    for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
+        channels = observed.of_kind(kind)
+        if not channels:
+            continue
+        stimulus = _means(observed, observed.omega if kind == "gyro" else observed.force)
+        design = np.column_stack([stimulus, np.ones(len(stimulus))])
+        rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
+        if len(observed) <= rank:
+            message = f"{len(observed)} segments leave nothing to hold out beside {rank} nominal parameters a channel of {word}"
+            log.warning("gap-no-held-out", mark, message, "add segments in other states: no closure can be given")
+        means = _means(observed, observed.values[:, channels])
+        left = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
+        for column, index in enumerate(channels):
+            channel = observed.channels[index]
+            put_in = float(stimulus[:, channel.axis].std())
+            share = float(left[:, column].std()) / put_in if put_in else 0.0
+            if put_in > STIRRED[kind] and share > MISFIT:
+                left_over = f"fitted bias, scale and misalignments leave {share:.0%} of what was put in"
+                message = f"'{channel.name}' does not follow the plan: {left_over}"
+                hint = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
+                log.error("gap-nominal-misfit", mark, message, hint)
+
+
+def _means(observed: Observed, values: Array) -> Array:
+    return np.array([values[part].mean(axis=0) for part in observed.segments()])
+
+
+def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
+    poor = [
+        item
+        for item in recording
+        if item.statistics.count < PRESENT * max(item.statistics.count + item.statistics.rejected, 1)
+    ]
+    rejected = sum(item.statistics.rejected for item in recording)
+    empty = [item.label for item in recording if item.statistics.count == 0]
+    if empty:
+        hint = "leave the segment out of plan and recording, or record it again"
+        log.error("gap-missing-numbers", mark, f"{_named(empty)} without one complete row", hint)
+    elif rejected:
+        where = f", most of them in {_named([item.label for item in poor])}" if poor else ""
+        message = f"{_count(rejected, 'row')} with a missing number {'is' if rejected == 1 else 'are'} left out{where}"
+        log.warning("gap-missing-numbers", mark, message, "look at the logger; few missing rows do no harm")
+
+
+def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
+    short = []
+    for item in recording:
+        lasted, dwell = item.statistics.end - item.statistics.start, item.segment.dwell
+        if item.truncated or (dwell is not None and lasted < PRESENT * dwell):
+            short.append(item.label)
+    if short:
+        message = f"{_named(short)} shorter than planned"
+        log.warning("gap-short-segment", mark, message, "what was recorded is used as it is")
+
+
+def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Mark, log: Findings) -> None:
+    gaps, other = [], []
+    for item in recording:
+        known = item.statistics
+        rate = item.segment.sample_rate or declared
+        rows = known.count + known.rejected
+        if known.largest_gap * rate > INTERVALS and not known.rejected:
+            gaps.append((item.label, known.largest_gap))
+        elif rows > 2 and abs((known.end - known.start) * rate / (rows - 1) - 1) > RATE_TOLERANCE:
+            other.append(item.label)
+    if gaps:
+        label, gap = max(gaps, key=lambda pair: pair[1])
+        message = f"time jumps within {_named([name for name, _ in gaps])}: by {gap:.3g} s in '{label}'"
+        log.warning("gap-clock", mark, message, "samples were lost or the clock was set: look at the logger")
+    if other:
+        message = f"{_named(other)} not sampled at the declared {declared:g} Hz"
+        log.warning(
+            "gap-clock", mark, message, "correct `sample_rate` in the bench file, or look at the logger's clock"
+        )
+
+
+def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
+    for name, text in recording[0].units.items():
+        known = [item.statistics for item in recording if name in item.statistics.channels]
+        if not known:
+            continue
+        lowest = min(float(one.minimum[one.of(name)]) for one in known)
+        highest = max(float(one.maximum[one.of(name)]) for one in known)
+        output = sensor.output(name)
+        if lowest == highest and output is not None and output.noise.white > 0:
+            message = f"'{name}' stands at {lowest:g} {text} in every segment"
+            log.error("gap-dead-channel", mark, message, "look at the sensor and at the column in the bench file")
+        elif output is not None and max(-lowest, highest) >= output.full_scale * (1 - 1e-9):
+            reached = [
+                item.label
+                for item in recording
+                if name in item.statistics.channels
+                and max(
+                    -item.statistics.minimum[item.statistics.of(name)],
+                    item.statistics.maximum[item.statistics.of(name)],
+                )
+                >= output.full_scale * (1 - 1e-9)
+            ]
+            message = f"'{name}' reaches its full scale of {output.full_scale:g} {text} in {_named(reached)}"
+            log.warning(
+                "gap-saturated", mark, message, "clipped samples look like an effect of their own: lower the rates"
+            )
+
+
+def _named(labels: Sequence[str]) -> str:
+    shown = ", ".join(f"'{label}'" for label in labels[:3])
+    return f"{shown} and {len(labels) - 3} more segments" if len(labels) > 3 else f"{shown}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" + ("" if number == 1 else "s")

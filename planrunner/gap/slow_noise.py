@@ -1,0 +1,66 @@
+"""Slow noise between segments: exact covariances of segment means, and spectra for what is left within a segment.
+
+Flicker is a sum of Ornstein–Uhlenbeck processes one octave apart (Keshner, "1/f noise", Proc. IEEE 70, 1982); a random walk has the
+covariance q²·min(t, t'). Both are averaged over the segments in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times: from a second to hours, two octaves apart
+
+
+def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
+    """Covariance (S, S) of the means over [start, end] of a process with unit variance and covariance exp(−|t − t'|/τ).
+
+    Within one segment of length T: 2(x − 1 + e^−x)/x², x = T/τ. Between disjoint ones: e^(−gap/τ)·Π(1 − e^−x_i)/x_i.
+    """
+    lasting = ends - starts
+    x = lasting / tau
+    part = -np.expm1(-x) / x
+    gap = np.maximum(starts[None, :] - ends[:, None], starts[:, None] - ends[None, :])
+    covariance = np.exp(-np.maximum(gap, 0.0) / tau) * np.outer(part, part)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = np.where(x > 1e-4, 2 * (x + np.expm1(-x)) / x**2, 1 - x / 3)
+    np.fill_diagonal(covariance, own)
+    return covariance
+
+
+def flicker(starts: Array, ends: Array) -> Array:
+    """Covariance (S, S) of segment means of flicker noise with a bias instability (floor of the Allan deviation) of 1.
+
+    Density h/f has the Allan variance 2·ln 2·h (IEEE Std 952, annex C); processes of variance v a factor r apart in correlation time add up
+    to the density v/(ln r·f) between their corners. So v = ln r/(2·ln 2).
+    """
+    level = math.log(OCTAVES[1] / OCTAVES[0]) / (2 * math.log(2))
+    total = np.zeros((len(starts), len(starts)))
+    for tau in OCTAVES:
+        total += level * ornstein_uhlenbeck(starts, ends, float(tau))
+    return total
+
+
+def random_walk(starts: Array, ends: Array) -> Array:
+    """Covariance (S, S) of segment means of a random walk with unit density (1/√s), from the first start on.
+
+    Disjoint segments: the mean time of the earlier one. Within one: start + T/3.
+    """
+    begin = starts - starts[0]
+    middles = (begin + ends - starts[0]) / 2
+    covariance = np.minimum(middles[:, None], middles[None, :])
+    np.fill_diagonal(covariance, begin + (ends - starts) / 3)
+    return covariance
+
+
+def flicker_spectrum(frequency: Array) -> Array:
+    """One-sided spectral density of that flicker noise at frequencies [Hz] above zero, 1/Hz."""
+    return np.asarray(1 / (2 * math.log(2)) / frequency)
+
+
+def random_walk_spectrum(frequency: Array) -> Array:
+    """One-sided spectral density of that random walk at frequencies [Hz] above zero."""
+    return np.asarray(2 / (2 * np.pi * frequency) ** 2)

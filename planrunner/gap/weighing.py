@@ -1,0 +1,175 @@
+"""Weighing: coefficients whitened by the noise and freed of the nominal parameters.
+
+A setting of the noise is a level of flicker and of random walk for each triad. For every setting each channel's coefficients are whitened
+(order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. What is left
+is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap import slow_noise
+from planrunner.gap.effects.interface import Column
+from planrunner.gap.observed import Observed
+from planrunner.gap.spectrum import Spectrum
+
+Array = NDArray[np.float64]
+FLICKER_FACTORS = (1.0, 0.5, 2.0)
+FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
+WALKS = np.geomspace(1.0, 3000.0, 12)
+"""Levels of an undeclared random walk: its standard deviation at the end of the run, in standard errors of a mean segment."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Noise of one triad: flicker in declared levels, and a random walk, SI/√s. prior: among settings with, or without, a walk."""
+
+    flicker: float
+    walk: float
+    prior: float
+
+
+def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, ...]:
+    """The settings of a triad: walks for gyros only, factors of the flicker where one is declared."""
+    members = observed.of_kind(kind)
+    if not members:
+        return (Setting(0.0, 0.0, 1.0),)
+    factors: tuple[float, ...] = (0.0,)
+    priors: tuple[float, ...] = (1.0,)
+    if any(observed.channels[c].flicker > 0 for c in members):
+        factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
+    walks = [0.0]
+    if kind == "gyro" and len(observed) > 2:
+        samples = float(np.median(np.diff(observed.bounds)))
+        span = float(observed.time[-1] - observed.time[0])
+        step = float(np.median(white[members])) / np.sqrt(samples * span)
+        walks += list(step * WALKS)
+    return tuple(
+        Setting(factor, float(walk), prior * (1.0 if walk == 0 else 1.0 / len(WALKS)))
+        for walk in walks
+        for factor, prior in zip(factors, priors, strict=True)
+    )
+
+
+def rounding_variance(count: float, sigma: float) -> float:
+    """Variance of a long mean's error by rounding to counts, for noise of standard deviation `sigma` before it, in the count's unit
+    squared.
+
+    The error of a mean is periodic in its place within a count, and Gaussian noise leaves exp(−2π²σ²/count²) of its first harmonic (Widrow
+    and Kollár, Quantization Noise, 2008, section 19.3); without noise its variance is count²/12.
+    """
+    return count**2 / 12 * float(np.exp(-4 * (np.pi * sigma / count) ** 2)) if count > 0 else 0.0
+
+
+def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
+    """A channel's weights and log likelihood (G,) where the walks of a triad have one scale but each axis a density of its own.
+
+    Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
+    those
+    of the likeliest level.
+    """
+    log = np.array([weight.log_likelihood for weight in weights])
+    walks = np.array([setting.walk for setting in settings])
+    chosen, marginal = list(weights), log.copy()
+    for g, setting in enumerate(settings):
+        if setting.walk > 0:
+            mates = np.flatnonzero((walks > 0) & np.array([other.flicker == setting.flicker for other in settings]))
+            ratio = walks[mates] / setting.walk
+            prior = ratio * np.exp(-(ratio**2) / 2)
+            terms = log[mates] + np.log(prior / prior.sum() + 1e-300)
+            marginal[g] = np.logaddexp.reduce(terms)
+            chosen[g] = weights[int(mates[np.argmax(terms)])]
+    return chosen, marginal
+
+
+class ChannelWeights:
+    """One channel under one setting: `whiten` takes coefficients (M, …) to unit noise, `project` also frees them of the nominal parameters.
+
+    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns.
+    """
+
+    def __init__(
+        self, observed: Observed, spectrum: Spectrum, channel: int, white: float, setting: Setting, nominal: Array
+    ):
+        declared = observed.channels[channel]
+        slices = observed.segments()
+        starts = np.array([observed.time[part.start] for part in slices])
+        ends = np.array([observed.time[part.stop - 1] for part in slices]) + 1 / observed.sample_rate
+        counts = np.diff(observed.bounds).astype(float)
+        undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
+        covariance = np.diag(white**2 / counts + undithered)
+        level = setting.flicker * declared.flicker
+        tail = undithered * counts[spectrum.segment] / 4
+        within = spectrum.frequency > 0
+        half = observed.sample_rate / 2
+        if level > 0:
+            covariance += level**2 * slow_noise.flicker(starts, ends)
+            tail[within] += level**2 * half * slow_noise.flicker_spectrum(spectrum.frequency[within])
+        if setting.walk > 0:
+            covariance += setting.walk**2 * slow_noise.random_walk(starts, ends)
+            tail[within] += setting.walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
+        self.setting = setting
+        self._covariance = covariance
+        self._segment = spectrum.segment
+        self._means = spectrum.means
+        self._root = np.sqrt(counts)
+        factor = np.linalg.cholesky(covariance)
+        self._inverse = np.linalg.inv(factor)
+        self._scale = 1 / np.sqrt(white**2 + tail)
+        self._scale[self._means] = 1.0
+        whitened = self.whiten(nominal)
+        self.basis: Array
+        self.basis, upper = np.linalg.qr(whitened) if nominal.shape[1] else (whitened, np.zeros((0, 0)))
+        log_det = 2 * float(np.log(np.diag(factor)).sum()) - 2 * float(np.log(self._scale).sum())
+        log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
+        self.residual = self.project(spectrum.values[:, [channel]])[:, 0]
+        self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
+
+    def covariance(self, rows: NDArray[np.bool_]) -> Array:
+        """Covariance of the coefficients in some rows (M,), SI²·samples."""
+        chosen = np.flatnonzero(rows)
+        out = np.diag(1 / self._scale[chosen] ** 2)
+        at = np.flatnonzero(np.isin(chosen, self._means))
+        owners = self._segment[chosen[at]]
+        out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
+            self._root[owners], self._root[owners]
+        )
+        return out
+
+    def whiten(self, columns: Array) -> Array:
+        out = columns * self._scale[:, None]
+        out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
+        return out
+
+    def project(self, columns: Array) -> Array:
+        whitened = self.whiten(columns)
+        return whitened - self.basis @ (self.basis.T @ whitened)
+
+
+def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
+    """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
+    unique: dict[tuple[int, tuple[int, ...]], tuple[int, Array]] = {}
+    for column in columns:
+        for part in column.parts.values():
+            unique.setdefault(_identity(part), (len(unique), part))
+    stack = np.empty((len(spectrum.segment), len(unique)))
+    arrays = [part for _, part in unique.values()]
+    for first in range(0, len(arrays), 32):
+        chunk = np.column_stack(arrays[first : first + 32])
+        stack[:, first : first + 32] = spectrum.project(observed, chunk)
+    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    for index, column in enumerate(columns):
+        here = 1.0 if column.segments is None else column.segments[spectrum.segment]
+        for channel, part in column.parts.items():
+            out[channel][:, index] = stack[:, unique[_identity(part)][0]] * column.magnitude * here
+    return out
+
+
+def _identity(array: Array) -> tuple[int, tuple[int, ...]]:
+    """The memory that an array looks at: views of the same samples are projected once."""
+    return array.__array_interface__["data"][0], array.strides

@@ -1,0 +1,184 @@
+"""What a bench file says of a recording that is played back: file, time, channels with their noise, and where its segments lie."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import Choice, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.source import Node, Scalar
+from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
+
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
+COLUMN = r"[^\x00-\x1f]{1,200}"
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
+SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0), strict=True))
+_NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
+
+
+class UnitText:
+    """The text of a unit, such as deg/s."""
+
+    def read(self, node: Node, log: Findings) -> str | None:
+        text = node.text if isinstance(node, Scalar) else ""
+        try:
+            unit(text)
+        except UnknownUnitError as error:
+            log.error("meaning-unit", node.mark, f"{error}", "write for example deg/s, g, m/s^2 or degC")
+            return None
+        return text
+
+    def schema(self) -> dict[str, Any]:
+        return {"type": "string"}
+
+
+class TimeColumn(Record):
+    """The column that holds time."""
+
+    column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
+    unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", "s")
+    power_on: Quantity | None = key(
+        QuantityOf("time"),
+        "When the sensor was switched on, in the column's own time; time then counts from there, else from the first row.",
+        "0 s",
+        None,
+    )
+
+
+class ChannelColumn(Record):
+    """The column that a channel is read from."""
+
+    column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
+    unit: str = key(UnitText(), "Unit of the numbers in the file, kept in the recording.", "deg/s")
+    sign: int = key(Number(-1, 1, integer=True), "-1 where the sensor's axis points the other way.", -1, 1)
+    noise: Quantity | None = key(
+        QuantityOf(None, "not negative"),
+        "White noise as the standard deviation of one sample at rest.",
+        "0.1 deg/s",
+        None,
+    )
+    noise_density: Quantity | None = key(
+        QuantityOf(None, "not negative"),
+        "White noise as a one-sided density D, as data sheets give it: one sample at f Hz scatters by D·√(f/2).",
+        "0.002 deg/s/sqrt(Hz)",
+        None,
+    )
+    random_walk: Quantity | None = key(
+        QuantityOf(None, "not negative"),
+        "White noise as the coefficient N of an Allan deviation: a mean over T scatters by N/√T.",
+        "0.085 deg/sqrt(h)",
+        None,
+    )
+    bias_instability: Quantity | None = key(
+        QuantityOf(None, "not negative"), "Flicker floor of the output.", "2 deg/h", None
+    )
+    resolution: Quantity | None = key(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s", None)
+    full_scale: Quantity | None = key(QuantityOf(None, "positive"), "Full scale, either sign.", "2000 deg/s", None)
+
+    def white(self, sample_rate: float) -> float:
+        """The random-walk coefficient N, in output units times √s; 0 where no noise is declared. sample_rate: Hz."""
+        factor = unit(self.unit).factor
+        if self.noise is not None:
+            return width(self.noise) / factor / math.sqrt(sample_rate)
+        if self.noise_density is not None:
+            return self.noise_density.value / factor / math.sqrt(2)
+        return 0.0 if self.random_walk is None else self.random_walk.value / factor
+
+    def amount(self, name: str, otherwise: float = 0.0) -> float:
+        """bias_instability, resolution or full_scale in output units."""
+        value: Quantity | None = getattr(self, name)
+        return otherwise if value is None else width(value) / unit(self.unit).factor
+
+
+WHITE = ("noise", "noise_density", "random_walk")
+
+
+class ChannelKind:
+    """A channel's column; what is declared of its noise and full scale fits its unit."""
+
+    _record = RecordOf(ChannelColumn)
+
+    def read(self, node: Node, log: Findings) -> ChannelColumn | None:
+        channel: ChannelColumn | None = self._record.read(node, log)
+        if channel is None:
+            return None
+        if channel.sign == 0:
+            log.error("meaning-range", channel.at("sign"), "a sign is 1 or -1", "write 1 or -1")
+        for name in ("noise", "bias_instability", "resolution", "full_scale"):
+            _check_dimension(channel, name, "", log)
+        for name in ("noise_density", "random_walk"):
+            _check_dimension(channel, name, "*sqrt(s)", log)
+        stated = [name for name in WHITE if getattr(channel, name) is not None]
+        if len(stated) > 1:
+            message = f"white noise is given twice, as {' and as '.join(stated)}"
+            log.error("meaning-noise-twice", channel.at(stated[1]), message, "keep one of them")
+        return channel
+
+    def schema(self) -> dict[str, Any]:
+        return self._record.schema()
+
+
+class SegmentColumns(Record):
+    """The table that says which stretch of the recording belongs to which label."""
+
+    table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file beneath the data root.", "jig/stops.csv")
+    label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", "label")
+    start: str = key(
+        Text(COLUMN, "a column's name"), "Column of the beginnings, in the recording's time.", "start_s", "start_s"
+    )
+    end: str = key(Text(COLUMN, "a column's name"), "Column of the ends.", "end_s", "end_s")
+    unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", "s")
+    trim: Quantity = key(QuantityOf("time", "not negative"), "Left out at either end of a stretch.", "2 s", _NO_TRIM)
+
+    @classmethod
+    def of(cls, table: str) -> SegmentColumns:
+        """Columns by their usual names."""
+        make: Any = cls
+        made: SegmentColumns = make(table=table)
+        return made
+
+
+class RecordingParameters(Record):
+    """A recording that is played back."""
+
+    file: str = key(
+        Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
+        "CSV or Parquet file beneath the data root.",
+        "jig/staircase.parquet",
+    )
+    kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")
+    time: TimeColumn = key(RecordOf(TimeColumn), "The column that holds time.", {"column": "time_s", "unit": "s"})
+    channels: dict[str, ChannelColumn] = key(
+        MapOf(ChannelKind(), pattern=NAME),
+        "Channel name → column of the file.",
+        {"gyro_y": {"column": "gyro_y_deg_per_s", "unit": "deg/s"}},
+    )
+    segments: SegmentColumns | None = key(
+        RecordOf(SegmentColumns),
+        "Where the segments lie; without it the whole recording is one segment.",
+        {"table": "jig/stops.csv", "trim": "2 s"},
+        None,
+    )
+    sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
+
+
+def width(quantity: Quantity) -> float:
+    """An amount in SI units, such as a standard deviation, without the offset of a temperature scale."""
+    return quantity.value - quantity.unit.offset
+
+
+def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Findings) -> None:
+    """times: what stands behind the channel's unit."""
+    value: Quantity | None = getattr(channel, name)
+    if value is None:
+        return
+    own = unit(channel.unit).dimension
+    if times:
+        powers = dict(own)
+        powers["time"] = powers.get("time", 0.0) + 0.5
+        own = tuple(sorted((base, power) for base, power in powers.items() if power))
+    if value.unit.dimension != own:
+        message = f"'{value.unit.text}' is not of the dimension of {channel.unit}{times}"
+        log.error("meaning-dimension", channel.at(name), message, f"write it in {channel.unit}{times}")

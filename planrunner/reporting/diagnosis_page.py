@@ -1,0 +1,235 @@
+"""What a diagnosis says: sentences and tables for the terminal, and one page with its pictures.
+
+A diagnosis comes here as plain data, as `schemas/diagnosis.schema.json` has it; nothing is computed here but shares and roundings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from planrunner.estimators.interface import Table
+from planrunner.reporting.templates import render
+from planrunner.reporting.view import named, table_view
+
+SHOWN = 0.005
+"""Hypotheses less probable than this are summed up as others."""
+SURE = 0.95
+"""Probability of noise alone from which on there is said to be no gap."""
+CONSPICUOUS = 0.05
+"""Places that noise alone makes as conspicuous more often than this are not shown."""
+MOST_PLACES = 12
+MOST_HYPOTHESES = 12
+FOOTER = (
+    "Probabilities rest on fixed priors and on the noise that the bench declares. An effect is named only "
+    "where “none” is less probable than 5 %; effects that this plan cannot tell apart are named together."
+)
+Data = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class DiagnosisContext:
+    """title: the plan's; diagnosis: plain data; facts: what was diagnosed; remarks: warnings about the recording; next_plan: the proposed
+    plan's text, empty without one."""
+
+    title: str
+    diagnosis: Data
+    facts: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    next_plan: str = ""
+
+
+def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
+    """One self-contained HTML page. Raises `ReportError`."""
+    from planrunner.reporting.diagnosis_pictures import pictures
+
+    found = context.diagnosis
+    given = {
+        "title": context.title,
+        "facts": named(context.facts),
+        "verdict": verdict(found),
+        "reach": closure_words(found),
+        "remarks": list(context.remarks),
+        "tables": {name: table_view(table) for name, table in tables(found).items()},
+        "pictures": pictures(found),
+        "expected": expected_words(found),
+        "next_plan": context.next_plan,
+        "footer": " ".join((FOOTER, priors_words(found))),
+    }
+    return render("diagnosis.html", given, folder)
+
+
+# -- sentences -------------------------------------------------------------------------------------------------------
+
+
+def verdict(found: Data) -> str:
+    """The answer in one sentence."""
+    said, posterior = found["verdict"], found["posterior"]
+    kind, effects = said["kind"], list(said["effects"])
+    if kind == "none" and posterior["none"] < SURE:
+        return f"No effect is named: noise alone may explain the recording ({probability(posterior['none'])})."
+    if kind == "none":
+        return f"No gap: noise alone explains the recording ({probability(posterior['none'])})."
+    if kind == "unknown":
+        return f"A gap by something that the catalogue does not hold ({probability(posterior['unknown'])})."
+    if kind == "indistinguishable":
+        members = list(said["class"]) or effects
+        together = sum(posterior.get(name, 0.0) for name in {*members, "+".join(sorted(effects))})
+        return f"One of {_listed(members, 'or')}: this plan cannot tell them apart (together {probability(min(1.0, together))})."
+    if kind == "pair":
+        pair = "+".join(sorted(effects))
+        return f"{_listed(effects, 'and')} together explain the gap ({probability(posterior.get(pair, 0.0))})."
+    residue = said.get("form_residue")
+    form = f" What {residue} would add is below 5 % and taken for its form." if residue else ""
+    return f"{effects[0]} explains the gap ({probability(posterior.get(effects[0], 0.0))}).{form}"
+
+
+def closure_words(found: Data) -> str:
+    """How far the gap shrinks, in one sentence; not resolvable where the data cannot say."""
+    closure = found["closure"]
+    if found["verdict"]["kind"] == "none":
+        return "There is nothing to close."
+    if not closure["resolvable"] or closure["shrinks_by"] is None:
+        return "How far the gap of withheld segments shrinks is not resolvable with this recording."
+    text = f"The gap of withheld segments shrinks by {_percent(closure['shrinks_by'])}"
+    if closure["interval_90"] is not None:
+        low, high = closure["interval_90"]
+        text += f" (90 % interval {_percent(low)} to {_percent(high)})"
+    if closure["before"] is not None and closure["after"] is not None:
+        text += f", from {closure['before']:.3g} to {closure['after']:.3g} standard deviations of the noise"
+    return text + "."
+
+
+def expected_words(found: Data) -> str:
+    """What to measure next, in one sentence."""
+    following = found["next"]
+    if following is None:
+        return ""
+    expected = following["expected"]
+    if isinstance(expected, Mapping):
+        return "; ".join(f"{name.replace('_', ' ')}: {_plain(value)}" for name, value in expected.items())
+    return _plain(expected)
+
+
+def priors_words(found: Data) -> str:
+    """The priors that the probabilities rest on, where the diagnosis names them."""
+    listed = [f"{name} {p:.2f}" for name, p in found.get("priors", {}).items()]
+    return f"Priors: {', '.join(listed)}." if listed else ""
+
+
+def probability(p: float) -> str:
+    """P with as many digits as matter, never a certainty."""
+    if p > 0.999:
+        return "P > 0.999"
+    return "P < 0.001" if p < 0.001 else f"P = {p:.3f}" if p > 0.99 or p < 0.01 else f"P = {p:.2f}"
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def tables(found: Data) -> dict[str, Table]:
+    """By name; only those that say something."""
+    made = {
+        "gap": _gap(found),
+        "where": _where(found),
+        "hypotheses": _hypotheses(found),
+        "parameters": _parameters(found),
+        "absorbed": _absorbed(found),
+    }
+    return {name: table for name, table in made.items() if table.rows}
+
+
+def _gap(found: Data) -> Table:
+    rows = tuple(
+        (
+            name,
+            _short(one["before"]),
+            _short(one["noise_floor"]),
+            _times(one["before"], one["noise_floor"]),
+            one["unit"],
+        )
+        for name, one in found["gap"].items()
+    )
+    return Table("Gap by channel", ("Channel", "gap", "of noise alone", "times noise", "Unit"), rows)
+
+
+def _where(found: Data) -> Table:
+    rows = tuple(
+        (one["channel"], _spaced(one["factor"]), _plain(one["level"]), _percent(one["share"]), _p(one["p"]))
+        for one in found["where"][:MOST_PLACES]
+        if one["p"] < CONSPICUOUS
+    )
+    return Table("Where", ("Channel", "factor", "level", "share of the gap", "p"), rows)
+
+
+def _hypotheses(found: Data) -> Table:
+    rows = tuple((name, f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "") for name, p in ranked(found))
+    return Table("Which effect", ("Hypothesis", "probability", "in the 95 % set"), rows)
+
+
+def ranked(found: Data) -> list[tuple[str, float]]:
+    """Hypotheses worth showing, the most probable first; the rest as `others`."""
+    posterior: Mapping[str, float] = found["posterior"]
+    order = sorted(posterior.items(), key=lambda pair: -pair[1])
+    shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
+    rest = sum(posterior.values()) - sum(p for _, p in shown)
+    return [*shown, ("others", rest)] if rest > SHOWN / 10 else shown
+
+
+def _parameters(found: Data) -> Table:
+    rows = tuple(
+        (one["effect"], one["name"], _short(one["value"]), _short(one["standard_uncertainty"]), one["unit"])
+        for one in found["parameters"]
+    )
+    return Table("Fitted parameters of the effect", ("Effect", "parameter", "value", "u", "Unit"), rows)
+
+
+def _absorbed(found: Data) -> Table:
+    rows = tuple((one["effect"], _percent(one["kept_share"])) for one in found["absorbed"])
+    title = "Taken up by the fitted nominal parameters"
+    return Table(title, ("Effect", "share of its energy that is left"), rows)
+
+
+# -- words -----------------------------------------------------------------------------------------------------------
+
+
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "–"
+    if 0 <= share < 0.001:
+        return "< 0.1 %"
+    if abs(share) < 0.1:
+        return f"{100 * share:.2g} %"
+    return f"{100 * share:.0f} %" if share < 0.985 else f"{100 * share:.1f} %"
+
+
+def _p(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def _short(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"
+
+
+def _times(before: float | None, floor: float | None) -> str:
+    return "–" if not before or not floor else f"{before / floor:.3g}"
+
+
+def _spaced(text: str) -> str:
+    return text.replace("_", " ")
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Sequence):
+        return ", ".join(_plain(item) for item in value)
+    return str(value)
+
+
+def _listed(names: Sequence[str], word: str) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"

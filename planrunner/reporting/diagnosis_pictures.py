@@ -1,0 +1,174 @@
+"""The pictures of a diagnosis: heat map over segments and channels, spectra, segment means, probabilities, confusability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from planrunner.estimators.interface import Plot
+from planrunner.reporting.diagnosis_page import ranked
+from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
+
+Data = Mapping[str, Any]
+MOST_CHANNELS = 6
+"""Channels that spectra and means are drawn of, those with the largest gap first."""
+HOTTEST = 100.0
+"""Times the noise, from where on the heat map has one colour."""
+
+
+def pictures(found: Data) -> list[dict[str, Any]]:
+    """Title, words and SVG of each picture that the diagnosis holds data for. wide: drawn over the page's whole width."""
+    from markupsafe import Markup
+
+    made = []
+    for title, words, wide, svg in _drawn(found):
+        made.append({"title": title, "words": words, "wide": wide, "svg": Markup(svg)})
+    return made
+
+
+def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
+    data: Data = found.get("pictures") or {}
+    heat = data.get("heat")
+    if heat and heat["segments"] and heat["channels"]:
+        words = "Energy of what simulation leaves, in times of what noise leaves: 1 is noise alone."
+        yield "Gap over segments and channels", words, True, heat_svg(heat, "heat")
+    yield "Probability of each explanation", "", False, posterior_svg(ranked(found), "posterior")
+    alike = data.get("confusability")
+    if alike and len(alike["effects"]) > 1:
+        words = "How much of the row's effect the column's effect reproduces with this plan, in hundredths: 100 cannot be told apart."
+        yield "What this plan can confuse", words, False, confusability_svg(alike, "confusability")
+    for name, one in _largest(found, data.get("means", {}).get("channels", {})):
+        yield (
+            f"Segment means of {name}, before and after",
+            "",
+            False,
+            plot_svg(_means(name, data["means"]["segments"], one), f"means-{_key(name)}"),
+        )
+    for name, one in _largest(found, data.get("spectrum", {})):
+        yield (
+            f"Spectrum of {name}, before and after",
+            "",
+            False,
+            plot_svg(_spectrum(name, one), f"spectrum-{_key(name)}"),
+        )
+
+
+def _largest(found: Data, channels: Data) -> list[tuple[str, Data]]:
+    def size(name: str) -> float:
+        one = found["gap"].get(name) or {}
+        before, floor = one.get("before"), one.get("noise_floor")
+        return -float(before) / float(floor) if before and floor else 0.0
+
+    return [(name, channels[name]) for name in sorted(channels, key=size)[:MOST_CHANNELS]]
+
+
+def _means(name: str, segments: Sequence[str], one: Data) -> Plot:
+    series = {key: _numbers(one[key]) for key in ("before", "after")}
+    bars = {"before": _numbers(one["noise"]), "after": _numbers(one["noise"])} if "noise" in one else {}
+    return Plot(f"Segment means of {name}", "segment", f"residual [{one['unit']}]", tuple(segments), series, bars)
+
+
+def _spectrum(name: str, one: Data) -> Plot:
+    series = {key: _numbers(one[key]) for key in ("before", "after", "noise") if key in one}
+    x = tuple(one["frequency_hz"])
+    return Plot(f"Spectrum of {name}", "frequency [Hz]", f"density [{one['unit']}]", x, series, log=True, lines=True)
+
+
+def heat_svg(heat: Data, key: str) -> str:
+    """One row a channel, one column a segment; white is noise alone, darker is more, on a logarithmic scale."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    channels, segments = list(heat["channels"]), list(heat["segments"])
+    values = np.array([_numbers(row) for row in heat["values"]], dtype=float).reshape(len(channels), len(segments))
+    depth = np.clip(np.log(np.maximum(np.nan_to_num(values, nan=1.0), 1.0)) / math.log(HOTTEST), 0, 1)
+    colours = LinearSegmentedColormap.from_list("gap", ["#ffffff", "#f2c48d", "#b45309", "#4a1d02"])
+    with drawing(7.2, 1.5 + 0.24 * len(channels)) as (figure, save):
+        axes = figure.add_subplot()
+        axes.pcolormesh(
+            np.arange(len(segments) + 1) - 0.5, np.arange(len(channels) + 1) - 0.5, depth,
+            cmap=colours, vmin=0, vmax=1, edgecolors="#e3e7eb", linewidth=0.3,
+        )  # fmt: skip
+        axes.set_yticks(range(len(channels)), channels)
+        places = range(0, len(segments), math.ceil(len(segments) / 52))
+        axes.set_xticks(list(places), [segments[place][:24] for place in places], rotation=90)
+        axes.set_xlim(-0.5, len(segments) - 0.5)
+        axes.set_ylim(len(channels) - 0.5, -0.5)
+        axes.grid(visible=False)
+        axes.tick_params(length=0, labelsize=7)
+        _legend(axes, colours)
+        row, column = np.unravel_index(int(np.argmax(np.nan_to_num(values))), values.shape)
+        described = f"Largest: {channels[row]} in {segments[column]}, {values[row, column]:.3g} times noise."
+        return save(key, f"Gap of {len(channels)} channels over {len(segments)} segments", described)
+
+
+def _legend(axes: Any, colours: Any) -> None:
+    """What the colours mean, as labelled squares above the map."""
+    for times in (1, 3, 10, 30, 100):
+        axes.scatter([], [], marker="s", s=45, color=colours(math.log(times) / math.log(HOTTEST)), edgecolors="#8a949e",
+                     linewidths=0.6, label=f"{times} ×" if times < HOTTEST else f"{times} × and more")  # fmt: skip
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0, 1.0), ncols=5, borderaxespad=0.2, handletextpad=0.3, columnspacing=1.2
+    )
+
+
+def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
+    """A bar a hypothesis, its probability beside it."""
+    with drawing(WIDTH, 0.9 + 0.27 * len(hypotheses)) as (figure, save):
+        axes = figure.add_subplot()
+        for row, (name, p) in enumerate(hypotheses):
+            nobody = name in ("none", "unknown", "others")
+            axes.barh(row, p, height=0.66, color=COLOURS[4] if nobody else COLOURS[0])
+            axes.text(p + 0.012, row, f"{p:.3f}" if p < 0.9995 else "> 0.999", va="center", fontsize=8)
+        axes.set_yticks(range(len(hypotheses)), [name.replace("+", " +\n") for name, _ in hypotheses])
+        axes.set_ylim(len(hypotheses) - 0.4, -0.6)
+        axes.set_xlim(0, 1.16)
+        axes.set_xticks([0, 0.25, 0.5, 0.75, 1])
+        axes.set_xlabel("probability")
+        axes.grid(visible=False, axis="y")
+        described = "; ".join(f"{name} {p:.3f}" for name, p in hypotheses)
+        return save(key, "Probability of each explanation", described)
+
+
+def confusability_svg(alike: Data, key: str) -> str:
+    """Row: whose signature; column: who reproduces it; in hundredths."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    names = list(alike["effects"])
+    shares = np.array([_numbers(row) for row in alike["shares"]], dtype=float)
+    size = len(names)
+    colours = LinearSegmentedColormap.from_list("alike", ["#ffffff", "#0b5394"])
+    with drawing(WIDTH, WIDTH * 1.02) as (figure, save):
+        axes = figure.add_subplot()
+        edges = np.arange(size + 1) - 0.5
+        axes.pcolormesh(
+            edges, edges, np.nan_to_num(shares), cmap=colours, vmin=0, vmax=1, edgecolors="#e3e7eb", linewidth=0.3
+        )
+        if size <= 16:
+            for row in range(size):
+                for column in range(size):
+                    value = float(shares[row, column])
+                    if row != column and value >= 0.005:
+                        ink = "#ffffff" if value > 0.55 else "#1b1f24"
+                        axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", fontsize=6.5, color=ink)
+        axes.set_xticks(range(size), names, rotation=90)
+        axes.set_yticks(range(size), names)
+        axes.set_xlim(-0.5, size - 0.5)
+        axes.set_ylim(size - 0.5, -0.5)
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        axes.tick_params(length=0, labelsize=6.5 if size > 16 else 7.5)
+        off = np.where(np.eye(size, dtype=bool), -1.0, np.nan_to_num(shares))
+        first, second = divmod(int(np.argmax(off)), size)
+        described = f"Most alike: {names[second]} reproduces {off[first, second]:.0%} of {names[first]}."
+        return save(key, f"Confusability of {size} effects", described)
+
+
+def _numbers(values: Sequence[float | None]) -> tuple[float, ...]:
+    return tuple(math.nan if value is None else float(value) for value in values)
+
+
+def _key(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in name)

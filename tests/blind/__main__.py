@@ -1,0 +1,58 @@
+"""`python -m tests.blind make|answer|score FOLDER`: the blind campaign."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from tests.blind import campaign
+from tests.blind.commitment import BrokenSealError
+
+
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    make = commands.add_parser("make", help="make cases and commit to their labels")
+    make.add_argument("count", type=int)
+    make.add_argument("--seed", type=int, required=True, help="any whole number; who knows it knows the labels")
+    answer = commands.add_parser("answer", help="have every case answered")
+    answer.add_argument(
+        "--by",
+        action="append",
+        help=f"{', '.join(campaign.ANSWERERS)} or module:function; may be repeated (default: planrunner)",
+    )
+    score = commands.add_parser("score", help="verify the commitments and score all answers")
+    score.add_argument("--json", type=Path, help="write the figures to this file")
+    for command in (make, answer, score):
+        command.add_argument("folder", type=Path)
+    for command in (make, answer):
+        command.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
+        command.add_argument("--scheduler", help="address of a Dask scheduler, in place of --jobs")
+    return parser.parse_args(argv)
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    given = _arguments(argv)
+    try:
+        if given.command == "make":
+            campaign.make_all(given.folder, given.count, given.seed, given.jobs, given.scheduler, _tell)
+        elif given.command == "answer":
+            for name in given.by or ["planrunner"]:
+                campaign.answer_all(given.folder, name, given.jobs, given.scheduler, _tell)
+        else:
+            from tests.blind import report
+
+            print(report.scored(given.folder, given.json), end="")
+    except (BrokenSealError, ValueError, OSError) as error:
+        _tell(f"tests.blind: {error}")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

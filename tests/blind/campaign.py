@@ -1,0 +1,122 @@
+"""Makes cases and has them answered, on several processes or a Dask cluster, going on where it stopped.
+
+Results do not depend on how the work is shared: a case's random numbers come from the seed and its own number.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from tests.blind import folder as store
+from tests.blind.generator import assigned, make
+
+Answerer = Callable[[store.Shown], dict[str, Any]]
+
+ANSWERERS = {
+    "planrunner": "tests.blind.product:diagnose",
+    "oracle": "tests.blind.oracle:diagnose",
+    "stepwise-bic": "tests.blind.baselines:stepwise_bic",
+    "whitened-bic": "tests.blind.baselines:whitened_bic",
+    "lasso": "tests.blind.baselines:lasso",
+    "stlsq": "tests.blind.baselines:stlsq",
+}
+BATCH = 24  # cases of one set-up that a worker takes at a time
+
+
+def make_batch(folder: str, seed: int, numbers: Sequence[int]) -> int:
+    for number in numbers:
+        store.write_case(Path(folder), make(seed, number), seed)
+    return len(numbers)
+
+
+def answerer(name: str) -> Answerer:
+    """A known name or `module:function`; the module is imported here and not before."""
+    module, _, function = ANSWERERS.get(name, name).partition(":")
+    return getattr(importlib.import_module(module), function)
+
+
+def answer_batch(folder: str, name: str, label: str, cases: Sequence[str]) -> int:
+    diagnose = answerer(name)
+    for case in cases:
+        shown = store.shown(Path(folder), case)
+        _ = shown.columns  # reading is not counted
+        begin = time.perf_counter()
+        try:
+            answer = diagnose(shown)
+        except Exception as error:  # counted as an answer that failed, and shown in the score
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        store.write_answer(Path(folder), label, case, {**answer, "seconds": time.perf_counter() - begin})
+    return len(cases)
+
+
+def _batches(keyed: list[tuple[Any, Any]]) -> list[list]:
+    """Items in groups of one key and at most BATCH, so that a worker keeps what it knows of a set-up."""
+    found = []
+    for _, group in groupby(sorted(keyed), key=lambda pair: pair[0]):
+        items = [item for _, item in group]
+        found += [items[i : i + BATCH] for i in range(0, len(items), BATCH)]
+    return found
+
+
+def _run(task: Callable, batches: list[list], arguments: tuple, jobs: int, scheduler: str | None) -> Iterator[int]:
+    """Counts of done cases, as batches end."""
+    if scheduler:
+        from dask.distributed import Client, as_completed
+
+        with Client(scheduler) as client:
+            futures = [client.submit(task, *arguments, batch, pure=False) for batch in batches]
+            for future in as_completed(futures):
+                yield future.result()
+    elif jobs == 1:
+        for batch in batches:
+            yield task(*arguments, batch)
+    else:
+        with ProcessPoolExecutor(jobs) as pool:
+            yield from (future.result() for future in [pool.submit(task, *arguments, batch) for batch in batches])
+
+
+def make_all(
+    folder: Path, count: int, seed: int, jobs: int = 1, scheduler: str | None = None, tell: Callable = lambda _: None
+) -> None:
+    """Makes `count` cases, those that are whole already left out, then commits to the labels.
+
+    Raises ValueError where the folder holds another campaign: its seed or its commitments would not be kept.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    campaign = folder / "sealed" / "seed"
+    if campaign.exists() and campaign.read_text(encoding="utf-8") != str(seed):
+        raise ValueError(f"{folder} holds a campaign of another seed; take a new folder")
+    store.write_setups(folder)
+    campaign.parent.mkdir(exist_ok=True)
+    campaign.write_text(str(seed), encoding="utf-8")
+    have = set(store.made(folder))
+    wanted = [(assigned(seed, n)[:2], n) for n in range(count) if f"case-{n:05d}" not in have]
+    done = len(have)
+    for more in _run(make_batch, _batches(wanted), (str(folder), seed), jobs, scheduler):
+        done += more
+        tell(f"{done} of {count} made")
+    store.commit(folder)
+
+
+def answer_all(
+    folder: Path, name: str, jobs: int = 1, scheduler: str | None = None, tell: Callable = lambda _: None
+) -> None:
+    """Has every case answered that `name` has not answered yet."""
+    label = name.replace(":", ".")
+    cases = store.made(folder)
+    wanted = [
+        (json.loads((folder / "cases" / case / "case.json").read_text(encoding="utf-8"))["setup"], case)
+        for case in cases
+        if not store.answer_file(folder, label, case).exists()
+    ]
+    done = len(cases) - len(wanted)
+    for more in _run(answer_batch, _batches(wanted), (str(folder), name, label), jobs, scheduler):
+        done += more
+        tell(f"{done} of {len(cases)} answered")

@@ -1,0 +1,270 @@
+"""Draws a case: device, noise, none, one or two effects of chosen strength; simulates the recording and writes down the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from tests.blind.device import SENSORS, Device, Sensor, clean_output, noise_factor, random_device, recorded
+from tests.blind.effects import CATALOGUE, FOREIGN, KINDS, Kind, applies
+from tests.blind.motion import Array, Fault, Schedule, stimulus
+from tests.blind.noise import Metric, noise, outliers
+from tests.blind.plans import PLANS
+from tests.blind.signatures import Signatures, change, excess_energy, excess_ratio
+
+WEAKEST, STRONGEST = 4.0, 1e4  # λ, log-uniform between
+COMPOSITION = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
+ABSORBED_SHARE = 0.05  # of the singles: effects that the nominal parameters take whole
+SEEN = 0.02  # least share of an effect's energy that is left by the nominal parameters
+GONE = 1e-3  # below it, the nominal parameters take it whole
+WRONG_NOISE, WITH_OUTLIERS = 0.20, 0.10
+TEMPERATURE_NOISE = 0.02  # degC
+TRIES = 400
+COARSEST = 1.25  # by what a coarse resolution may raise the noise (2.6 σ a step): beyond, its errors of segment means are no noise
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording and its truth. `label` is what is sealed: plain data in canonical JSON."""
+
+    name: str
+    plan: str
+    sensor: str
+    columns: dict[str, Array]
+    label: dict
+    faults: tuple[Fault, ...] = field(repr=False)
+    device: Device = field(repr=False)
+
+
+@lru_cache(maxsize=2)
+def signatures(plan: str, sensor: str) -> Signatures:
+    """Kept for the plan at work: cases are made plan by plan."""
+    kind = SENSORS[sensor]
+    return Signatures(Schedule(PLANS[plan], kind.sampling), kind)
+
+
+def _stream(seed: int, number: int, part: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, part)))
+
+
+def assigned(seed: int, number: int) -> tuple[str, str, str]:
+    """Plan, sensor type and kind of case `number`: the same whoever makes it."""
+    rng = _stream(seed, number, 0)
+    plan = list(PLANS)[rng.integers(len(PLANS))]
+    sensor = list(SENSORS)[rng.integers(len(SENSORS))]
+    return plan, sensor, str(rng.choice(list(COMPOSITION), p=list(COMPOSITION.values())))
+
+
+def kept_share(around: Signatures, difference: Array) -> float:
+    """Share of a change's energy that the nominal parameters leave."""
+    whole = float(np.sum(around.metric.scaled(difference) ** 2))
+    return around.metric.energy(difference) / whole if whole else 0.0
+
+
+def _of_strength(kind: Kind, direction: Array, shape: tuple[float, ...], energy: float, work: Work) -> Fault | None:
+    """The fault whose λ is `energy`, or None where no physical amplitude gives it."""
+    amplitude, low, high = 1.0, 0.0, np.inf
+    if kind.covariance:
+        ratio = excess_ratio(energy)
+        if kind.name == "gyro_quantization" and ratio > COARSEST:
+            return None
+        theta = ratio - 1 if kind.name == "gyro_noise_excess" else work.sigma[0] * np.sqrt(12 * (ratio**2 - 1))
+        return Fault(kind.name, np.array([theta])) if theta <= kind.largest else None
+    for _ in range(1 if kind.linear else 25):
+        found = work.energy(kind.fault(direction, amplitude, shape))
+        if kind.linear:
+            amplitude = amplitude * np.sqrt(energy / found) if found > 0 else np.inf
+            break
+        if abs(np.log((found + 1e-300) / energy)) < 0.02:
+            break
+        low, high = (amplitude, high) if found < energy else (low, amplitude)
+        step = amplitude * np.clip((energy / max(found, 1e-12)) ** 0.4, 0.1, 10.0)
+        amplitude = step if low < step < high else (low + min(high, 10 * low + 1e-9)) / 2
+        if low > kind.largest:
+            return None
+    return kind.fault(direction, amplitude, shape) if amplitude <= kind.largest else None
+
+
+@dataclass(frozen=True)
+class Work:
+    """What the draw of one case needs at hand."""
+
+    around: Signatures
+    metric: Metric
+    device: Device
+    sigma: Array
+
+    def difference(self, *faults: Fault) -> Array:
+        return change(self.around.schedule, self.around.sensor, self.device, list(faults))
+
+    def energy(self, *faults: Fault) -> float:
+        return self.metric.energy(self.difference(*faults))
+
+
+def _direction(kind: Kind, schedule: Schedule, rng: np.random.Generator) -> Array:
+    size = kind.magnitudes(schedule)
+    draw = rng.standard_normal(len(size)) if len(size) > 1 else rng.choice([-1.0, 1.0], 1)
+    return size * (draw if kind.signed else np.abs(draw))
+
+
+def _one(work: Work, names: list[str], energy: float, rng: np.random.Generator, absorbed: bool = False) -> Fault:
+    """One effect among `names` with λ = `energy`, or one that the nominal parameters absorb, at its natural magnitude."""
+    schedule, sensor = work.around.schedule, work.around.sensor
+    for _ in range(TRIES):
+        kind = KINDS[names[rng.integers(len(names))]]
+        if not applies(kind, schedule, sensor):
+            continue
+        shape = kind.draw(schedule, rng) if kind.draw else kind.shapes[0]
+        direction = _direction(kind, schedule, rng)
+        if not kind.covariance:
+            share = kept_share(work.around, work.difference(kind.fault(direction, 1.0, shape)))
+            if absorbed and share < GONE:
+                return kind.fault(direction, 1.0, shape)
+            if absorbed or share < SEEN:
+                continue
+        elif absorbed:
+            continue
+        found = _of_strength(kind, direction, shape, energy, work)
+        if found is not None:
+            return found
+    raise RuntimeError(f"no effect of {names} reaches a strength of {energy:g} under this plan")
+
+
+def _effects(kind: str, work: Work, rng: np.random.Generator) -> list[Fault]:
+    energies = np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST), 2))
+    names = [name for name in CATALOGUE if name != "table_rate_error"]
+    if kind == "none":
+        return []
+    if kind == "unknown":
+        return [_one(work, list(FOREIGN), energies[0], rng)]
+    if kind == "single":
+        if rng.random() < ABSORBED_SHARE:
+            return [_one(work, [*CATALOGUE, *["table_rate_error"] * len(CATALOGUE)], 0.0, rng, absorbed=True)]
+        return [_one(work, names, energies[0], rng)]
+    first = _one(work, names, energies[0], rng)
+    for _ in range(TRIES):
+        second = _one(work, [name for name in names if name != first.effect], energies[1], rng)
+        if not _overlap(work, first, second):
+            return [first, second]
+    raise RuntimeError(f"no second effect beside {first.effect} under this plan")
+
+
+def _overlap(work: Work, first: Fault, second: Fault) -> bool:
+    """Whether one of the two would hide the other: more than half of it reproduced, or both act on the noise."""
+    still = [fault for fault in (first, second) if not KINDS[fault.effect].covariance]
+    if len(still) < 2:
+        return not still
+    return any(
+        work.around.reproduced(work.difference(one), other.effect) > 0.5
+        for one, other in ((first, second), (second, first))
+        if other.effect in work.around.spans
+    )
+
+
+def _strength(work: Work, fault: Fault) -> float:
+    if fault.effect == "gyro_noise_excess":
+        return excess_energy(1 + fault.theta[0])
+    if fault.effect == "gyro_quantization":
+        return excess_energy(np.sqrt(1 + fault.theta[0] ** 2 / (12 * work.sigma[0] ** 2)))
+    return work.energy(fault)
+
+
+def _label(name: str, kind: str, faults: list[Fault], work: Work, factors: Array, spiked: bool) -> dict:
+    entries = []
+    for fault in faults:
+        energy, absorbed = _strength(work, fault), False
+        members, share = [fault.effect], None
+        if not KINDS[fault.effect].covariance:
+            difference = work.difference(fault)
+            share = kept_share(work.around, difference)
+            absorbed = share < GONE
+            if kind != "unknown" and not absorbed:
+                members = work.around.inseparable(fault.effect, difference, energy)
+        entries.append(
+            {
+                "effect": fault.effect,
+                "theta": [float(v) for v in fault.theta],
+                "shape": list(fault.shape),
+                "lambda": round(energy, 6),
+                "kept_share": share,
+                "absorbed": absorbed,
+                "class": members,
+                "channels": _channels(work, fault),
+            }
+        )
+    return {
+        "case": name,
+        "kind": "none" if all(e["absorbed"] for e in entries) else kind,
+        "effects": sorted(fault.effect for fault in faults),
+        "entries": entries,
+        "noise_factors": [float(f) for f in factors],
+        "also_true": ["gyro_noise_excess"] if factors[0] > 1.0 else [],
+        "outliers": bool(spiked),
+        "channel_names": channel_names(work.around.sensor),
+    }
+
+
+def _channels(work: Work, fault: Fault) -> list[float]:
+    """Share of λ on each channel; noise is shared equally by the gyros."""
+    if KINDS[fault.effect].covariance:
+        return [1 / 3] * 3 + [0.0] * (3 * len(work.around.sensor.triads) - 3)
+    difference = work.difference(fault)
+    energy = np.maximum(np.sum(work.metric.scaled(difference) * work.metric.clear(difference), axis=0), 0.0)
+    return [round(float(v), 6) for v in energy / max(energy.sum(), 1e-300)]
+
+
+def make(seed: int, number: int, kind: str | None = None) -> Case:
+    """Case `number` of a campaign: the same whatever other cases are made, and by whom."""
+    plan, sensor_name, assigned_kind = assigned(seed, number)
+    return draw(f"case-{number:05d}", plan, sensor_name, kind or assigned_kind, _stream(seed, number, 1))
+
+
+def draw(name: str, plan: str, sensor_name: str, kind: str, rng: np.random.Generator) -> Case:
+    """A case of the given composition under the given plan and sensor type."""
+    around, sensor = signatures(plan, sensor_name), SENSORS[sensor_name]
+    wrong = rng.random() < WRONG_NOISE
+    factors = np.exp(rng.uniform(-np.log(2), np.log(2), len(sensor.triads)) * wrong)
+    metric = Metric(around.schedule, sensor, tuple(factors)) if wrong else around.metric
+    sigma = sensor.sigma() * np.repeat(factors, 3)
+    work = Work(around, metric, random_device(sensor, rng), sigma)
+    faults = _effects(kind, work, rng)
+    spiked = rng.random() < WITH_OUTLIERS
+    columns = simulate(work, faults, np.repeat(factors, 3), spiked, rng)
+    label = _label(name, kind, faults, work, factors, spiked)
+    return Case(name, plan, sensor_name, columns, label, tuple(faults), work.device)
+
+
+def simulate(
+    work: Work, faults: list[Fault], factors: Array, spiked: bool, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Columns of the recording, named as in the file."""
+    schedule, sensor = work.around.schedule, work.around.sensor
+    by_name = {fault.effect: fault for fault in faults}
+    scaled = factors.copy()
+    scaled[:3] *= noise_factor(by_name)
+    added = noise(schedule, sensor, scaled, rng)
+    if spiked:
+        added = outliers(added, work.sigma, rng)
+    values = recorded(sensor, clean_output(schedule, sensor, work.device, by_name), by_name, added)
+    return named(schedule, sensor, values, rng)
+
+
+def named(schedule: Schedule, sensor: Sensor, values: Array, rng: np.random.Generator) -> dict[str, Array]:
+    felt = stimulus(schedule, {})
+    angle = np.mod(felt.angle, 360.0) if sensor.wrapped else felt.angle
+    warm = felt.temperature + TEMPERATURE_NOISE * rng.standard_normal(len(felt.time))
+    columns = {
+        "time_s": np.round(schedule.time, 6),
+        "table_angle_deg": np.round(angle, 6),
+        "temperature_degC": np.round(warm, 3),
+    }
+    for i, name in enumerate(channel_names(sensor)):
+        columns[name] = values[:, i]
+    return columns
+
+
+def channel_names(sensor: Sensor) -> list[str]:
+    gyros = [f"gyro_{axis}_deg_per_s" for axis in "xyz"]
+    return gyros if sensor.accel is None else gyros + [f"accel_{axis}_m_per_s2" for axis in "xyz"]

@@ -1,0 +1,105 @@
+"""Hands a blind case to the product's diagnosis: the one module here that knows `planrunner`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.statistics import statistics_of
+from planrunner.gap.diagnosis import diagnose as diagnosed
+from planrunner.gap.observed import Observed, observed
+from planrunner.instruments.interfaces import Block
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.physics.earth import Site
+from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
+from tests.blind.folder import Shown
+from tests.blind.generator import channel_names
+from tests.blind.motion import WORDS
+from tests.blind.plans import Segment as Row
+
+ZERO_CELSIUS = 273.15
+
+
+def motion(row: Row) -> Motion:
+    if row.kind == "rate":
+        return Spin(np.radians(row.rate))
+    if row.kind == "rock":
+        return Rock(np.radians(row.amplitude), row.frequency, (0.0,), row.duration)
+    return Rest()
+
+
+def planned(index: int, row: Row, before: float) -> Segment:
+    """The segment as a plan would state it; a ramp leaves the temperature before it."""
+    now = row.chamber + ZERO_CELSIUS
+    return Segment(
+        index,
+        row.label,
+        np.array([WORDS[word] for word in row.axes], float),
+        " ".join(row.axes),
+        motion(row),
+        row.duration,
+        temperature=before + ZERO_CELSIUS if row.ramp else now,
+        ramp_to=now if row.ramp else None,
+        start=row.start,
+    )
+
+
+def sensor_model(shown: Shown) -> SensorModel:
+    """Declared noise in the product's terms: N of a one-sided density S is S ÷ √2."""
+    outputs = []
+    for name in channel_names(shown.sensor):
+        declared = shown.bench["channels"][name.split("_")[0]]
+        noise = NoiseModel(
+            declared["white_noise_density"] / np.sqrt(2), declared["bias_instability"], declared["resolution"]
+        )
+        outputs.append(OutputModel(name, declared["unit"], noise=noise))
+    return SensorModel("imu", tuple(outputs), shown.bench["sampling_hz"])
+
+
+def recorded_segments(shown: Shown) -> list[RecordedSegment]:
+    """The rows of each segment, found by time."""
+    units = {"table_angle_deg": "deg", "temperature_degC": "degC"}
+    units |= {name: "deg/s" if name.startswith("gyro") else "m/s^2" for name in channel_names(shown.sensor)}
+    time, found, before = shown.columns["time_s"], [], 25.0
+    for index, row in enumerate(shown.segments):
+        rows = slice(*np.searchsorted(time, [row.start - 1e-6, row.end - 1e-6]))
+        block = Block(time[rows], {name: shown.columns[name][rows] for name in units})
+        statistics = statistics_of([block], list(units), len(block.time))
+        found.append(RecordedSegment(planned(index, row, before), units, statistics, _blocks(block)))
+        before = row.chamber
+    return found
+
+
+def _blocks(block: Block) -> Callable[[Sequence[str]], Iterator[Block]]:
+    def blocks(names: Sequence[str]) -> Iterator[Block]:
+        yield Block(block.time, {name: block.channels[name] for name in names})
+
+    return blocks
+
+
+def observation(shown: Shown) -> Observed:
+    declared = shown.bench["site"]
+    site = Site(
+        np.radians(declared["latitude_deg"]),
+        declared["gravity_m_per_s2"],
+        earth_rate=np.radians(declared["earth_rate_deg_per_h"]) / 3600,
+        magnetic_field=tuple(declared["magnetic_field_enu"]),
+    )
+    return observed(
+        recorded_segments(shown),
+        site,
+        sensor_model(shown),
+        angle_channel="table_angle_deg",
+        temperature_channel="temperature_degC",
+        magnetic=declared["magnetic_field_enu"],
+    )
+
+
+def diagnose(shown: Shown) -> dict[str, Any]:
+    """The diagnosis' answer without what only its page shows."""
+    answer = diagnosed(observation(shown)).to_json()
+    answer.pop("pictures", None)
+    return answer

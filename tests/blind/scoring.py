@@ -1,0 +1,295 @@
+"""Scores answers in the diagnosis' output contract against labels: every figure of the target table, with binomial intervals.
+
+An answer is right at class level when what it names is the truth or a member of the class that the generator found inseparable
+from it under that plan; an "indistinguishable" answer is right when its class holds the truth. Where the true white noise is larger than
+declared, `gyro_noise_excess` is true as well and is neither asked for nor held against an answer (`also_true`). Effects that the nominal
+parameters absorb whole count as none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+UNKNOWN = "unknown"
+BANDS = {"20-65 (36)": (20.0, 65.0), "80-260 (144)": (80.0, 260.0), ">= 900": (900.0, np.inf), ">= 36": (36.0, np.inf)}
+STRONG = 144.0
+BINS = 15  # of confidence, equally wide
+SEED = 5
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of cases with its 95 % interval (Wilson, Journal of the American Statistical Association 22 (1927) 209)."""
+
+    hits: int
+    n: int
+
+    @property
+    def value(self) -> float:
+        return self.hits / self.n if self.n else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        if not self.n:
+            return (0.0, 1.0)
+        z, n, p = 1.959964, self.n, self.value
+        middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+        half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+        return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+
+    def to_json(self) -> dict[str, Any]:
+        low, high = self.interval
+        return {"value": None if not self.n else self.value, "hits": self.hits, "n": self.n, "interval_95": [low, high]}
+
+
+def rate(hits: Iterable[bool]) -> Rate:
+    listed = [bool(hit) for hit in hits]
+    return Rate(sum(listed), len(listed))
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One case: its label beside an answer."""
+
+    label: Mapping[str, Any]
+    answer: Mapping[str, Any]
+
+    @property
+    def kind(self) -> str:
+        return str(self.label["kind"])
+
+    @property
+    def failed(self) -> bool:
+        return "error" in self.answer
+
+    @cached_property
+    def strengths(self) -> list[float]:
+        return [entry["lambda"] for entry in self.label["entries"] if not entry["absorbed"]]
+
+    @property
+    def weakest(self) -> float:
+        return min(self.strengths, default=0.0)
+
+    @cached_property
+    def classes(self) -> list[set[str]]:
+        """Per true effect the names that count as it."""
+        return [{*entry["class"], entry["effect"]} for entry in self.label["entries"] if not entry["absorbed"]]
+
+    def _stripped(self, names: Iterable[str]) -> set[str]:
+        true = {entry["effect"] for entry in self.label["entries"]}
+        return {name for name in names if name not in self.label["also_true"] or name in true}
+
+    def says_the_truth(self, names: Iterable[str]) -> bool:
+        """Whether a set of names, {"unknown"} included, is the truth at class level."""
+        named = self._stripped(names)
+        if self.kind == "unknown":
+            return named == {UNKNOWN}
+        if len(named) != len(self.classes):
+            return False
+        if len(named) == 2:
+            (a, b), (first, second) = sorted(named), self.classes
+            return (a in first and b in second) or (a in second and b in first)
+        return all(name in self.classes[0] for name in named)
+
+    def key_is_true(self, key: str) -> bool:
+        return self.says_the_truth([] if key == "none" else key.split("+"))
+
+    @cached_property
+    def announced(self) -> list[str]:
+        """Posterior keys that the verdict stands for: one, or those of the class that it names."""
+        verdict = self.answer.get("verdict") or {"kind": "none"}
+        if verdict["kind"] in ("none", UNKNOWN):
+            return [verdict["kind"]]
+        effects = "+".join(sorted(verdict.get("effects", ())))
+        members = verdict.get("class") or []
+        return list(dict.fromkeys(([effects] if effects else []) + ["+".join(sorted(m.split("+"))) for m in members]))
+
+    @cached_property
+    def right(self) -> bool:
+        return not self.failed and any(self.key_is_true(key) for key in self.announced)
+
+    @property
+    def exact(self) -> bool:
+        """The very effects, and nothing beside them."""
+        true = {entry["effect"] for entry in self.label["entries"] if not entry["absorbed"]}
+        wanted = {UNKNOWN} if self.kind == "unknown" else true
+        said = [] if self.announced == ["none"] else [name for key in self.announced for name in key.split("+")]
+        return not self.failed and self._stripped(said) == wanted
+
+    @property
+    def says_none(self) -> bool:
+        return not self.failed and not self._stripped([] if self.announced == ["none"] else self.announced)
+
+    @cached_property
+    def posterior(self) -> dict[str, float]:
+        return {key: float(p) for key, p in (self.answer.get("posterior") or {}).items()}
+
+    @property
+    def confidence(self) -> float:
+        """Probability of what is announced: the whole class where a class is."""
+        allowed = {key for key in self.posterior if any(self._same(key, said) for said in self.announced)}
+        return min(1.0, sum(self.posterior[key] for key in allowed))
+
+    def _same(self, key: str, said: str) -> bool:
+        """Keys that differ only within the true class, or by what is also true, are one at class level."""
+        return key == said or (self.key_is_true(key) and self.key_is_true(said))
+
+    @property
+    def brier(self) -> float:
+        """Σ(p − y)² over hypotheses, those that are the truth at class level taken together."""
+        truth = sum(p for key, p in self.posterior.items() if self.key_is_true(key))
+        return (1 - truth) ** 2 + sum(p**2 for key, p in self.posterior.items() if not self.key_is_true(key))
+
+    @property
+    def covered(self) -> bool:
+        return any(self.key_is_true(key) for key in self.answer.get("ambiguity_set") or [])
+
+    def place_is_right(self, factors: Mapping[str, Sequence[str]]) -> bool:
+        """Whether the top-ranked place is a channel with at least half the largest share of λ, and a factor of a true effect."""
+        where = self.answer.get("where") or []
+        if not where:
+            return False
+        channels = np.sum([np.array(e["channels"]) * e["lambda"] for e in self.label["entries"]], axis=0)
+        names = self.label["channel_names"]
+        top = where[0]
+        true = {names[i] for i in np.flatnonzero(channels >= 0.5 * channels.max())}
+        wanted = {factor for entry in self.label["entries"] for factor in factors[entry["effect"]]}
+        return top["channel"] in true and top["factor"] in wanted
+
+
+def calibration(confidence: Sequence[float], correct: Sequence[bool]) -> dict[str, Any]:
+    """Reliability in bins, expected calibration error, and how often a calibrated one would come out larger (4000 draws)."""
+    p, y = np.asarray(confidence, float), np.asarray(correct, float)
+    if not len(p):
+        return {"ece": None, "chance": None, "bins": []}
+    number = np.minimum((p * BINS).astype(int), BINS - 1)
+
+    def error(outcome: np.ndarray) -> np.ndarray:
+        off = np.stack([(outcome - p) @ (number == b) for b in range(BINS)])
+        return np.abs(off).sum(axis=0) / len(p)
+
+    drawn = np.random.default_rng(SEED).random((4000, len(p))) < p
+    found = float(error(y))
+    bins = [
+        {"confidence": float(p[here].mean()), "right": float(y[here].mean()), "n": int(here.sum())}
+        for here in (number == b for b in range(BINS))
+        if here.any()
+    ]
+    return {"ece": found, "chance": float(np.mean(error(drawn) >= found - 1e-12)), "bins": bins}
+
+
+def score(
+    labels: Mapping[str, Mapping], answers: Mapping[str, Mapping], factors: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
+    """All figures for one who answered. Cases without an answer are left out and counted; answers that failed count as wrong."""
+    cases = [Scored(labels[name], answers[name]) for name in sorted(labels) if name in answers]
+    singles = [c for c in cases if c.kind == "single"]
+    pairs = [c for c in cases if c.kind == "pair"]
+    none = [c for c in cases if c.kind == "none"]
+    foreign = [c for c in cases if c.kind == UNKNOWN]
+    own = singles + pairs
+    wrong = [c for c in none if max(abs(np.log(f)) for f in c.label["noise_factors"]) > 0]
+    figures = {
+        "cases": len(cases),
+        "unanswered": len(labels) - len(cases),
+        "failed": sum(c.failed for c in cases),
+        "singles": {"right class": _bands(singles, "right"), "exact": _bands(singles, "exact")},
+        "by parameter count": _by_parameters(singles),
+        "pairs": {
+            "right class, each >= 144": rate(c.right for c in pairs if c.weakest >= STRONG),
+            "right class, all": rate(c.right for c in pairs),
+            "exact, each >= 144": rate(c.exact for c in pairs if c.weakest >= STRONG),
+        },
+        "false alarm": {
+            "all": rate(not c.says_none for c in none),
+            "noise declared wrongly": rate(not c.says_none for c in wrong),
+        },
+        "unknown": {
+            "recognised, >= 144": rate(c.right for c in foreign if c.weakest >= STRONG),
+            "recognised, >= 900": rate(c.right for c in foreign if c.weakest >= 900),
+            "catalogue called unknown": rate(c.announced == [UNKNOWN] for c in own),
+        },
+        "place, >= 144": rate(
+            c.place_is_right(factors) for c in own + foreign if c.weakest >= STRONG and "where" in c.answer
+        ),
+        "outliers": rate(c.right for c in cases if c.label["outliers"]),
+        "seconds": _spread([c.answer["seconds"] for c in cases if "seconds" in c.answer]),
+    }
+    return {**figures, **_probabilities([c for c in cases if c.posterior])}
+
+
+def _bands(cases: Sequence[Scored], what: str) -> dict[str, Rate]:
+    found = {
+        name: rate(getattr(c, what) for c in cases if low <= c.weakest < high) for name, (low, high) in BANDS.items()
+    }
+    return {"all": rate(getattr(c, what) for c in cases), **found}
+
+
+def _by_parameters(singles: Sequence[Scored]) -> dict[str, Rate]:
+    """Right class about λ = 36, where an oracle's ceiling depends on how many parameters an effect has."""
+    low, high = BANDS["20-65 (36)"]
+    groups = {"1": (1, 1), "2-3": (2, 3), "4-9": (4, 9), "10 and more": (10, 10**6)}
+    near = [c for c in singles if low <= c.weakest < high]
+    return {
+        name: rate(c.right for c in near if least <= len(c.label["entries"][0]["theta"]) <= most)
+        for name, (least, most) in groups.items()
+    }
+
+
+def _probabilities(cases: Sequence[Scored]) -> dict[str, Any]:
+    """Calibration, Brier score and coverage of those that answer with probabilities."""
+    if not cases:
+        return {"calibration": None}
+    sizes = [len(c.answer.get("ambiguity_set") or []) for c in cases]
+    return {
+        "calibration": calibration([c.confidence for c in cases], [c.right for c in cases]),
+        "brier": float(np.mean([c.brier for c in cases])),
+        "95 % set": {"coverage": rate(c.covered for c in cases), "mean size": float(np.mean(sizes))},
+    }
+
+
+def closure_against(
+    labels: Mapping[str, Mapping], answers: Mapping[str, Mapping], oracle: Mapping[str, Mapping]
+) -> dict[str, Any]:
+    """Closure ÷ that of an oracle's refit with the true effects, by λ, and how often the 90 % interval holds the oracle's."""
+    ratios: dict[str, list[float]] = {"36-144": [], "144-900": [], ">= 900": []}
+    held, unresolved = [], []
+    for name in sorted(labels.keys() & answers.keys() & oracle.keys()):
+        case, truth = Scored(labels[name], answers[name]), (oracle[name].get("closure") or {}).get("shrinks_by")
+        closure = answers[name].get("closure")
+        if case.kind not in ("single", "pair") or case.weakest < 36 or not truth or closure is None:
+            continue
+        resolved = bool(closure.get("resolvable")) and closure.get("shrinks_by") is not None
+        unresolved.append(not resolved)
+        if resolved:
+            band = "36-144" if case.weakest < 144 else "144-900" if case.weakest < 900 else ">= 900"
+            ratios[band].append(closure["shrinks_by"] / truth)
+            if closure.get("interval_90"):
+                low, high = closure["interval_90"]
+                held.append(low <= truth <= high)
+    return {
+        "ratio": {band: _spread(values) for band, values in ratios.items()},
+        "interval holds the oracle's": rate(held),
+        "not resolvable": rate(unresolved),
+    }
+
+
+def _spread(values: Sequence[float]) -> dict[str, Any]:
+    if not len(values):
+        return {"n": 0, "mean": None, "median": None, "largest": None}
+    v = np.asarray(values, float)
+    return {"n": len(v), "mean": float(v.mean()), "median": float(np.median(v)), "largest": float(v.max())}
+
+
+def plain(figures: Any) -> Any:
+    """The figures as JSON has them."""
+    if isinstance(figures, Rate):
+        return figures.to_json()
+    if isinstance(figures, Mapping):
+        return {key: plain(value) for key, value in figures.items()}
+    return [plain(value) for value in figures] if isinstance(figures, list | tuple) else figures

@@ -1,0 +1,163 @@
+"""Scores of made-up answers, worked by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.blind.report import table
+from tests.blind.scoring import Rate, Scored, calibration, closure_against, plain, rate, score
+
+FACTORS = {"table_tilt": ("orientation",), "gyro_warm_up": ("time",), "emi_bursts": ("time",), "table_rate_error": ()}
+
+
+def label(
+    kind: str, *entries: tuple[str, float, list[str]], factors: tuple[float, float] = (1.0, 1.0)
+) -> dict[str, Any]:
+    return {
+        "kind": kind,
+        "effects": sorted(name for name, _, _ in entries),
+        "entries": [
+            {
+                "effect": name,
+                "lambda": strength,
+                "absorbed": name == "table_rate_error",
+                "class": members,
+                "theta": [1.0],
+                "channels": [1.0, 0.0, 0.0],
+            }
+            for name, strength, members in entries
+        ],
+        "noise_factors": list(factors),
+        "also_true": ["gyro_noise_excess"] if factors[0] > 1 else [],
+        "outliers": False,
+        "channel_names": ["gx", "gy", "gz"],
+    }
+
+
+def answer(kind: str, *effects: str, members: tuple[str, ...] = (), **more: Any) -> dict[str, Any]:
+    return {"verdict": {"kind": kind, "effects": list(effects), "class": list(members)}, **more}
+
+
+TILT = label("single", ("table_tilt", 200.0, ["table_tilt", "table_position_error"]))
+BOTH = label(
+    "pair", ("table_tilt", 200.0, ["table_tilt"]), ("gyro_warm_up", 150.0, ["gyro_warm_up", "gyro_bias_random_walk"])
+)
+FOREIGN = label("unknown", ("emi_bursts", 950.0, ["emi_bursts"]))
+NONE = label("none")
+
+
+@pytest.mark.parametrize(
+    ("truth", "said", "right", "exact"),
+    [
+        (TILT, answer("effect", "table_tilt"), True, True),
+        (TILT, answer("effect", "table_position_error"), True, False),
+        (TILT, answer("effect", "gyro_warm_up"), False, False),
+        (TILT, answer("indistinguishable", "gyro_warm_up", members=("gyro_warm_up", "table_tilt")), True, False),
+        (TILT, answer("pair", "table_tilt", "gyro_warm_up"), False, False),
+        (TILT, answer("none"), False, False),
+        (TILT, answer("unknown"), False, False),
+        (TILT, {"error": "ValueError: no"}, False, False),
+        (BOTH, answer("pair", "gyro_bias_random_walk", "table_tilt"), True, False),
+        (BOTH, answer("pair", "gyro_warm_up", "table_tilt"), True, True),
+        (BOTH, answer("pair", "gyro_warm_up", "gyro_bias_random_walk"), False, False),
+        (BOTH, answer("indistinguishable", "a", "b", members=("a+b", "gyro_warm_up+table_tilt")), True, False),
+        (BOTH, answer("effect", "table_tilt"), False, False),
+        (FOREIGN, answer("unknown"), True, True),
+        (FOREIGN, answer("effect", "emi_bursts"), False, False),
+        (NONE, answer("none"), True, True),
+        (NONE, answer("unknown"), False, False),
+    ],
+)
+def test_right_at_class_level_and_exactly(truth: dict, said: dict, right: bool, exact: bool) -> None:
+    assert (Scored(truth, said).right, Scored(truth, said).exact) == (right, exact)
+
+
+def test_an_absorbed_effect_is_none_and_its_name_alone_is_wrong() -> None:
+    truth = label("none", ("table_rate_error", 0.0, ["table_rate_error"]))
+    assert Scored(truth, answer("none")).right
+    assert not Scored(truth, answer("effect", "table_rate_error")).says_none
+
+
+def test_noise_larger_than_declared_is_true_and_smaller_is_not() -> None:
+    loud, quiet = label("none", factors=(1.8, 1.0)), label("none", factors=(0.6, 1.0))
+    said = answer("effect", "gyro_noise_excess")
+    assert Scored(loud, said).right and Scored(loud, said).says_none
+    assert not Scored(quiet, said).right and not Scored(quiet, said).says_none
+    asked = label("single", ("gyro_noise_excess", 100.0, ["gyro_noise_excess"]), factors=(1.5, 1.0))
+    assert Scored(asked, said).right and not Scored(asked, answer("none")).right
+
+
+def test_interval_of_a_share() -> None:
+    low, high = Rate(9, 10).interval  # Wilson: (p + z²/2n ± z√(p(1−p)/n + z²/4n²)) ÷ (1 + z²/n)
+    assert (low, high) == pytest.approx((0.5958, 0.9821), abs=1e-4)
+    assert rate([]).interval == (0.0, 1.0)
+    assert Rate(0, 50).interval == pytest.approx((0.0, 0.0713), abs=1e-4)
+
+
+def test_calibration_is_zero_when_calibrated_and_large_when_not() -> None:
+    p = np.repeat([0.5, 0.9], 1000)
+    y = np.r_[np.arange(1000) < 500, np.arange(1000) < 900]
+    assert calibration(p, y)["ece"] == pytest.approx(0)
+    bold = calibration(np.full(1000, 0.99), np.arange(1000) < 910)
+    assert bold["ece"] == pytest.approx(0.08) and bold["chance"] == 0
+    assert bold["bins"] == [{"confidence": pytest.approx(0.99), "right": 0.91, "n": 1000}]
+
+
+def test_confidence_brier_and_coverage_take_a_class_together() -> None:
+    said = answer(
+        "effect",
+        "table_tilt",
+        posterior={"table_tilt": 0.6, "table_position_error": 0.3, "none": 0.1},
+        ambiguity_set=["none", "table_position_error"],
+    )
+    case = Scored(TILT, said)
+    assert case.confidence == pytest.approx(0.9)
+    assert case.brier == pytest.approx(0.1**2 + 0.1**2)
+    assert case.covered
+    assert not Scored(FOREIGN, said).covered
+    wrong = Scored(FOREIGN, said)
+    assert wrong.confidence == pytest.approx(0.6)
+    assert wrong.brier == pytest.approx(1 + 0.36 + 0.09 + 0.01)
+
+
+def test_the_place_asks_for_channel_and_factor() -> None:
+    def place(channel: str, factor: str) -> bool:
+        where = [{"channel": channel, "factor": factor, "level": "", "share": 1.0, "p": 0.01}]
+        return Scored(TILT, answer("effect", "table_tilt", where=where)).place_is_right(FACTORS)
+
+    assert place("gx", "orientation")
+    assert not place("gy", "orientation")
+    assert not place("gx", "time")
+
+
+def test_the_whole_table() -> None:
+    labels = {"a": TILT, "b": BOTH, "c": FOREIGN, "d": NONE, "e": NONE, "f": TILT}
+    answers = {
+        "a": answer(
+            "effect",
+            "table_tilt",
+            seconds=1.0,
+            closure={"resolvable": True, "shrinks_by": 0.8, "interval_90": [0.7, 0.95]},
+        ),
+        "b": answer("pair", "table_tilt", "gyro_warm_up", seconds=3.0),
+        "c": answer("none", seconds=2.0),
+        "d": answer("none"),
+        "e": answer("effect", "table_tilt"),
+    }
+    figures = score(labels, answers, FACTORS)
+    assert figures["unanswered"] == 1
+    assert figures["singles"]["right class"]["80-260 (144)"] == Rate(1, 1)
+    assert figures["pairs"]["right class, each >= 144"] == Rate(1, 1)
+    assert figures["false alarm"]["all"] == Rate(1, 2)
+    assert figures["unknown"]["recognised, >= 900"] == Rate(0, 1)
+    assert figures["unknown"]["catalogue called unknown"] == Rate(0, 2)
+    assert figures["seconds"]["median"] == 2.0
+    shut = closure_against(labels, answers, {"a": {"closure": {"shrinks_by": 0.9}}})
+    assert shut["ratio"]["144-900"]["mean"] == pytest.approx(0.8 / 0.9)
+    assert shut["interval holds the oracle's"] == Rate(1, 1)
+    text = table(6, {"planrunner": figures})
+    assert "false alarm: all" in text and "0.500" in text
+    assert plain(figures)["false alarm"]["all"]["n"] == 2

@@ -1,0 +1,32 @@
+"""Shares that one signature has in another, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planrunner.gap.candidates import Weighed
+from planrunner.gap.confusability import energy, expected, fitted, reproduced
+from planrunner.gap.effects.interface import Variant
+
+
+def _weighed(columns: np.ndarray, data: np.ndarray) -> Weighed:
+    gram = columns.T @ columns
+    return Weighed(
+        Variant(()), gram[None], (columns.T @ data)[None], float(np.trace(gram)), 1.0, (columns,), (columns,)
+    )
+
+
+def test_shares_by_hand() -> None:
+    """a along x; b along (1, 1): cos² 45° = ½. c spans x and y and holds both."""
+    data = np.array([100.0, 0.0, 0.0])
+    a = _weighed(np.array([[10.0], [0.0], [0.0]]), data)
+    b = _weighed(np.array([[3.0], [3.0], [0.0]]), data)
+    c = _weighed(np.array([[1.0, 0.0], [0.0, 7.0], [0.0, 0.0]]), data)
+    signature = fitted(a)
+    assert energy(signature) == pytest.approx(1e4, rel=1e-3)
+    assert reproduced(signature, [b]) == pytest.approx(0.5)
+    assert reproduced(signature, [b, c]) == pytest.approx(1.0)
+    assert expected(a, b) == pytest.approx(0.5)
+    assert expected(b, a) == pytest.approx(0.5)
+    assert expected(c, a) == pytest.approx(1 / 50)

@@ -1,0 +1,176 @@
+"""Diagnoses of simulated recordings whose fault is known, and the calibration of what a diagnosis says of pure noise."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, kstest
+
+from planrunner.gap.candidates import FULL, Weighing
+from planrunner.gap.closure import measured
+from planrunner.gap.diagnosis import Options, diagnose
+from planrunner.gap.observed import ObservationError, Observed
+from planrunner.gap.posterior import PRIORS
+from planrunner.gap.where import places
+from tests.gap.turntable import DEG, GYRO_WHITE, G, record
+
+Array = np.ndarray
+
+
+def _unbalance(
+    observed: Observed, omega: Array, force: Array, draw: np.random.Generator
+) -> tuple[Array, Array | float]:
+    return force / G @ np.array([[0, 3, 0], [-2, 0, 1], [0, 1, 0]]) * 1e-3 * DEG, 0.0
+
+
+def _tilt(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array | float, Array]:
+    return 0.0, observed.in_sensor_axes(np.array([2e-4, -1e-4, 0.0]) * G)
+
+
+def _tone(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array | float]:
+    return 1.2e-3 * DEG * np.sin(2 * np.pi * 3.3 * observed.time)[:, None] * np.array([1.0, 0.0, 0.0]), 0.0
+
+
+def _offsets(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array | float]:
+    return draw.normal(0, 8e-3 * DEG, (len(observed), 3))[observed.owner], 0.0
+
+
+def _walk(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array | float]:
+    steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]))
+    return np.cumsum(draw.normal(0, 2e-4 * DEG, omega.shape) * steps[:, None], axis=0), 0.0
+
+
+def test_nothing_is_found_in_noise() -> None:
+    found = diagnose(record(seed=11))
+    assert found.verdict.kind == "none"
+    assert found.posterior.probability["none"] > 0.3
+    assert not found.closure.resolvable
+    assert min(place.p for place in found.where) > 0.01
+    assert found.absorbed["table_rate_error"] < 1e-6
+
+
+def test_one_effect_is_named_measured_and_closed() -> None:
+    found = diagnose(record(seed=12, fault=_unbalance))
+    assert found.verdict.kind == "effect"
+    assert found.verdict.effects == ("gyro_g_sensitivity",)
+    estimates = {p.name: p for p in found.parameters}
+    for name, true in {"K_x_y": 3e-3, "K_y_x": -2e-3, "K_z_y": 1e-3, "K_x_z": 0.0}.items():
+        assert abs(estimates[name].value - true) < 4.5 * estimates[name].standard_uncertainty + 0.01 * abs(true)
+        assert estimates[name].unit == "deg/s/g"
+    assert found.closure.resolvable
+    assert found.closure.shrinks_by > 0.6
+    assert found.where[0].channel in ("gyro_x", "gyro_y")
+    assert found.where[0].p < 0.01
+
+
+def test_two_effects_are_named_together() -> None:
+    def both(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+        return _unbalance(observed, omega, force, draw)[0], _tilt(observed, omega, force, draw)[1]  # type: ignore[return-value]
+
+    found = diagnose(record(seed=13, fault=both))
+    assert found.verdict.kind == "pair"
+    assert found.verdict.effects == ("gyro_g_sensitivity", "table_tilt")
+    tilt = {p.name: p.value for p in found.parameters if p.effect == "table_tilt"}
+    # specific force gains (2, −1, 0)·1e-4 g in site axes: −ε × g·up = g·(−ε_north, ε_east, 0)
+    assert tilt["about_north"] == pytest.approx(-2e-4 / DEG * 3600, rel=0.1)
+    assert tilt["about_east"] == pytest.approx(-1e-4 / DEG * 3600, rel=0.2)
+
+
+@pytest.mark.parametrize(("fault", "kind"), [(_tone, "a tone"), (_offsets, "offset per segment")])
+def test_what_is_not_in_the_catalogue_is_said_to_be(fault: object, kind: str) -> None:
+    found = diagnose(record(seed=14, fault=fault))  # type: ignore[arg-type]
+    assert found.verdict.kind == "unknown"
+    assert max(found.posterior.kinds, key=lambda name: found.posterior.kinds[name]) == kind
+
+
+def test_effects_on_the_noise() -> None:
+    walk = diagnose(record(seed=15, fault=_walk))
+    assert walk.verdict.effects == ("gyro_bias_random_walk",)
+    noisy = diagnose(record(seed=16, noise=2.5))
+    assert noisy.verdict.effects == ("gyro_noise_excess",)
+    assert noisy.parameters[0].value == pytest.approx(2.5 * GYRO_WHITE / DEG, rel=0.05)
+    coarse = record(seed=17)
+    values = coarse.values.copy()
+    values[:, :3] = np.round(values[:, :3] / (0.01 * DEG)) * 0.01 * DEG
+    counted = diagnose(replace(coarse, values=values))
+    assert counted.verdict.effects == ("gyro_quantization",)
+    assert counted.parameters[0].value == pytest.approx(0.01)
+
+
+def test_a_poorer_nominal_model_leaves_its_terms_as_candidates() -> None:
+    poor = tuple(name for name in FULL if name != "gyro_misalignment")
+    found = diagnose(record(seed=18), Options(nominal=poor))
+    assert found.verdict.effects[0] == "gyro_misalignment"
+
+
+def test_the_json_is_plain_and_keeps_the_contract() -> None:
+    plain = diagnose(record(seed=11)).to_json()
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+    assert plain["priors"] == PRIORS
+    assert sum(plain["posterior"].values()) == pytest.approx(1)
+    for name in plain["posterior"]:
+        assert sorted(name.split("+")) == name.split("+")
+    assert plain["closure"] == {
+        "before": None,
+        "after": None,
+        "shrinks_by": None,
+        "interval_90": None,
+        "resolvable": False,
+    }
+
+
+def test_too_few_segments_are_refused() -> None:
+    observed = record()
+    stop = int(observed.bounds[3])
+    arrays = {
+        n: getattr(observed, n)[:stop]
+        for n in ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
+    }
+    few = replace(
+        observed, labels=observed.labels[:3], motions=observed.motions[:3], attitude=observed.attitude[:3],
+        bounds=observed.bounds[:4], last_change=observed.last_change[:3], **arrays,
+    )  # fmt: skip
+    with pytest.raises(ObservationError, match="has 3 segments"):
+        diagnose(few)
+
+
+def test_whitened_residuals_of_noise_are_standard() -> None:
+    """Their energy, freed of the nominal parameters, has the χ² distribution of its degrees of freedom."""
+    chances = []
+    for seed in range(20, 30):
+        for weights in Weighing(record(seed=seed)).weights:
+            rest = weights[0].residual
+            chances.append(chi2.sf(rest @ rest, len(rest) - weights[0].basis.shape[1]))
+    assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.slow
+def test_the_smallest_p_value_of_all_places_is_uniform_in_noise() -> None:
+    smallest = [places(Weighing(record(seed=seed)))[0].p for seed in range(100, 200)]
+    assert kstest(smallest, "uniform").pvalue > 1e-3
+
+
+def test_closure_covers_the_truth() -> None:
+    """90 % intervals from residuals of a known gap cover the true shrinkage in at least 87 % of draws (binomial, 1 % level)."""
+    draw = np.random.default_rng(7)
+    m, covered, said = 400, 0, 0
+    for _ in range(200):
+        gap = draw.normal(size=m)
+        gap *= 30 / np.linalg.norm(gap)
+        miss = draw.normal(size=m)
+        difference = gap + miss * draw.uniform(2, 25) / np.linalg.norm(miss)
+        found = measured(gap + draw.normal(size=m), difference)
+        if found.resolvable:
+            said += 1
+            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
+            covered += found.interval_90[0] <= true <= found.interval_90[1]
+    assert said > 100
+    assert covered >= binom.ppf(0.01, said, 0.9)
+
+
+def test_closure_of_too_little_is_not_resolvable() -> None:
+    draw = np.random.default_rng(8)
+    assert not measured(draw.normal(size=400), draw.normal(size=400) * 0.05).resolvable

@@ -1,0 +1,48 @@
+"""Covariances of segment means against sums over a fine grid and against simulated processes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planrunner.gap import slow_noise
+
+STARTS, ENDS = np.array([0.0, 7.0, 30.0]), np.array([5.0, 19.0, 34.0])
+
+
+def _on_a_grid(kernel: np.ndarray, times: np.ndarray) -> np.ndarray:
+    inside = np.array([(times >= a) & (times < b) for a, b in zip(STARTS, ENDS, strict=True)], dtype=float)
+    weights = inside / inside.sum(1, keepdims=True)
+    return weights @ kernel @ weights.T
+
+
+@pytest.mark.parametrize("tau", [0.7, 12.0, 4000.0])
+def test_ornstein_uhlenbeck_is_the_mean_of_its_kernel(tau: float) -> None:
+    times = np.arange(0, 34, 0.02) + 0.01
+    kernel = np.exp(-np.abs(times[:, None] - times[None, :]) / tau)
+    assert slow_noise.ornstein_uhlenbeck(STARTS, ENDS, tau) == pytest.approx(_on_a_grid(kernel, times), rel=2e-3)
+
+
+def test_random_walk_is_the_mean_of_its_kernel() -> None:
+    times = np.arange(0, 34, 0.02) + 0.01
+    kernel = np.minimum(times[:, None], times[None, :])
+    assert slow_noise.random_walk(STARTS, ENDS) == pytest.approx(_on_a_grid(kernel, times), rel=2e-3)
+
+
+def test_ornstein_uhlenbeck_against_a_simulated_process() -> None:
+    draw, step, tau = np.random.default_rng(1), 0.1, 8.0
+    times = np.arange(0, 34, step)
+    decay = np.exp(-step / tau)
+    x = np.empty((len(times), 20_000))
+    x[0] = draw.standard_normal(20_000)
+    for k in range(1, len(times)):
+        x[k] = decay * x[k - 1] + np.sqrt(1 - decay**2) * draw.standard_normal(20_000)
+    means = np.array([x[(times >= a) & (times < b)].mean(0) for a, b in zip(STARTS, ENDS, strict=True)])
+    assert slow_noise.ornstein_uhlenbeck(STARTS, ENDS, tau) == pytest.approx(np.cov(means), abs=0.02)
+
+
+def test_flicker_has_its_floor() -> None:
+    """The Allan deviation of adjacent means, √(½·var of their difference), is 1 for 10 s to 1000 s, to a few per cent."""
+    for seconds in (10.0, 100.0, 1000.0):
+        covariance = slow_noise.flicker(np.array([0.0, seconds]), np.array([seconds, 2 * seconds]))
+        assert np.sqrt(0.5 * np.array([1, -1]) @ covariance @ np.array([1, -1])) == pytest.approx(1.0, rel=0.06)

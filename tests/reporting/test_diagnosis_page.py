@@ -1,0 +1,181 @@
+"""The diagnosis in sentences, tables and on its page; the schema of its JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from diagnosis_example import CHANNELS, EFFECTS, SEGMENTS, diagnosis
+from jsonschema import Draft202012Validator, ValidationError
+
+from planrunner.reporting import terminal
+from planrunner.reporting.diagnosis_page import (
+    DiagnosisContext,
+    closure_words,
+    probability,
+    ranked,
+    render_page,
+    tables,
+    verdict,
+)
+
+SCHEMA = json.loads((Path(__file__).parents[2] / "schemas" / "diagnosis.schema.json").read_text(encoding="utf-8"))
+KINDS = ("none", "effect", "pair", "unknown", "indistinguishable")
+
+
+def check(found):
+    Draft202012Validator(SCHEMA).validate(json.loads(json.dumps(found, allow_nan=False)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_example_fits_the_schema(kind):
+    Draft202012Validator.check_schema(SCHEMA)
+    check(diagnosis(kind))
+    check(diagnosis(kind, next=None))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"planrunner_diagnosis": 2},
+        {"posterior": {"none": 1.2, "unknown": 0.0}},
+        {"posterior": {"none": 1.0}},
+        {"posterior": {"none": 0.5, "unknown": 0.5, "a b": 0.0}},
+        {"verdict": {"kind": "perhaps", "effects": [], "class": []}},
+        {"closure": {"before": 1.0, "after": 1.0, "shrinks_by": 0.0, "interval_90": [0.0], "resolvable": True}},
+        {"absorbed": [{"effect": "lever_arm"}]},
+    ],
+)
+def test_the_schema_refuses_what_is_not_a_diagnosis(changes):
+    with pytest.raises(ValidationError):
+        check(diagnosis(**changes))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("none", "No gap: noise alone explains the recording (P = 0.97)."),
+        ("effect", "gyro_g_sensitivity explains the gap (P = 0.96)."),
+        ("pair", "gyro_g_sensitivity and lever_arm together explain the gap (P = 0.02)."),
+        ("unknown", "A gap by something that the catalogue does not hold (P = 0.97)."),
+        (
+            "indistinguishable",
+            "One of gyro_g_sensitivity or table_tilt: this plan cannot tell them apart (together P = 0.97).",
+        ),
+    ],
+)
+def test_the_verdict_in_one_sentence(kind, words):
+    assert verdict(diagnosis(kind)) == words
+
+
+def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
+    found = diagnosis("none", posterior={"none": 0.4, "unknown": 0.1, "lever_arm": 0.5})
+    assert verdict(found) == "No effect is named: noise alone may explain the recording (P = 0.40)."
+
+
+def test_an_effect_of_its_form_is_named_beside_it():
+    found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
+    check(found)
+    assert "What time_latency would add is below 5 % and taken for its form." in verdict(found)
+
+
+def test_the_closure_with_its_interval_or_not_resolvable():
+    assert closure_words(diagnosis()) == (
+        "The gap of withheld segments shrinks by 96 % (90 % interval 94 % to 98 %), from 5.21 to 0.21 standard deviations of the noise."
+    )
+    cannot = {"before": None, "after": None, "shrinks_by": None, "interval_90": None, "resolvable": False}
+    assert "not resolvable" in closure_words(diagnosis(closure=cannot))
+    assert closure_words(diagnosis("none")) == "There is nothing to close."
+
+
+@pytest.mark.parametrize(
+    ("p", "words"), [(0.99996, "P > 0.999"), (0.9954, "P = 0.995"), (0.5, "P = 0.50"), (0.0, "P < 0.001")]
+)
+def test_a_probability_is_never_a_certainty(p, words):
+    assert probability(p) == words
+
+
+def test_hypotheses_are_ranked_and_the_rest_summed_up():
+    names = [name for name, _ in ranked(diagnosis())]
+    assert names == ["gyro_g_sensitivity", "gyro_g_sensitivity+lever_arm", "table_tilt", "others"]
+    assert sum(p for _, p in ranked(diagnosis())) == pytest.approx(1.0)
+
+
+def test_only_places_that_noise_does_not_explain_are_shown():
+    found = diagnosis()
+    assert [row[0] for row in tables(found)["where"].rows] == ["gyro_z"]
+    for place in found["where"]:
+        place["p"] = 0.4
+    assert "where" not in tables(found)
+
+
+def test_tables_in_the_terminal_hold_every_answer(capsys):
+    console = terminal.console(width=120)
+    for table in tables(diagnosis()).values():
+        console.print(terminal.data_table(table))
+    shown = capsys.readouterr().out
+    for text in ("gyro_z", "x up, y north, z west", "61 %", "0.961", "table_rate_error", "0.00412", "deg/s/g"):
+        assert text in shown
+
+
+class Words(HTMLParser):
+    """Text of a page, and the addresses that it would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.text: list[str] = []
+        self.ids: list[str] = []
+        self.fetched: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value)
+            if name in ("src", "href", "xlink:href") and not value.startswith("#"):
+                self.fetched.append(value)
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def page(found, **changes):
+    html = render_page(DiagnosisContext("A plan", found, {"Recording": "r.parquet"}, **changes))
+    words = Words()
+    words.feed(html)
+    return html, words
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_page_is_whole_and_fetches_nothing(kind):
+    html, words = page(diagnosis(kind), remarks=("3 rows are left out: look",), next_plan="planrunner: 1\n")
+    assert words.fetched == []
+    assert not re.search(r"url\(\s*['\"]?(?!#)", html)
+    assert len(words.ids) == len(set(words.ids))
+    text = " ".join(words.text)
+    for shown in (
+        verdict(diagnosis(kind)),
+        closure_words(diagnosis(kind)),
+        "3 rows are left out",
+        "planrunner: 1",
+        "Priors: none 0.20, single 0.50,",
+    ):
+        assert shown in text
+    for name in (*CHANNELS[:3], *EFFECTS, SEGMENTS[0], "ramp-20"):
+        assert name in text
+
+
+def test_a_diagnosis_without_pictures_or_proposal_has_a_page_as_well():
+    found = diagnosis("none", next=None)
+    del found["pictures"]
+    _, words = page(found)
+    assert "Nothing is proposed." in " ".join(words.text)
+
+
+def test_text_from_files_cannot_become_markup():
+    found = diagnosis()
+    found["where"][0]["level"] = "<script>alert(1)</script>"
+    html, _ = page(found, next_plan="</pre><script>x</script>")
+    assert "<script>" not in html

@@ -1,0 +1,279 @@
+"""From a recording to its diagnosis: what is refused, what is remarked, and what a user sees of a recording with a known effect."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from jsonschema import Draft202012Validator
+
+from planrunner.cli import DONE, WRONG_INPUT, main
+from planrunner.diagnosing import observe, recorded_file
+from planrunner.plan.findings import InputError
+from tests.instruments.recorded_imu import SHORT, TURNED, Row, write_recording
+
+ROOT = Path(__file__).parents[1]
+SCHEMA = json.loads((ROOT / "schemas" / "diagnosis.schema.json").read_text(encoding="utf-8"))
+PLAN = """planrunner: 1
+title: Six positions and six rates
+bench: bench.yaml
+sensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}
+defaults: {temperature: 25 degC, dwell: 6 s}
+segments:
+"""
+
+
+def listed() -> list[Row]:
+    """Six positions, and turns both ways about each axis."""
+    made = [Row(f"P{n}", axes, 6) for n, axes in enumerate(SHORT.split(", "), 1)]
+    made += [Row(f"R{axis}{rate:+d}", axes, 6, rate) for axis, axes in TURNED.items() for rate in (60, -60)]
+    return [Row(**{**row.__dict__, "start": 600 + 10.0 * n}) for n, row in enumerate(made)]
+
+
+def laboratory(folder: Path, segments: list[Row] | None = None, **changes) -> Path:
+    """plan.yaml, bench.yaml, recording.parquet and segments.csv in a folder."""
+    segments = listed() if segments is None else segments
+    text = PLAN
+    for row in segments:
+        x, y, z = row.axes.split()
+        rate = f", rate: {row.rate} deg/s" if row.rate else ""
+        text += f"  - {{label: {row.label}, orientation: {{x: {x}, y: {y}, z: {z}}}{rate}}}\n"
+    (folder / "plan.yaml").write_text(text, encoding="utf-8")
+    bench = (ROOT / "plans" / "benches" / "imu_recording.yaml").read_text(encoding="utf-8")
+    (folder / "bench.yaml").write_text(bench, encoding="utf-8")
+    write_recording(folder, listed=segments, **changes)
+    return folder
+
+
+def change(folder: Path, **columns) -> None:
+    """Columns of the recording as functions of what they were."""
+    table = pq.read_table(folder / "recording.parquet").to_pydict()
+    for name, act in columns.items():
+        table[name] = act(np.array(table[name]))
+    pq.write_table(pa.table(table), folder / "recording.parquet")
+
+
+def replace(path: Path, before: str, after: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert before in text
+    path.write_text(text.replace(before, after), encoding="utf-8")
+
+
+def look(folder: Path) -> list[str]:
+    """Findings of the recording, as text."""
+    recorded = recorded_file(folder / "plan.yaml", None, folder / "recording.parquet", folder / "segments.csv")
+    return [str(finding) for finding in observe(recorded)[1]]
+
+
+def refused(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        look(folder)
+    return "\n".join(map(str, caught.value.findings))
+
+
+def set_at(start: int, end: int, value: float):
+    def act(values):
+        values[start:end] = value
+        return values
+
+    return act
+
+
+def test_a_sound_recording_raises_no_remark(tmp_path):
+    assert look(laboratory(tmp_path)) == []
+
+
+def test_a_recording_shorter_than_the_plan_is_refused(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: 7 s")
+    assert "error[recording-unfit]: the recording is shorter than the plan: 'P1' dwells 7 s" in refused(tmp_path)
+
+
+def test_a_recording_that_ends_early_is_refused(tmp_path):
+    laboratory(tmp_path)
+    table = pq.read_table(tmp_path / "recording.parquet")
+    pq.write_table(table.slice(0, table.num_rows - 100), tmp_path / "recording.parquet")
+    assert "the recording is shorter than the plan: 'Rz-60' dwells 6 s" in refused(tmp_path)
+
+
+def test_a_missing_column_is_refused(tmp_path):
+    laboratory(tmp_path)
+    table = pq.read_table(tmp_path / "recording.parquet")
+    pq.write_table(table.drop_columns(["gyro_y_deg_per_s"]), tmp_path / "recording.parquet")
+    assert "has no column 'gyro_y_deg_per_s'" in refused(tmp_path)
+
+
+def test_a_label_without_a_row_in_the_table_is_refused(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "segments.csv", "Rx+60", "Rx+61")
+    assert "segments.csv has no segment 'Rx+60'" in refused(tmp_path)
+
+
+def test_a_recording_without_rates_and_forces_is_refused(tmp_path):
+    laboratory(tmp_path)
+    bench = (tmp_path / "bench.yaml").read_text(encoding="utf-8")
+    kept = [line for line in bench.splitlines() if not line.strip().startswith(("gyro", "accel"))]
+    (tmp_path / "bench.yaml").write_text("\n".join(kept), encoding="utf-8")
+    replace(tmp_path / "plan.yaml", "[gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]", "[temperature]")
+    assert "error[gap-unfit]" in refused(tmp_path)
+
+
+def test_one_segment_is_refused(tmp_path):
+    laboratory(tmp_path, listed()[:1])
+    assert "error[gap-one-segment]: the recording holds only the segment 'P1'" in refused(tmp_path)
+
+
+def test_missing_numbers_are_left_out_and_remarked(tmp_path):
+    laboratory(tmp_path)
+    change(tmp_path, gyro_x_deg_per_s=set_at(10, 13, np.nan))
+    (said,) = look(tmp_path)
+    assert "warning[gap-missing-numbers]: 3 rows with a missing number are left out" in said
+
+
+def test_a_segment_without_a_complete_row_is_refused(tmp_path):
+    laboratory(tmp_path)
+    change(tmp_path, accel_z_m_per_s2=set_at(300, 600, np.nan))
+    assert "error[gap-missing-numbers]: 'P2' without one complete row" in refused(tmp_path)
+
+
+def test_a_jump_of_the_clock_is_remarked(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: recorded")
+    replace(tmp_path / "segments.csv", "600.000,606.000", "600.000,607.000")
+
+    def jump(time):
+        time[200:300] += 0.7
+        return time
+
+    change(tmp_path, time_s=jump)
+    (said,) = look(tmp_path)
+    assert "warning[gap-clock]: time jumps within 'P1': by 0.72 s in 'P1'" in said
+
+
+def test_another_sample_rate_is_remarked(tmp_path):
+    """12 % off: within what the player takes for jitter of the first rows, beyond what a clock may be off."""
+    laboratory(tmp_path)
+    replace(tmp_path / "bench.yaml", "sample_rate: 50 Hz", "sample_rate: 44 Hz")
+    said = look(tmp_path)
+    assert "warning[gap-clock]: 'P1', 'P2', 'P3' and 9 more segments not sampled at the declared 44 Hz" in said[0]
+
+
+def test_full_scale_is_remarked(tmp_path):
+    laboratory(tmp_path)
+    replace(
+        tmp_path / "bench.yaml",
+        "gyro_x_deg_per_s, unit: deg/s,",
+        "gyro_x_deg_per_s, unit: deg/s, full_scale: 60 deg/s,",
+    )
+    change(tmp_path, gyro_x_deg_per_s=lambda values: np.clip(values, -60, 60))
+    (said,) = look(tmp_path)
+    assert "warning[gap-saturated]: 'gyro_x' reaches its full scale of 60 deg/s in 'Rx" in said
+
+
+def test_a_channel_that_stands_still_is_refused(tmp_path):
+    laboratory(tmp_path)
+    change(tmp_path, accel_y_m_per_s2=lambda values: 0 * values + 1.5)
+    assert "error[gap-dead-channel]: 'accel_y' stands at 1.5 m/s^2 in every segment" in refused(tmp_path)
+
+
+def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
+    laboratory(tmp_path)
+    change(tmp_path, accel_y_m_per_s2=lambda values: 0 * values + 1.5)
+    replace(tmp_path / "plan.yaml", "accel_x, accel_y, accel_z", "accel_x, accel_z")
+    assert look(tmp_path) == []
+
+
+def test_too_few_segments_to_hold_any_out_are_remarked(tmp_path):
+    laboratory(tmp_path, listed()[:3])
+    said = look(tmp_path)
+    assert any("warning[gap-no-held-out]: 3 segments leave nothing to hold out beside" in text for text in said)
+
+
+def test_a_nominal_model_that_does_not_fit_at_all_is_refused(tmp_path):
+    """Two stretches change their labels: the rates go the other way round."""
+    laboratory(tmp_path)
+    text = (tmp_path / "segments.csv").read_text(encoding="utf-8")
+    for axis in "xyz":
+        text = (
+            text.replace(f"R{axis}+60", "aside").replace(f"R{axis}-60", f"R{axis}+60").replace("aside", f"R{axis}-60")
+        )
+    (tmp_path / "segments.csv").write_text(
+        text.replace("P1,", "x,").replace("Rx+60,", "P1,").replace("x,", "Rx+60,"), encoding="utf-8"
+    )
+    assert "error[gap-nominal-misfit]: 'gyro_x' does not follow the plan" in refused(tmp_path)
+
+
+def test_a_bench_that_maps_no_columns_is_refused(tmp_path):
+    laboratory(tmp_path, [row for row in listed() if row.label == "P5"])
+    replace(tmp_path / "plan.yaml", "temperature: 25 degC, ", "")
+    with pytest.raises(InputError) as caught:
+        recorded_file(tmp_path / "plan.yaml", "virtual_imu", tmp_path / "recording.parquet")
+    assert [finding.code for finding in caught.value.findings] == ["recording-no-mapping"]
+
+
+def test_the_table_of_segments_lies_beside_the_recording_unless_it_is_named(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "bench.yaml", "table: segments.csv", "table: elsewhere/segments.csv")
+    recorded = recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet")
+    assert [item.label for item in recorded.segments] == [row.label for row in listed()]
+    (tmp_path / "segments.csv").rename(tmp_path / "other.csv")
+    with pytest.raises(InputError, match="recording-unfit"):
+        recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet")
+    recorded = recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "other.csv")
+    assert len(recorded.segments) == len(listed())
+
+
+def test_only_the_outputs_of_the_plan_are_looked_at(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "plan.yaml", "[gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]", "[gyro_x, gyro_z]")
+    seen, _ = observe(recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet"))
+    assert [channel.name for channel in seen.channels] == ["gyro_x", "gyro_z"]
+    # Since power-on, and the encoder's angle: P1 begins 600 s after it.
+    assert seen.time[0] == pytest.approx(600.0)
+    assert np.degrees(np.ptp(seen.angle[seen.segments()[6]])) == pytest.approx(60 * (6 - 0.02))
+
+
+def test_an_unknown_nominal_term_is_refused(tmp_path, capsys):
+    laboratory(tmp_path)
+    given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet")]
+    assert main(["diagnose", *given, "--nominal", "gyro_bias", "gyro_scale"]) == WRONG_INPUT
+    assert "error[gap-nominal]: 'gyro_scale' is no nominal term" in capsys.readouterr().err
+
+
+def test_a_plan_alone_and_a_run_with_a_recording_are_wrong_arguments(tmp_path, capsys):
+    laboratory(tmp_path)
+    assert main(["diagnose", str(tmp_path / "plan.yaml")]) == WRONG_INPUT
+    assert "error[gap-arguments]: a plan alone holds nothing to diagnose" in capsys.readouterr().err
+    assert main(["diagnose", str(tmp_path), "--recording", "r.parquet"]) == WRONG_INPUT
+    assert "--recording cannot be given for a run folder" in capsys.readouterr().err
+    assert main(["diagnose", str(tmp_path)]) == WRONG_INPUT
+    assert "this is not a run folder" in capsys.readouterr().err
+
+
+def asymmetry(sensed):
+    """Scale factors that differ between the two senses of rotation, by 400, -300 and 500 ppm."""
+    return np.abs(sensed.rate) * np.array([2.0, -1.5, 2.5]) * 1e-4, 0 * sensed.force
+
+
+def test_a_known_effect_is_named_from_file_and_from_run_alike(tmp_path, capsys, monkeypatch):
+    laboratory(tmp_path, effect=asymmetry)
+    page, given = tmp_path / "page.html", ["--segments", str(tmp_path / "segments.csv")]
+    given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet"), *given]
+    assert main(["diagnose", *given, "--json", "--html", str(page)]) == DONE
+    found = json.loads(capsys.readouterr().out)
+    Draft202012Validator(SCHEMA).validate(found)
+    assert "gyro_scale_asymmetry" in {*found["verdict"]["effects"], *found["verdict"]["class"]}
+    assert found["where"][0]["channel"].startswith("gyro")
+    assert "gyro_scale_asymmetry" in page.read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "plan.yaml", "--data", ".", "--quiet", "--flushed"]) == DONE
+    (run,) = (tmp_path / "runs").iterdir()
+    capsys.readouterr()
+    assert main(["diagnose", str(run), "--json"]) == DONE
+    again = json.loads(capsys.readouterr().out)
+    assert again["verdict"] == found["verdict"]
+    assert again["posterior"] == pytest.approx(found["posterior"], abs=1e-6)
