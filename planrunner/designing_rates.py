@@ -88,7 +88,7 @@ class RateStudy:
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Whether an estimate of a plan takes segments that spin from one sweep, and none takes known positions at rest alone."""
+    """Whether rates are what to design of a plan: its first estimate with a sweep over rates is a straight line through them."""
     if checked.schedule is None or checked.plan is None:
         return False
     try:
@@ -292,7 +292,6 @@ class _RateDesigner:
         times = dwells or [self._dwell(rate) for rate in rates]
         spent = sum(times) + sum(map(self._overhead, rates))
         timed = bundles.loss(self.fixed + self._bundles(rates, times).sum(axis=0), self.options.criterion)
-        # Efficiencies per observation and per second; the fixed part is small beside the rates'.
         x = self._course() / self.largest
         columns = np.column_stack([np.ones_like(x), x * self.largest / self.scale[1], np.abs(x), x**3])[
             :, : len(self.terms)

@@ -102,7 +102,6 @@ class Pairings:
     axis: int
     accelerometers: Array
     gimbals: Array
-    drawn: bool
 
     @property
     def smaller(self) -> float:
@@ -122,18 +121,17 @@ def _deviation(values: Array) -> float:
 def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
     """Random pairings within each state, one entry for each level axis: all pairs where there are at most `most` of them in a state."""
     draw = np.random.default_rng(seed)
-    found: dict[int, list[tuple[Array, bool]]] = {}
+    found: dict[int, list[Array]] = {}
     for state in states:
         static, dynamic = state.runs
         chosen = np.arange(len(static) * len(dynamic))
-        drawn = chosen.size > most
-        if drawn:
+        if chosen.size > most:
             chosen = draw.choice(chosen, most, replace=False)
         differences = dynamic[chosen % len(dynamic)] - static[chosen // len(dynamic)]
         for place, axis in enumerate(state.level):
-            found.setdefault(axis, []).append((differences[:, [place, place + 2]], drawn))
+            found.setdefault(axis, []).append(differences[:, [place, place + 2]])
     pairings = []
     for axis, parts in sorted(found.items()):
-        pairs = np.concatenate([part for part, _ in parts])
-        pairings.append(Pairings(axis, pairs[:, 0], pairs[:, 1], any(drawn for _, drawn in parts)))
+        pairs = np.concatenate(parts)
+        pairings.append(Pairings(axis, pairs[:, 0], pairs[:, 1]))
     return pairings
