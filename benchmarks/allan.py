@@ -7,7 +7,7 @@ import time
 import allantools
 import numpy as np
 
-from planrunner.estimators.allan_kernel import integrate, second_differences
+from planrunner.estimators.allan.kernel import integrate, second_differences
 
 SAMPLES, TURNS = 10_000_000, 3
 

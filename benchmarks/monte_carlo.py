@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from planrunner.estimators.flexure_gyro_draws import physical_draws
+from planrunner.estimators.flexure_gyro.draws import physical_draws
 from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import fit_outputs
 from planrunner.physics.flexure_gyro import output_coefficients

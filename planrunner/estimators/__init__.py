@@ -1,1 +1,3 @@
-"""Estimators: one file an estimator; each turns a recording into coefficients with covariance."""
+"""Estimators: one file an estimator, with a folder around it where it has parts; each turns a recording into coefficients with covariance.
+
+What several share lies here; a folder is named for what it estimates and holds one or two estimators and their parts."""

@@ -16,10 +16,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import simulated_noise
 
-from planrunner.estimators.allan_deviation import LEAST_FREEDOM
-from planrunner.estimators.allan_fit import TERMS, fit_noise
-from planrunner.estimators.allan_phase import Phase
-from planrunner.estimators.allan_table import deviations
+from planrunner.estimators.allan.allan_deviation import LEAST_FREEDOM
+from planrunner.estimators.allan.fit import TERMS, fit_noise
+from planrunner.estimators.allan.phase import Phase
+from planrunner.estimators.allan.table import deviations
 from planrunner.estimators.root_of_square import root_of
 
 KINDS = {"Q": 1.0, "N": 1.0, "B": 1.0, "K": 1.0}

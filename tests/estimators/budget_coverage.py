@@ -22,7 +22,7 @@ from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude
 from test_stated_inputs_move_coefficients import currents, turn
 
 from planrunner.estimators.analysis import combined
-from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
 from planrunner.plan.quantity import parse_quantity

@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import simulated_imu as imu
 from recorded import sensor
 
-from planrunner.estimators.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
+from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import EstimateRequest, Setup
-from planrunner.estimators.temperature_curve import fit_curve, groups_of
+from planrunner.estimators.temperature.curve import fit_curve, groups_of
 from planrunner.uncertainty.budget import Measured, combine
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import InputQuantity, Inputs

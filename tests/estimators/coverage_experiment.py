@@ -19,7 +19,7 @@ from recorded import from_means, segment, sensor
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude, pulses
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import EstimateRequest
 
 GYRO = TRUTH | {"SF_X": 0.2012, "SF_Y": 0.1987, "epsilon": 8.0, "xi": -5.0}

@@ -15,7 +15,7 @@ from recorded import from_samples
 from scipy.spatial.transform import Rotation
 
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
-from planrunner.estimators.rocking_drift import RockingDrift
+from planrunner.estimators.rocking.rocking_drift import RockingDrift
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis

@@ -13,10 +13,10 @@ from rocking_coverage import MICRO_G, REPEATS, ROCKING, tell
 from rocking_recordings import ARCSEC, ATTITUDES, DEG, EARTH, GRAVITY, PER_HOUR, planned
 from scipy.spatial.transform import Rotation
 
-from planrunner.estimators.rocking_influences import drifts_of
-from planrunner.estimators.rocking_runs import Quadruple, find_runs, quadruples
-from planrunner.estimators.rocking_solution import Conditions, ReducedRun, Window
-from planrunner.estimators.rocking_statistics import StateDrifts, combine
+from planrunner.estimators.rocking.influences import drifts_of
+from planrunner.estimators.rocking.runs import Quadruple, find_runs, quadruples
+from planrunner.estimators.rocking.solution import Conditions, ReducedRun, Window
+from planrunner.estimators.rocking.statistics import StateDrifts, combine
 from planrunner.uncertainty.decision import coverage_factor
 
 STATES = ("vertical", "horizontal")

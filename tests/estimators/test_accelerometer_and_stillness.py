@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from recorded import from_means, from_samples, segment, sensor
 
-from planrunner.estimators.accelerometer_multi_position import (
+from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPosition,
     AccelerometerMultiPositionParameters,
 )
-from planrunner.estimators.gravity_magnitude import NAMES, fit_magnitude
+from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, fit_magnitude
+from planrunner.estimators.accelerometer.still_detection import still_spans
 from planrunner.estimators.interface import DesignRequest, EstimateRequest, EstimationError
-from planrunner.estimators.still_detection import still_spans
 from planrunner.physics.earth import Site
 from planrunner.plan.orientation import rotation
 from planrunner.plan.quantity import parse_quantity

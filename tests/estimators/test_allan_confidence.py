@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import simulated_noise
 
-from planrunner.estimators.allan_confidence import degrees_of_freedom, interval, noise_exponent
-from planrunner.estimators.allan_phase import Phase
-from planrunner.estimators.allan_table import deviations
+from planrunner.estimators.allan.confidence import degrees_of_freedom, interval, noise_exponent
+from planrunner.estimators.allan.phase import Phase
+from planrunner.estimators.allan.table import deviations
 
 
 def phase(values: np.ndarray) -> np.ndarray:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from planrunner.estimators import allan_kernel
-from planrunner.estimators.allan_phase import Phase
-from planrunner.estimators.allan_table import deviations, octave_factors
+from planrunner.estimators.allan import kernel as allan_kernel
+from planrunner.estimators.allan.phase import Phase
+from planrunner.estimators.allan.table import deviations, octave_factors
 
 # NBS Monograph 140, annex 8.E: nine frequencies; deviations as in NIST SP 1065, 12.4.
 NINE = (892, 809, 823, 798, 671, 644, 883, 903, 677)

@@ -9,9 +9,9 @@ import pytest
 import simulated_noise
 from recorded import from_samples, segment, sensor
 
-from planrunner.estimators import allan_kernel
-from planrunner.estimators.allan_deviation import AllanDeviation, AllanDeviationParameters
-from planrunner.estimators.allan_fit import VarianceCovariance, fit_noise, model_matrix
+from planrunner.estimators.allan import kernel as allan_kernel
+from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
+from planrunner.estimators.allan.fit import VarianceCovariance, fit_noise, model_matrix
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.physics.earth import Site
 

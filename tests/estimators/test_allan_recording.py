@@ -9,9 +9,9 @@ import pytest
 from recorded import from_samples, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators import allan_phase
-from planrunner.estimators.allan_deviation import AllanDeviation, AllanDeviationParameters
-from planrunner.estimators.allan_phase import read_phase
+from planrunner.estimators.allan import phase as allan_phase
+from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
+from planrunner.estimators.allan.phase import read_phase
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site

@@ -10,7 +10,7 @@ import pytest
 import simulated_noise
 from recorded import from_samples, segment, sensor
 
-from planrunner.estimators.allan_deviation import AllanDeviation, AllanDeviationParameters
+from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
 from planrunner.estimators.interface import (
     Coefficient,
     Design,

@@ -15,8 +15,8 @@ from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
 from planrunner.estimators.analysis import Results, analyse, combined, design_of
-from planrunner.estimators.compensation_residual import CompensationResidualParameters
-from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.flexure_gyro.compensation_residual import CompensationResidualParameters
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.limits import hold
 from planrunner.plan.findings import InputError

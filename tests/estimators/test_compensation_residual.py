@@ -7,8 +7,11 @@ import pytest
 from recorded import from_means, segment, sensor
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, _row, attitude, pulses
 
-from planrunner.estimators.compensation_residual import CompensationResidual, CompensationResidualParameters
-from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.flexure_gyro.compensation_residual import (
+    CompensationResidual,
+    CompensationResidualParameters,
+)
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 

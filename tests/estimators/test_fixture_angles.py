@@ -14,8 +14,8 @@ from tilted_recording import DEG, EARTH, SITE, THETA, Gyro, estimate, plan_mount
 from planrunner.archive.recording import RecordedSegment
 from planrunner.design.identifiability import identify
 from planrunner.estimators.analysis import combined
-from planrunner.estimators.fixture_angles import FixtureAngles, FixtureAnglesParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
+from planrunner.estimators.tilted.fixture_angles import FixtureAngles, FixtureAnglesParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Spin
 from planrunner.uncertainty.budget import merged

@@ -11,7 +11,7 @@ import simulated_imu as imu
 from recorded import from_means, sensor
 
 from planrunner.design.identifiability import identify
-from planrunner.estimators.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
+from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Rock, Segment

@@ -25,9 +25,9 @@ from planrunner.estimators.interface import (
     EstimationError,
     Setup,
 )
-from planrunner.estimators.modulation_fit import TooLittleError, free_rates, periodic_part
-from planrunner.estimators.modulation_prediction import errors_over_time, periodic_amplitudes
-from planrunner.estimators.modulation_residual import ModulationResidual, ModulationResidualParameters
+from planrunner.estimators.modulation.fit import TooLittleError, free_rates, periodic_part
+from planrunner.estimators.modulation.modulation_residual import ModulationResidual, ModulationResidualParameters
+from planrunner.estimators.modulation.prediction import errors_over_time, periodic_amplitudes
 from planrunner.instruments.models import TableAxis, TableModel
 from planrunner.physics.earth import Site
 from planrunner.physics.modulation import schuler_drive

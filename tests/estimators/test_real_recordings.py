@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from recorded import from_samples, real, rows_of, segment, sensor, table
 
-from planrunner.estimators.accelerometer_multi_position import (
+from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPosition,
     AccelerometerMultiPositionParameters,
 )

@@ -9,7 +9,7 @@ import pytest
 from rocking_recordings import ARCSEC, DEG, EARTH, GRAVITY, HORIZONTAL, OMEGA, PER_HOUR, RING_AXES, VERTICAL
 from scipy.spatial.transform import Rotation
 
-from planrunner.estimators.rocking_attitude import (
+from planrunner.estimators.rocking.attitude import (
     earth_turn,
     encoder_attitude,
     level_state,

@@ -297,7 +297,7 @@ def test_one_state_leaves_the_vertical_axis_out():
 
 def test_memory_does_not_grow_with_the_run():
     """Of a long run only the pieces around its windows are kept."""
-    from planrunner.estimators.rocking_windows import Windows, read_pieces
+    from planrunner.estimators.rocking.windows import Windows, read_pieces
 
     segment = replace(planned("vertical", "static-1", 0, 36_000.0), motion=Rest())
     time, channels = samples("vertical", False, World(), 2.0, 36_000.0, np.random.default_rng(1))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from rocking_recordings import planned
 
-from planrunner.estimators.rocking_report import comparison, sentence
-from planrunner.estimators.rocking_runs import by_state, find_runs, quadruples
-from planrunner.estimators.rocking_statistics import Pairings, StateDrifts, combine, pair
-from planrunner.estimators.rocking_windows import Piece, low_pass, passed
+from planrunner.estimators.rocking.report import comparison, sentence
+from planrunner.estimators.rocking.runs import by_state, find_runs, quadruples
+from planrunner.estimators.rocking.statistics import Pairings, StateDrifts, combine, pair
+from planrunner.estimators.rocking.windows import Piece, low_pass, passed
 
 
 def four_runs(state: str, count: int = 1):

@@ -14,13 +14,16 @@ from recorded import from_means, segment, sensor
 from scipy.spatial.transform import Rotation
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude
 
-from planrunner.estimators.accelerometer_multi_position import (
+from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPosition,
     AccelerometerMultiPositionParameters,
 )
 from planrunner.estimators.analysis import combined
-from planrunner.estimators.compensation_residual import CompensationResidual, CompensationResidualParameters
-from planrunner.estimators.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
+from planrunner.estimators.flexure_gyro.compensation_residual import (
+    CompensationResidual,
+    CompensationResidualParameters,
+)
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, Setup
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
 from planrunner.physics.kinematics import TableAxis, joint_angles

@@ -11,7 +11,7 @@ from recorded import from_samples
 from standing_unit import RATE, SITE, recorded, request, samples
 
 from planrunner.estimators.interface import EstimationError, Setup
-from planrunner.estimators.strapdown_navigation import StrapdownNavigation
+from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
 from planrunner.plan.schedule import Spin
 
 

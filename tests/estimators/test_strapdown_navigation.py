@@ -11,8 +11,8 @@ from recorded import from_samples
 from standing_unit import DEG_H, RATE, SITE, recorded, request, samples, sensor
 
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
-from planrunner.estimators.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
-from planrunner.estimators.strapdown_navigation import StrapdownNavigation, StrapdownNavigationParameters
+from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
+from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation, StrapdownNavigationParameters
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Cycle, Move
 from planrunner.uncertainty.influences import InputQuantity, Inputs

@@ -14,7 +14,7 @@ from recorded import from_means, from_samples, real, segment, sensor
 
 from planrunner.checking import check_plan
 from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
-from planrunner.estimators.temperature_curve import (
+from planrunner.estimators.temperature.curve import (
     HeldOut,
     chosen,
     correlation_time,
@@ -22,7 +22,7 @@ from planrunner.estimators.temperature_curve import (
     held_out,
     natural_spline,
 )
-from planrunner.estimators.temperature_model import TemperatureModel, TemperatureModelParameters
+from planrunner.estimators.temperature.temperature_model import TemperatureModel, TemperatureModelParameters
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
 

@@ -11,7 +11,7 @@ from tilted_recording import DEG, RATES, SITE, THETA, TRIAD, Gyro, inputs, plan_
 
 from planrunner.checking import check_plan
 from planrunner.estimators.interface import Design, DesignRequest, Setup
-from planrunner.estimators.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.uncertainty.influences import Inputs
 

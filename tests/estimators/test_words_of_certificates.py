@@ -29,17 +29,18 @@ from recorded import from_means, segment, sensor
 from standing_unit import recorded, request, samples
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators import accelerometer_by_magnitude, allan_deviation
-from planrunner.estimators.accelerometer_multi_position import (
+from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by_magnitude
+from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPosition,
     AccelerometerMultiPositionParameters,
 )
+from planrunner.estimators.allan import allan_deviation
 from planrunner.estimators.error_model import error_model
-from planrunner.estimators.flexure_gyro_tables import describe
-from planrunner.estimators.imu_coefficients import Response, framed, reported
+from planrunner.estimators.flexure_gyro.tables import describe
+from planrunner.estimators.imu.coefficients import Response, framed, reported
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
 from planrunner.estimators.lost_samples import lost_samples
-from planrunner.estimators.strapdown_navigation import StrapdownNavigation
+from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
 from planrunner.plan.units import unit
 from planrunner.reporting import translated_words
 from planrunner.reporting.language import languages, sentences, spoken, translations

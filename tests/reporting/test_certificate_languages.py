@@ -16,7 +16,7 @@ from babel.messages.frontend import parse_mapping_cfg
 from babel.messages.pofile import read_po
 from test_report_page import read
 
-from planrunner.estimators.flexure_gyro_tables import describe
+from planrunner.estimators.flexure_gyro.tables import describe
 from planrunner.reporting import language as catalogues
 from planrunner.reporting import translated_words
 from planrunner.reporting.language import filled, languages, spoken, translations

@@ -1,0 +1,1 @@
+"""Accelerometer triads from positions: with known orientations, or with the magnitude of gravity alone."""

@@ -1,0 +1,91 @@
+"""Bias, scale factor and misalignment of an accelerometer triad from many positions.
+
+Which reference to use when:
+
+    orientation         the attitudes are known (a table, a dividing head): a straight line in gravity's components for each axis
+    gravity_magnitude   the attitudes are unknown (tumbled by hand): nine parameters from |f| = g alone
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.accelerometer import by_magnitude, by_orientation
+from planrunner.estimators.interface import (
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+)
+from planrunner.estimators.outputs_fit import BASES
+from planrunner.estimators.planned import planned_blocks
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z")
+
+
+class AccelerometerMultiPositionParameters(Record):
+    """Keys of the estimator accelerometer_multi_position."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3),
+        "The three accelerometer channels, of x, y and z.",
+        ["accel_x", "accel_y", "accel_z"],
+        ("accel_x", "accel_y", "accel_z"),
+    )
+    reference: str = key(
+        Choice(("orientation", "gravity_magnitude")),
+        "What the readings are held against: gravity in known attitudes, or only its magnitude.",
+        "gravity_magnitude",
+        "orientation",
+    )
+    terms: tuple[str, ...] = key(
+        ListOf(Choice(by_orientation.TERMS), minimum=1),
+        "Terms of each axis for the reference 'orientation'; leave out what the attitudes cannot show.",
+        ["bias", "accel_x", "accel_z"],
+        by_orientation.TERMS,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the positions.",
+        "residual",
+        "residual",
+    )
+
+
+class AccelerometerMultiPosition:
+    """The plug-in."""
+
+    summary = "Bias, scale factor and misalignment of an accelerometer triad from many positions"
+    Parameters = AccelerometerMultiPositionParameters
+
+    def design(self, request: DesignRequest) -> Design | None:
+        """The design of each axis at the planned attitudes; None where the attitudes are not planned. Raises `EstimationError`."""
+        parameters: AccelerometerMultiPositionParameters = request.parameters
+        _three(parameters.outputs)
+        if parameters.reference == "gravity_magnitude":
+            return None
+        model = by_orientation.model_of(parameters.terms)
+        matrix = by_orientation.matrix_of(model, request.segments, request.site)
+        return Design(planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes))
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Coefficients from the recorded positions or still spans. Raises `EstimationError`."""
+        parameters: AccelerometerMultiPositionParameters = request.parameters
+        _three(parameters.outputs)
+        if parameters.reference == "gravity_magnitude":
+            return by_magnitude.estimate(request)
+        if request.detection is not None:
+            raise EstimationError(
+                "spans that are found in the data have no known attitude: write `reference: gravity_magnitude`"
+            )
+        return by_orientation.estimate(request)
+
+
+def _three(outputs: tuple[str, ...]) -> None:
+    if len(outputs) != 3 or len(set(outputs)) != 3:
+        raise EstimationError(f"a triad has three channels, of x, y and z; `outputs` names {', '.join(outputs)}")

@@ -1,0 +1,1 @@
+"""Allan deviations of long records and the noise coefficients fitted to them."""

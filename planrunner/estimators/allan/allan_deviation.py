@@ -1,0 +1,369 @@
+"""Allan deviations of outputs at rest, and the noise coefficients Q, N, B, K of IEEE Std 952 fitted to the Allan variance.
+
+Reading and gaps are in `allan_phase`, sums in `allan_kernel`, confidence in `allan_confidence`, the fit in `allan_fit`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.allan.confidence import NAMES
+from planrunner.estimators.allan.fit import FLAT, TERMS, NoiseFit, expected_covariance, fit_noise
+from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
+from planrunner.estimators.allan.scale import ScaleFactorKind, SensedBy, sensed_by
+from planrunner.estimators.allan.table import KINDS, Deviation, deviations, octave_factors
+from planrunner.estimators.allan.units import coefficient_units, squares_to_coefficients
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Table,
+)
+from planrunner.estimators.root_of_square import root_of
+from planrunner.plan.findings import closest
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.schedule import Rest
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+WORDS = {
+    "Q": "quantisation: 3·Q²/τ²",
+    "N": "random walk of the integrated output: N²/τ",
+    "B": "bias instability: the flat part lies at 0.664·B",
+    "K": "random walk of the output: K²·τ/3",
+}
+LEAST_FREEDOM = 3.0  # of an Allan variance that takes part in the fit
+_FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
+_SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
+_DOUBT = 0.01
+
+
+class AllanDeviationParameters(Record):
+    """Keys of the estimator allan_deviation."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1, single=True),
+        "Channels, each analysed by itself; all that the recording has when left out.",
+        ["gyro_z"],
+        default_factory=tuple,
+    )
+    deviations: tuple[str, ...] = key(
+        ListOf(Choice(KINDS), minimum=1, single=True),
+        "Which deviations to tabulate; the coefficients always come from the overlapping one.",
+        ["overlapping", "hadamard"],
+        ("overlapping",),
+    )
+    taus: tuple[Quantity, ...] = key(
+        ListOf(QuantityOf("time", "positive"), minimum=1),
+        "Averaging times, each rounded to whole samples; octaves of the sample interval when left out.",
+        ["1 s", "10 s", "100 s"],
+        default_factory=tuple,
+    )
+    terms: tuple[str, ...] = key(
+        ListOf(Choice(TERMS), minimum=1, single=True), "Coefficients to fit.", ["N", "B"], TERMS
+    )
+    fit_up_to: Quantity | None = key(
+        QuantityOf("time", "positive"), "Longest averaging time in the fit, where drift takes over.", "1 h", None
+    )
+    scale_factors: dict[str, Quantity | str] = key(
+        MapOf(ScaleFactorKind()),
+        "Scale factor of an output that is no rate or acceleration itself: a quantity, or a coefficient of an estimate in `uses`. "
+        "The coefficients are then those of what is sensed.",
+        {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_Y"},
+        default_factory=dict,
+    )
+    bridge: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "Gaps up to this long are filled on a straight line; longer ones split the record.",
+        "0 s",
+        parse_quantity("0 s"),
+    )
+    confidence: float = key(Number(0.5, 0.999), "Probability of the confidence intervals.", 0.95, 0.95)
+
+
+class AllanDeviation:
+    """The plug-in."""
+
+    summary = "Allan deviations with confidence intervals, and noise coefficients N, B, K, Q with uncertainties"
+    Parameters = AllanDeviationParameters
+
+    def design(self, request: DesignRequest) -> Design | None:
+        """Uncertainty to expect of the declared noise; None where the dwell or the noise is not declared. Raises `EstimationError`."""
+        parameters: AllanDeviationParameters = request.parameters
+        names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
+        moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
+        notes = [f"'{label}' moves: what the motion does to the outputs is taken for noise." for label in moving]
+        _known_scale_factors(parameters, names)
+        predicted: list[Coefficient] = []
+        for name in names:
+            output = request.sensor.output(name)
+            if output is None:
+                known = ", ".join(item.name for item in request.sensor.outputs)
+                raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
+            predicted += _predicted(request, name)
+        return Design((), tuple(predicted), tuple(notes)) if predicted or notes else None
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Deviations and coefficients from the samples. Raises `EstimationError`."""
+        parameters: AllanDeviationParameters = request.parameters
+        if not request.segments:
+            raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
+        names = parameters.outputs or request.segments[0].statistics.channels
+        _known_scale_factors(parameters, names)
+        results = [_output(request, name) for name in names]
+        size = sum(len(result.coefficients) for result in results)
+        covariance, place = np.zeros((size, size)), 0
+        for result in results:
+            end = place + len(result.coefficients)
+            covariance[place:end, place:end] = result.covariance
+            place = end
+        coefficients = tuple(item for result in results for item in result.coefficients)
+        return Estimate(
+            request.name,
+            "allan_deviation",
+            coefficients,
+            covariance,
+            tuple(item.name for item in coefficients),
+            {
+                "deviations": list(parameters.deviations),
+                "terms": list(parameters.terms),
+                "confidence": parameters.confidence,
+                "bridge": f"{parameters.bridge.value:g} s",
+            },
+            tuple(table for result in results for table in result.tables),
+            tuple(result.plot for result in results),
+            tuple(dict.fromkeys(note for result in results for note in result.notes)),
+            tuple(warning for result in results for warning in result.warnings),
+            tuple(recorded.label for recorded in request.segments),
+            {"taus": {name: [row.tau for row in result.rows] for name, result in zip(names, results, strict=True)}},
+            tuple(_influences(results)),
+        )
+
+
+class _Result:
+    """What one output gave."""
+
+    def __init__(self, name: str, unit: str):
+        self.name, self.unit = name, unit
+        self.coefficients: list[Coefficient] = []
+        self.covariance: Array = np.zeros((0, 0))
+        self.rows: list[Deviation] = []
+        self.tables: list[Table] = []
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        self.plot = Plot("", "", "", (), {})
+        self.sensed: SensedBy | None = None
+
+
+def _output(request: EstimateRequest, name: str) -> _Result:
+    parameters: AllanDeviationParameters = request.parameters
+    phase = read_phase(request.segments, name, parameters.bridge.value)
+    result = _Result(name, request.segments[0].units[name])
+    if any(recorded.units[name] != result.unit for recorded in request.segments):
+        raise EstimationError(f"channel '{name}' is recorded in different units: use segments of one kind")
+    factors = _factors(parameters.taus, phase, name)
+    rows = {
+        kind: deviations(phase, kind, factors, parameters.confidence)
+        for kind in ("overlapping", *parameters.deviations)
+    }
+    result.rows = rows["overlapping"]
+    if not any(row.value for row in result.rows):
+        raise EstimationError(
+            f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
+        )
+    if name in parameters.scale_factors:
+        result.sensed = sensed_by(parameters.scale_factors[name], name, result.unit, request.uses)
+    _fit(result, phase, parameters)
+    for kind in parameters.deviations:
+        result.tables.append(_table(name, result.unit, kind, rows[kind], parameters.confidence))
+    _describe_gaps(result, phase)
+    return result
+
+
+def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[str]) -> None:
+    for name in parameters.scale_factors:
+        if name not in names:
+            raise EstimationError(f"`scale_factors` names '{name}', which is no output here: {closest(name, names)}")
+
+
+def _influences(results: Sequence[_Result]) -> list[Influence]:
+    """What the scale factors' uncertainty adds: every coefficient is proportional to that of its output, or to its inverse."""
+    values = np.array([item.value for result in results for item in result.coefficients])
+    found, place = [], 0
+    for result in results:
+        end = place + len(result.coefficients)
+        if result.sensed and result.sensed.quantity.standard_uncertainty:
+            sensitivities = np.zeros((values.size, 1))
+            sensitivities[place:end, 0] = result.sensed.power * values[place:end] / result.sensed.quantity.value
+            found.append(Influence(result.sensed.quantity, sensitivities))
+        place = end
+    return found
+
+
+def _factors(taus: Sequence[Quantity], phase: Phase, name: str) -> NDArray[np.int64]:
+    if not taus:
+        return octave_factors(phase.lengths)
+    wanted = np.unique([max(1, round(tau.value / phase.interval)) for tau in taus]).astype(np.int64)
+    usable = wanted[2 * wanted + 1 <= phase.lengths.max()]
+    if not usable.size:
+        longest = (int(phase.lengths.max()) - 1) * phase.interval
+        raise EstimationError(
+            f"'{name}': every averaging time in `taus` needs more than the {longest:.4g} s without a gap"
+        )
+    return usable
+
+
+def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) -> None:
+    limit = math.inf if parameters.fit_up_to is None else parameters.fit_up_to.value * (1 + 1e-9)
+    chosen = [row for row in result.rows if row.tau <= limit and row.freedom >= LEAST_FREEDOM and row.value > 0]
+    terms = [term for term in TERMS if term in parameters.terms]
+    for dropped in ("K", "Q", "B", "N"):
+        if len(terms) > max(1, len(chosen) - 1) and dropped in terms and len(terms) > 1:
+            terms.remove(dropped)
+            result.notes.append(f"{result.name}: too few averaging times to fit {dropped}; it is left out.")
+    if len(chosen) < 2:
+        raise EstimationError(
+            f"'{result.name}' has {len(chosen)} averaging times that are known well enough to fit: record longer, or raise `fit_up_to`"
+        )
+    factors = np.array([row.factor for row in chosen], dtype=np.int64)
+    variances = np.array([row.value**2 for row in chosen])
+    fit = fit_noise(factors, variances, np.array([row.freedom for row in chosen]), phase.lengths, terms)
+    widening = _judge(result, fit)
+    units = result.sensed.units if result.sensed else coefficient_units(result.unit)
+    roots = squares_to_coefficients(phase.interval)
+    spreads = []
+    for term in terms:
+        k = TERMS.index(term)
+        text, factor = units[term]
+        value, spread = root_of(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
+        scale = roots[term] * factor
+        spreads.append(spread * scale)
+        found = Coefficient(f"{term}_{result.name}", value * scale, text, spread * scale, description=WORDS[term])
+        result.coefficients.append(found)
+        if fit.squares[k] < _SIGNIFICANT * math.sqrt(fit.covariance[k, k]) * widening:
+            bound = (value + 2 * spread) * scale
+            result.notes.append(
+                f"{found.name} is not told from zero by this record; it is below about {bound:.2g} {text}."
+            )
+    index = [TERMS.index(term) for term in terms]
+    inner = fit.covariance[np.ix_(index, index)]
+    size = np.sqrt(np.diag(inner))
+    result.covariance = inner / np.outer(size, size) * np.outer(spreads, spreads)
+    result.plot = _plot(result, chosen, fit)
+
+
+def _judge(result: _Result, fit: NoiseFit) -> float:
+    """By how much the uncertainties are widened because the model does not describe the deviations; with a warning."""
+    from scipy.special import chdtrc
+
+    if fit.freedom < 1 or chdtrc(fit.freedom, fit.chi_square) >= _DOUBT:
+        return 1.0
+    widening = math.sqrt(fit.chi_square / fit.freedom)
+    result.warnings.append(
+        f"{result.name}: the fitted noise does not describe the deviations (χ² = {fit.chi_square:.3g} with {fit.freedom} degrees of "
+        f"freedom); uncertainties are widened {widening:.2g}-fold. Drift, vibration or a periodic disturbance may be in the record."
+    )
+    return widening
+
+
+def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probability: float) -> Table:
+    columns = (
+        "τ [s]",
+        f"{kind} deviation [{unit}]",
+        f"lower {100 * probability:g} % [{unit}]",
+        f"upper {100 * probability:g} % [{unit}]",
+        "degrees of freedom",
+        "noise",
+        "differences",
+    )
+    cells = tuple(
+        (
+            row.tau,
+            row.value,
+            row.low,
+            row.high,
+            row.freedom,
+            NAMES[row.alpha] + (" (carried)" if row.carried else ""),
+            row.terms,
+        )
+        for row in rows
+    )
+    return Table(f"{kind.capitalize()} deviation of {name}", columns, cells)
+
+
+def _plot(result: _Result, chosen: Sequence[Deviation], fit: NoiseFit) -> Plot:
+    """Deviations over all averaging times and the model's."""
+    rows = [row for row in result.rows if row.value > 0]
+    fitted = {row.factor: math.sqrt(max(0.0, value)) for row, value in zip(chosen, fit.fitted, strict=True)}
+    series = {
+        "measured": tuple(row.value for row in rows),
+        "fitted": tuple(fitted.get(row.factor, math.nan) for row in rows),
+    }
+    spread = tuple(row.value * min(0.9, 1 / math.sqrt(2 * row.freedom)) for row in rows)
+    taus = tuple(row.tau for row in rows)
+    title = f"Allan deviation of {result.name}"
+    return Plot(title, "averaging time [s]", f"deviation [{result.unit}]", taus, series, {"measured": spread}, log=True)
+
+
+def _describe_gaps(result: _Result, phase: Phase) -> None:
+    known = [row for row in result.rows if row.freedom >= _FLOOR_FREEDOM] or result.rows[:1]
+    lowest = min(known, key=lambda row: row.value)
+    flat = lowest.value / math.sqrt(FLAT)
+    result.notes.append(
+        f"{result.name}: lowest Allan deviation {lowest.value:.3g} {result.unit} at {lowest.tau:.4g} s, which is a bias instability of "
+        f"{flat:.3g} {result.unit} (divided by 0.664) if no other kind of noise adds to it."
+    )
+    result.notes.append(
+        "Standard uncertainties come from the covariance of the fit; χ² intervals of the deviations are in the tables."
+    )
+    if phase.gaps or phase.bridged:
+        share = 100 * phase.lost / max(1, phase.samples)
+        result.notes.append(
+            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} were filled on straight lines, {phase.gaps} gaps split "
+            f"the record into {len(phase.runs)} usable stretches ({share:.2g} % of the samples lie in stretches too short). "
+            "No difference spans a gap."
+        )
+    if phase.decimation > 1:
+        result.notes.append(
+            f"{result.name}: of more than {LONGEST} samples every {phase.decimation}. phase point is kept; the shortest averaging time is "
+            f"{phase.interval:.4g} s."
+        )
+
+
+def _predicted(request: DesignRequest, name: str) -> list[Coefficient]:
+    """N and B as declared, with what the planned record would leave uncertain of them."""
+    parameters: AllanDeviationParameters = request.parameters
+    output = request.sensor.output(name)
+    assert output is not None
+    hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
+    if output.noise.white <= 0 or len(hertz) != 1 or any(segment.dwell is None for segment in request.segments):
+        return []
+    interval = 1 / hertz.pop()
+    lengths = np.array([1 + int((segment.dwell or 0.0) / interval) for segment in request.segments], dtype=np.int64)
+    if lengths.max() < 64:
+        return []
+    factors = octave_factors(lengths)[: -1 if not parameters.taus else None]
+    squares = np.array([0.0, output.noise.white**2 / interval, output.noise.bias_instability**2, 0.0])
+    spread = np.sqrt(np.diag(expected_covariance(factors, squares, lengths, parameters.terms)))
+    stated = parameters.scale_factors.get(name)
+    units = sensed_by(stated, name, output.unit, request.uses).units if stated else coefficient_units(output.unit)
+    roots = squares_to_coefficients(interval)
+    found = []
+    for term in ("N", "B"):
+        k = TERMS.index(term)
+        if term in parameters.terms and squares[k] > 0:
+            text, factor = units[term]
+            value, u = root_of(squares[k], float(spread[k]))
+            scale = roots[term] * factor
+            found.append(Coefficient(f"{term}_{name}", value * scale, text, u * scale, description=WORDS[term]))
+    return found

@@ -1,0 +1,110 @@
+"""Noise coefficients of what is sensed: an output in pulses or volts seen through its scale factor.
+
+The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate that is used, such as
+`drift.SF_Y`; sensed per output or output per sensed, whichever its unit says.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from planrunner.estimators.allan.units import named_units
+from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, closest
+from planrunner.plan.kinds import QuantityOf, Schema
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.units import Unit, UnknownUnitError, unit
+from planrunner.uncertainty.influences import InputQuantity
+
+_COEFFICIENT = r"[A-Za-z][A-Za-z0-9_-]{0,39}\.[A-Za-z][^ \x00-\x1f]{0,59}"
+
+
+class ScaleFactorKind:
+    """A quantity, or `estimate.coefficient`."""
+
+    def read(self, node: source.Node, log: Findings) -> Quantity | str | None:
+        if isinstance(node, source.Scalar) and re.fullmatch(_COEFFICIENT, node.text):
+            return node.text
+        quantity: Quantity | None = QuantityOf(None).read(node, log)
+        return quantity
+
+    def schema(self) -> Schema:
+        return {"anyOf": [QuantityOf(None).schema(), {"type": "string", "pattern": f"^{_COEFFICIENT}$"}]}
+
+
+@dataclass(frozen=True, slots=True)
+class SensedBy:
+    """How an output's noise coefficients become those of what is sensed.
+
+    units: Q, N, B, K → unit and factor from the output's unit times s, √s, 1, 1/√s to it. power: of the scale factor in that factor,
+    1 or −1. quantity: the scale factor, in its own unit.
+    """
+
+    units: Mapping[str, tuple[str, float]]
+    power: int
+    quantity: InputQuantity
+
+
+def sensed_by(
+    stated: Quantity | str, name: str, output: str, uses: Mapping[str, Estimate] | Mapping[str, Design]
+) -> SensedBy:
+    """The scale factor `stated` for the output `name`, recorded in the unit `output`. Raises `EstimationError`."""
+    if isinstance(stated, Quantity):
+        own = stated.unit
+        value, u, freedom = (
+            stated.value / own.factor,
+            stated.standard_uncertainty / own.factor,
+            stated.degrees_of_freedom,
+        )
+        said_by = "plan scale_factors"
+    else:
+        found = _coefficient(stated, uses)
+        own = _unit(found.unit)
+        value, u, freedom = found.value, found.standard_uncertainty, found.degrees_of_freedom
+        said_by = f"estimate {stated}"
+    if not (math.isfinite(value) and value != 0):
+        raise EstimationError(f"the scale factor of '{name}' is {value:g}: nothing can be scaled by it")
+    recorded = _unit(output)
+    for power in (1, -1):
+        named = named_units(_product(recorded, own, power))
+        if named is not None:
+            factor = recorded.factor * abs(value * own.factor) ** power
+            units = {term: (text, factor / unit(text).factor) for term, text in named.items()}
+            return SensedBy(
+                units, power, InputQuantity(f"scale factor {name}", value, own.text, u, freedom, source=said_by)
+            )
+    raise EstimationError(
+        f"a scale factor in {own.text} makes neither a rate nor an acceleration of '{name}', which is recorded in {output}; "
+        f"write for example 0.2 (deg/h)/({output})"
+    )
+
+
+def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design]) -> Coefficient:
+    estimate, _, wanted = stated.partition(".")
+    if estimate not in uses:
+        raise EstimationError(f"scale factor '{stated}': write `uses: {estimate}`, so that this estimate comes first")
+    used = uses[estimate]
+    coefficients = used.coefficients if isinstance(used, Estimate) else used.predicted
+    for item in coefficients:
+        if item.name == wanted:
+            return item
+    hint = closest(wanted, [item.name for item in coefficients])
+    raise EstimationError(f"scale factor '{stated}': '{estimate}' has no coefficient '{wanted}': {hint}")
+
+
+def _product(recorded: Unit, scale: Unit, power: int) -> tuple[tuple[str, float], ...]:
+    total = dict(recorded.dimension)
+    for base, exponent in scale.dimension:
+        total[base] = total.get(base, 0.0) + power * exponent
+    return tuple(sorted((base, exponent) for base, exponent in total.items() if exponent))
+
+
+def _unit(text: str) -> Unit:
+    try:
+        return unit(text)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None

@@ -1,0 +1,88 @@
+"""Deviations of one phase record at chosen averaging times, each with its noise type, degrees of freedom and confidence interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.allan.confidence import degrees_of_freedom, interval, noise_exponent
+from planrunner.estimators.allan.phase import Phase
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+KINDS = ("overlapping", "modified", "hadamard")
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """One deviation: `kind` of `KINDS`; factor: averaging factor m; tau: s; terms: in the sum; alpha: exponent of the noise it was given
+    degrees of freedom for; carried: whether α comes from a shorter averaging time; low, high: confidence interval."""
+
+    kind: str
+    factor: int
+    tau: float
+    terms: int
+    value: float
+    alpha: int
+    carried: bool
+    freedom: float
+    low: float
+    high: float
+
+
+def octave_factors(lengths: Integers) -> Integers:
+    """1, 2, 4 … as long as the longest run holds four averages, and at least the factors that any run can give one difference for."""
+    longest = int(lengths.max()) - 1
+    last = max(1, longest // 4)
+    return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)
+
+
+def deviations(phase: Phase, kind: str, factors: Integers, probability: float) -> list[Deviation]:
+    """The deviations of one kind, in the output's unit; factors for which the record is too short are left out."""
+    order = 3 if kind == "hadamard" else 2
+    span = 3 if kind in ("hadamard", "modified") else 2
+    lengths = phase.lengths
+    wanted = factors[span * factors + (0 if kind == "modified" else 1) <= lengths.max()]
+    if not wanted.size:
+        return []
+    sums = _sum_over_runs(phase.runs, kind, wanted)
+    extra = 1 if kind == "modified" else 0
+    found = []
+    alpha: int | None = None
+    for total, factor in zip(sums, wanted.tolist(), strict=True):
+        terms = int(np.clip(lengths - span * factor + extra, 0, None).sum())
+        own = noise_exponent(phase.runs, factor, alpha)
+        carried = own is None
+        alpha = own if own is not None else alpha if alpha is not None else 0
+        freedom = _freedom(alpha, order, factor, lengths, kind == "modified")
+        scale = {"overlapping": 2.0, "modified": 2.0 * factor**2, "hadamard": 6.0}[kind] * float(factor) ** 2
+        value = math.sqrt(total / (scale * terms))
+        low, high = interval(value, freedom, probability)
+        found.append(Deviation(kind, factor, factor * phase.interval, terms, value, alpha, carried, freedom, low, high))
+    return found
+
+
+def _freedom(alpha: int, order: int, factor: int, lengths: Integers, modified: bool) -> float:
+    """Runs are independent of each other: their degrees of freedom add."""
+    sizes, counts = np.unique(lengths, return_counts=True)
+    each = (degrees_of_freedom(alpha, order, factor, int(size), modified) for size in sizes)
+    return float(sum(count * one for count, one in zip(counts.tolist(), each, strict=True)))
+
+
+def _sum_over_runs(runs: Sequence[Array], kind: str, factors: Integers) -> Array:
+    from planrunner.estimators.allan import kernel as allan_kernel
+
+    kernel: Callable[[Array, Integers], Array] = {
+        "overlapping": allan_kernel.second_differences,
+        "modified": allan_kernel.averaged_second_differences,
+        "hadamard": allan_kernel.third_differences,
+    }[kind]
+    total = np.zeros(factors.size)
+    for run in runs:
+        total += kernel(run, factors)
+    return total

@@ -1,0 +1,275 @@
+"""Static coefficients of a flexure gyro from positions at rest: U0 … U5, V0 … V5 and the twelve physical coefficients (CN100554884C)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import rank
+from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.fit_tables import residual_table
+from planrunner.estimators.flexure_gyro import tables
+from planrunner.estimators.flexure_gyro.draws import physical_draws
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignBlock,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+)
+from planrunner.estimators.linear_influences import linear_influences
+from planrunner.estimators.observations import Observations, observe
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.planned import matrix_at_rest, planned_blocks, planned_gains
+from planrunner.estimators.residual_plot import residual_plot
+from planrunner.physics import flexure_gyro
+from planrunner.physics.earth import Site
+from planrunner.physics.terms import ErrorModel
+from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
+from planrunner.plan.schedule import Segment
+from planrunner.plan.units import unit
+from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.monte_carlo import Draws
+
+Array = NDArray[np.float64]
+
+
+class FlexureGyroStaticParameters(Record):
+    """Keys of the estimator flexure_gyro_static."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=2),
+        "The two torquer outputs: of the x axis, then of the y axis.",
+        ["torquer_x", "torquer_y"],
+        ("torquer_x", "torquer_y"),
+    )
+    terms: tuple[str, ...] = key(
+        ListOf(Choice(tuple(flexure_gyro.PRODUCTS)), single=True),
+        "Product terms beside the static model; cardinal positions cannot see them.",
+        ["accel_x_accel_z"],
+        default_factory=tuple,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the positions.",
+        "residual",
+        "residual",
+    )
+    pool_outputs: bool = key(
+        Boolean(),
+        "On the residual basis, let one factor between residual scatter and noise hold for both outputs: twice the degrees of freedom.",
+        True,
+        True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicalSet:
+    """Physical and output coefficients in the field's units with the gradients that carry covariance from SI [U; V].
+
+    values, units: (q,), first the physical ones, then U0 …, V0 …; gradients: (q, 2·p), d(value in its unit)/d(SI coefficient); factors:
+    (q,), SI value over value.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    units: tuple[str, ...]
+    gradients: Array
+    physical: int
+    factors: Array
+
+
+class FlexureGyroStatic:
+    """The plug-in."""
+
+    summary = "Static coefficients of a two-axis flexure gyro from positions at rest"
+    Parameters = FlexureGyroStaticParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """The design of both outputs at the planned positions. Raises `EstimationError`."""
+        parameters: FlexureGyroStaticParameters = request.parameters
+        model = flexure_gyro.static_model(parameters.terms)
+        matrix = static_matrix(model, request.segments, request.site)
+        magnitudes = local_magnitudes(model, request.site)
+        blocks = planned_blocks(request, _two(parameters.outputs), model.names, matrix, magnitudes)
+        scaled = matrix / magnitudes
+        sight = rank.look(scaled)
+        if sight.rank < scaled.shape[1]:
+            return Design(blocks)
+        determinant = float(np.linalg.det(scaled.T @ scaled))
+        note = tables.determinant_note(determinant, sight.condition, len(matrix))
+        return Design(
+            blocks,
+            _predicted(request, blocks),
+            (note,),
+            {"determinant": determinant, "condition": sight.condition},
+        )
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Coefficients from the recorded positions. Raises `EstimationError`."""
+        made = _make(request)
+        fit, found, matrix, observations = made.fit, made.found, made.matrix, made.observations
+        basis = request.parameters.uncertainty
+        covariance = found.gradients @ fit.covariance(basis) @ found.gradients.T
+        spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
+        freedom = fit.degrees_of_freedom(found.gradients, basis)
+        notes, warnings = judge(fit, basis)
+        scaled = matrix / local_magnitudes(made.model, request.site)
+        condition = float(np.linalg.cond(scaled))
+        notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(matrix)))
+        return Estimate(
+            request.name,
+            "flexure_gyro_static",
+            _coefficients(found, spreads, freedom),
+            covariance,
+            found.names[: found.physical],
+            {
+                "uncertainty": basis,
+                "pool_outputs": fit.pooled,
+                "terms": list(made.model.names),
+                "weights": [noise.weighting for noise in fit.noises],
+            },
+            (
+                residual_table("Residuals per position", "position", observations, fit),
+                tables.both_bases(found, fit, basis),
+            ),
+            (residual_plot(observations, fit),),
+            tuple(notes),
+            tuple(warnings),
+            observations.labels,
+            _extra(fit, matrix, made.model, request.parameters.outputs),
+            tuple(one.through(found.gradients) for one in made.stated),
+        )
+
+    def chain(self, request: EstimateRequest, estimate: Estimate) -> Draws:
+        """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse: exact but for the inputs' first order."""
+        made = _make(request)
+        return physical_draws(made.fit, request.parameters.uncertainty, made.found.factors, made.stated)
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """What the recording gives. stated: influences on SI [U; V], output after output."""
+
+    observations: Observations
+    model: ErrorModel
+    matrix: Array
+    fit: OutputsFit
+    found: PhysicalSet
+    stated: tuple[Influence, ...]
+
+
+def _make(request: EstimateRequest) -> _Made:
+    parameters: FlexureGyroStaticParameters = request.parameters
+    basis = parameters.uncertainty
+    observations = observe(request.segments, _two(parameters.outputs), request.sensor)
+    model = flexure_gyro.static_model(parameters.terms)
+    matrix = static_matrix(model, [recorded.segment for recorded in request.segments], request.site)
+    magnitudes = local_magnitudes(model, request.site)
+    fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, parameters.pool_outputs)
+    require_basis(fit, basis, request.name)
+    try:
+        found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
+    except ValueError as error:
+        raise EstimationError(f"{request.name}: {error}") from None
+    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
+    return _Made(observations, model, matrix, fit, found, stated)
+
+
+def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
+    """The design matrix of positions at rest, SI. Raises `EstimationError` for a segment that moves or whose orientation is unknown."""
+    return matrix_at_rest(model, segments, site, "the static coefficients need positions at rest")
+
+
+def local_magnitudes(model: ErrorModel, site: Site) -> Array:
+    """The columns' sizes at the site, (p,): its Earth rate and its gravity, so that determinants compare between sites."""
+    sizes = {0: 1.0, 1: site.gravity, 2: site.gravity**2}
+    return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
+
+
+def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> PhysicalSet:
+    """Everything that is reported, from SI [U; V], shape (2, p). Raises ValueError where the relation cannot be inverted."""
+    i_x, i_y = units
+    if i_x != i_y:
+        raise ValueError(f"the two outputs are recorded in different units ({i_x} and {i_y}): record both in one")
+    physical = flexure_gyro.physical_coefficients(outputs)
+    gradient = flexure_gyro.jacobian(outputs)
+    scale_unit = f"(deg/h)/({i_x})"
+    drifts = ["deg/h", "deg/h/g", "deg/h/g", "deg/h/g", *["deg/h/g^2"] * len(products)]
+    names_u, names_v = flexure_gyro.output_names(products)
+    per = {"1": i_x, "rad/s": f"({i_x})/(deg/h)", "m/s^2": f"({i_x})/g", "(m/s^2)^2": f"({i_x})/g^2"}
+    output_units = [per[term.unit] for term in model.terms]
+    all_units = (scale_unit, scale_unit, "arcmin", "arcmin", *drifts, *drifts, *output_units, *output_units)
+    # Factors from SI with the output's own unit kept as it is recorded.
+    angle, rate, g = unit("arcmin").factor, unit("deg/h").factor, unit("g").factor
+    drift_factors = [rate, rate / g, rate / g, rate / g, *[rate / g**2] * len(products)]
+    term_factors = [
+        {"1": 1.0, "rad/s": 1 / rate, "m/s^2": 1 / g, "(m/s^2)^2": 1 / g**2}[term.unit] for term in model.terms
+    ]
+    factors = np.array([rate, rate, angle, angle, *drift_factors, *drift_factors, *term_factors, *term_factors])
+    values = np.concatenate([physical, outputs.ravel()]) / factors
+    gradients = np.vstack([gradient, np.eye(outputs.size)]) / factors[:, None]
+    names = (*flexure_gyro.physical_names(products), *names_u, *names_v)
+    return PhysicalSet(names, values, all_units, gradients, len(physical), factors)
+
+
+def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:
+    if len(outputs) != 2 or outputs[0] == outputs[1]:
+        raise EstimationError(f"a flexure gyro has two outputs, of x and of y; `outputs` names {', '.join(outputs)}")
+    return outputs
+
+
+def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[Coefficient, ...]:
+    return tuple(
+        Coefficient(name, float(value), its_unit, float(spread), float(dof), tables.describe(name))
+        for name, value, its_unit, spread, dof in zip(
+            found.names, found.values, found.units, spreads, freedom, strict=True
+        )
+    )
+
+
+def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
+    """The coefficients at the sensor's declared values with the uncertainty that its declared noise and the bench's stated
+    inputs give: noise as each dwell averages it, and the table's position errors beside it."""
+    products = request.parameters.terms
+    model = flexure_gyro.static_model(products)
+    names = flexure_gyro.physical_names(products)
+    nominal = request.sensor.nominal
+    if any(name not in nominal for name in names[:4]):
+        return ()
+    outputs = flexure_gyro.output_coefficients(np.array([nominal.get(name, 0.0) for name in names]))
+    units = [output.unit for block in blocks if (output := request.sensor.output(block.output))]
+    try:
+        found = physical_set(outputs, units, model, products)
+    except ValueError:
+        return ()
+    n, p = blocks[0].matrix.shape
+    gains = np.zeros((2, p, n))
+    covariance = np.zeros((2, p, 2, p))
+    for k, block in enumerate(blocks):
+        if np.all(block.sigma > 0):
+            gains[k] = planned_gains(block)
+            root = gains[k] * block.sigma
+            covariance[k, :, k] = root @ root.T
+    stated = linear_influences(request, model, request.parameters.outputs, outputs, gains, "within_segment")
+    whole = covariance.reshape(2 * p, 2 * p) + sum((one.covariance for one in stated), np.zeros((2 * p, 2 * p)))
+    variance = np.einsum("qi,ij,qj->q", found.gradients, whole, found.gradients).clip(min=0.0)
+    return _coefficients(found, np.sqrt(variance), np.full(len(variance), math.inf))[: found.physical]
+
+
+def _extra(fit: OutputsFit, matrix: Array, model: ErrorModel, outputs: tuple[str, ...]) -> dict[str, object]:
+    """What an estimate that compensates with these coefficients needs, in SI: coefficients, covariance on either basis, and the design."""
+    return {
+        "outputs": list(outputs),
+        "terms": list(model.names),
+        "coefficients": fit.coefficients.tolist(),
+        "covariance": {basis: fit.covariance(basis).tolist() for basis in BASES if fit.available(basis)},
+        "matrix": matrix.tolist(),
+        "sigma": [noise.sigma.tolist() for noise in fit.noises],
+    }

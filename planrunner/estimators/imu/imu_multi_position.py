@@ -1,0 +1,384 @@
+"""Bias, scale factor, misalignment and g-sensitivity of an IMU's triads from positions at rest and rates about each axis.
+
+Each output is fitted by a linear model of named terms at the mean stimulus of every segment, the Earth's rotation included (IEEE Std 1431,
+IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros take all segments; accelerometers take
+those at rest, because off the rotation axis they feel the centripetal acceleration of a spin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import rank
+from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.covariances import independent
+from planrunner.estimators.error_model import error_model, term_names
+from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
+from planrunner.estimators.imu import tables
+from planrunner.estimators.imu.coefficients import PLURAL, Framed, Reported, Response, framed, reported
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignBlock,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Remark,
+)
+from planrunner.estimators.observations import Observations, observe
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.planned import planned_blocks, planned_gains
+from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.stated_influences import mean_stimulus, position_scatter, stated_influences
+from planrunner.physics.earth import Site
+from planrunner.physics.stimulus import StimulusError
+from planrunner.physics.terms import ErrorModel
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
+from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+_RATES, _FORCES = ("rate_x", "rate_y", "rate_z"), ("accel_x", "accel_y", "accel_z")
+A_SENSOR = {"gyro": "a gyro", "accel": "an accelerometer"}
+_EARTH_ALONE = 1.5  # times Earth rate; a table's rate is at least some hundred times as large
+
+
+class ImuMultiPositionParameters(Record):
+    """Keys of the estimator imu_multi_position."""
+
+    gyros: tuple[str, ...] = key(
+        ListOf(CHANNEL),
+        "The three gyro channels, of x, y and z.",
+        ["gyro_x", "gyro_y", "gyro_z"],
+        default_factory=tuple,
+    )
+    accelerometers: tuple[str, ...] = key(
+        ListOf(CHANNEL),
+        "The three accelerometer channels, of x, y and z.",
+        ["accel_x", "accel_y", "accel_z"],
+        default_factory=tuple,
+    )
+    gyro_terms: tuple[str, ...] = key(
+        ListOf(term_names(), minimum=1),
+        "Terms of each gyro: installed ones, by name. Specific force is its g-sensitivity.",
+        ["bias", *_RATES],
+        ("bias", *_RATES, *_FORCES),
+    )
+    accelerometer_terms: tuple[str, ...] = key(
+        ListOf(term_names(), minimum=1), "Terms of each accelerometer.", ["bias", *_FORCES], ("bias", *_FORCES)
+    )
+    misalignment: str = key(
+        Choice(("full", "lower_triangular")),
+        "full: all six in the axes of the planned orientations. lower_triangular: in the accelerometers' own frame (the gyros' where there "
+        "are none), x along the first input axis and y in the plane of the first two, with the rotation between the two frames.",
+        "lower_triangular",
+        "full",
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the segments.",
+        "residual",
+        "residual",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Triad:
+    """One triad's data. kind: gyro or accel."""
+
+    kind: str
+    model: ErrorModel
+    segments: tuple[Segment, ...]
+    observations: Observations
+    fit: OutputsFit
+
+
+class ImuMultiPosition:
+    """The plug-in."""
+
+    summary = "Bias, scale factor, misalignment and g-sensitivity of IMU triads from positions and rates"
+    Parameters = ImuMultiPositionParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """What the planned positions and rates tell of each output. Raises `EstimationError`."""
+        parameters: ImuMultiPositionParameters = request.parameters
+        blocks: list[DesignBlock] = []
+        remarks: list[Remark] = []
+        for kind, channels, terms in _triads(parameters):
+            model, chosen = error_model(terms), _usable(kind, request.segments)
+            matrix = _matrix(model, chosen, request.site)
+            its_own = DesignRequest(
+                request.name, tuple(chosen), parameters, request.site, request.sensor, request.uses, request.setup
+            )
+            made = planned_blocks(its_own, channels, model.names, matrix, _magnitudes(model, matrix))
+            blocks += made
+            if kind == "gyro":
+                remarks += _earth_rate_alone(request, made)
+        predicted = _predicted(request, blocks)
+        held = _held({segment.temperature for segment in request.segments})
+        told: dict[str, object] = {"temperatures": () if held is None else (held,)}
+        if predicted:
+            told["names_by_temperature"] = tuple(item.name for item in predicted)
+        return Design(tuple(blocks), predicted, extra=told, remarks=tuple(remarks))
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Coefficients from the recorded segments. Raises `EstimationError`."""
+        parameters: ImuMultiPositionParameters = request.parameters
+        basis = parameters.uncertainty
+        if request.detection is not None:
+            raise EstimationError(
+                "spans that are found in the data have no known attitude: name segments in `segments`"
+            )
+        triads = [_fit(request, *one) for one in _triads(parameters)]
+        frame = framed([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
+        found = reported(frame)
+        u, freedom = spread(found, triads, basis)
+        data = independent([one.fit.covariance(basis) for one in triads])  # the triads' noise is taken for independent
+        covariance = found.gradients @ data @ found.gradients.T
+        coefficients = tuple(
+            Coefficient(name, float(value), text, float(own), float(dof), words)
+            for name, value, text, own, dof, words in zip(
+                found.names, found.values, found.units, u, freedom, found.words, strict=True
+            )
+        )
+        notes: list[str] = [tables.formula(frame)]
+        warnings: list[str] = []
+        for one in triads:
+            said, doubted = judge(one.fit, basis)
+            channels = tuple(f"{name}:" for name in one.observations.channels)
+            notes += [
+                text if text.startswith(channels) else f"{PLURAL[one.kind].capitalize()}: {text}" for text in said
+            ]
+            warnings += doubted
+        if len(triads) == 2 and len(triads[0].segments) > len(triads[1].segments):
+            notes.append("The accelerometers are fitted from the segments at rest alone.")
+        spreads = {other: spread(found, triads, other) for other in bases_shown(basis, [one.fit for one in triads])}
+        return Estimate(
+            request.name,
+            "imu_multi_position",
+            coefficients,
+            covariance,
+            found.names,
+            {
+                "uncertainty": basis,
+                "misalignment": parameters.misalignment,
+                "terms": {one.kind: list(one.model.names) for one in triads},
+                "weights": {one.kind: [noise.weighting for noise in one.fit.noises] for one in triads},
+            },
+            (
+                *(table for one in frame.responses for table in tables.matrices(one)),
+                *(
+                    residual_table(f"Residuals of the {one.kind} triad", "segment", one.observations, one.fit)
+                    for one in triads
+                ),
+                basis_table(found.names, found.units, found.values, spreads),
+            ),
+            tuple(residual_plot(one.observations, one.fit, f"Residuals of the {one.kind} triad") for one in triads),
+            tuple(dict.fromkeys(notes)),
+            tuple(warnings),
+            tuple(recorded.label for recorded in request.segments),
+            _extra(request, frame, found, u),
+            _influences(request, triads, found),
+        )
+
+
+def spread(found: Reported, triads: Sequence[Triad], basis: str) -> tuple[Array, Array]:
+    """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the triads) of what the data show, both (q,)."""
+    variance, squares, start = np.zeros(len(found.names)), np.zeros(len(found.names)), 0
+    least = np.full(len(found.names), math.inf)
+    for one in triads:
+        end = start + one.fit.coefficients.size
+        own = found.gradients[:, start:end]
+        share = np.einsum("qi,ij,qj->q", own, one.fit.covariance(basis), own).clip(min=0.0)
+        freedom = one.fit.degrees_of_freedom(own, basis)
+        variance, squares = variance + share, squares + share**2 / freedom
+        least = np.where(np.abs(own).max(axis=1) > 0, np.minimum(least, freedom), least)
+        start = end
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.sqrt(variance), np.where(squares > 0, variance**2 / squares, least)
+
+
+def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
+    """(kind, channels, terms) of the triads that are there. Raises `EstimationError`."""
+    stated = (
+        ("gyro", parameters.gyros, parameters.gyro_terms, _RATES),
+        ("accel", parameters.accelerometers, parameters.accelerometer_terms, _FORCES),
+    )
+    found: list[tuple[str, tuple[str, ...], tuple[str, ...]]] = []
+    for kind, channels, terms, sensed in stated:
+        if not channels:
+            continue
+        if len(channels) != 3 or len(set(channels)) != 3:
+            raise EstimationError(f"a triad has three channels, of x, y and z; it is given {', '.join(channels)}")
+        if not set(terms) & set(sensed):
+            raise EstimationError(f"the {kind} triad needs at least one of the terms {', '.join(sensed)}")
+        found.append((kind, channels, terms))
+    if not found:
+        raise EstimationError(
+            "neither `gyros` nor `accelerometers` are given: name the three channels of either or both"
+        )
+    return found
+
+
+def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
+    usable = [one for one in segments if kind == "gyro" or isinstance(one.motion, Rest)]
+    if not usable:
+        raise EstimationError("accelerometers need positions at rest, and every chosen segment moves")
+    return usable
+
+
+def _matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
+    try:
+        return model.columns(mean_stimulus(segments, site))
+    except StimulusError as error:
+        raise EstimationError(str(error)) from None
+
+
+def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
+    """(p,): the declared sizes, but the largest planned rate for all rates, so that an axis about which nothing turns stands out."""
+    rates = [k for k, term in enumerate(model.terms) if term.unit == "rad/s"]
+    sizes = model.magnitudes
+    if rates:
+        sizes[rates] = max(float(np.abs(matrix[:, rates]).max()), float(sizes[rates].max()))
+    return sizes
+
+
+def _fit(request: EstimateRequest, kind: str, channels: Sequence[str], terms: Sequence[str]) -> Triad:
+    model, basis = error_model(terms), request.parameters.uncertainty
+    usable = {id(one) for one in _usable(kind, [recorded.segment for recorded in request.segments])}
+    recorded = [one for one in request.segments if id(one.segment) in usable]
+    observations = observe(recorded, channels, request.sensor)
+    segments = tuple(one.segment for one in recorded)
+    matrix = _matrix(model, segments, request.site)
+    magnitudes = _magnitudes(model, matrix)
+    fit = fit_outputs(matrix, observations, magnitudes, model.names, basis)
+    beside = position_scatter(model, segments, request.site, request.setup.inputs, fit.coefficients)
+    if beside is not None and all(noise.known for noise in fit.noises):
+        fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, beside=beside)
+    require_basis(fit, basis, f"{request.name}, {kind} triad")
+    return Triad(kind, model, segments, observations, fit)
+
+
+def _response(one: Triad) -> Response:
+    try:
+        units = tuple(unit(text) for text in one.observations.units)
+    except UnknownUnitError as error:
+        raise EstimationError(str(error)) from None
+    wrong = DIMENSIONS["acceleration" if one.kind == "gyro" else "angular rate"]
+    for name, own in zip(one.observations.channels, units, strict=True):
+        if own.dimension == wrong:
+            raise EstimationError(
+                f"channel '{name}' is recorded in {own.text}, which is not what {A_SENSOR[one.kind]} gives"
+            )
+    return Response(one.kind, units, one.model, one.fit.coefficients)
+
+
+def _influences(request: EstimateRequest, triads: Sequence[Triad], found: Reported) -> tuple[Influence, ...]:
+    """On everything that is reported; an input that acts on both triads is one input to whoever adds them up."""
+    influences: list[Influence] = []
+    start = 0
+    for one in triads:
+        end = start + one.fit.coefficients.size
+        stated = stated_influences(
+            one.model,
+            one.segments,
+            request.site,
+            request.setup.inputs,
+            one.fit.coefficients,
+            one.fit.gains,
+            request.parameters.uncertainty == "residual",
+        )
+        influences += [item.through(found.gradients[:, start:end]) for item in stated]
+        start = end
+    return tuple(influences)
+
+
+def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> list[Remark]:
+    """Scale factors that nothing but the Earth's rotation shows, of which rank has nothing to say."""
+    terms = blocks[0].terms
+    alone = [
+        name
+        for name in _RATES
+        if name in terms
+        and np.abs(blocks[0].matrix[:, terms.index(name)]).max(initial=0.0) < _EARTH_ALONE * request.site.earth_rate
+    ]
+    if not alone:
+        return []
+    axes = " and ".join(name[-1] for name in alone)
+    message = f"nothing but the Earth turns the gyros about {axes}, so that what they say of {', '.join(alone)} rests on 15 deg/h"
+    hint = "add segments with a rate about each axis, in both senses; the predicted uncertainties say what these positions give"
+    return [Remark("physics-earth-rate-alone", message, hint)]
+
+
+def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
+    """Coefficients of an ideal IMU with the uncertainty that the declared noise gives; nothing for outputs of other units."""
+    parameters: ImuMultiPositionParameters = request.parameters
+    responses, covariances = [], []
+    for place, (kind, channels, terms) in enumerate(_triads(parameters)):
+        model = error_model(terms)
+        outputs = [output for name in channels if (output := request.sensor.output(name))]
+        units = tuple(unit(output.unit) for output in outputs)
+        if any(own.dimension != DIMENSIONS["angular rate" if kind == "gyro" else "acceleration"] for own in units):
+            return ()
+        values = np.zeros((3, len(model.names)))
+        for axis, term in enumerate(_RATES if kind == "gyro" else _FORCES):
+            if term in model.names:
+                values[axis, model.names.index(term)] = 1 / units[axis].factor
+        responses.append(Response(kind, units, model, values))
+        for block in blocks[3 * place : 3 * place + 3]:
+            if rank.look(block.matrix / block.magnitudes).rank < len(block.terms) or not np.all(block.sigma > 0):
+                return ()
+            root = planned_gains(block) * block.sigma
+            covariances.append(root @ root.T)
+    found = reported(framed(responses, parameters.misalignment == "lower_triangular"))
+    variance = np.einsum("qi,ij,qj->q", found.gradients, independent(covariances), found.gradients)
+    rows = zip(found.names, found.values, found.units, np.sqrt(variance), found.words, strict=True)
+    return tuple(
+        Coefficient(name, float(value), text, float(u), math.inf, words) for name, value, text, u, words in rows
+    )
+
+
+def _extra(request: EstimateRequest, frame: Framed, found: Reported, u: Array) -> dict[str, object]:
+    """Matrices for those who build on this, and the coefficients by temperature where all segments were held at one."""
+    extra: dict[str, object] = {
+        one.kind: {
+            "terms": list(one.model.names),
+            "coefficients": one.values.tolist(),
+            "inverse": inverse.tolist() if (inverse := _inverse(one)) is not None else None,
+        }
+        for one in frame.responses
+    }
+    kelvin = _held({recorded.segment.temperature for recorded in request.segments})
+    if kelvin is not None:
+        extra["by_temperature"] = by_temperature(found, kelvin - ZERO_CELSIUS, u)
+    return extra
+
+
+def _held(planned: set[float | None]) -> float | None:
+    """The one temperature [K] of all segments; None where there is none, or more than one."""
+    return next(iter(planned)) if len(planned) == 1 else None
+
+
+def _inverse(one: Response) -> Array | None:
+    return tables.inverse_matrix(one) if len(one.sensed) == 3 else None
+
+
+def by_temperature(found: Reported, celsius: float, u: Array) -> Mapping[str, object]:
+    """The coefficients at one temperature, as `interface.Estimate` says that extra holds them."""
+    return {
+        name: {
+            "temperature_degC": [celsius],
+            "value": [float(value)],
+            "standard_uncertainty": [float(own)],
+            "unit": text,
+        }
+        for name, value, own, text in zip(found.names, found.values, u, found.units, strict=True)
+    }

@@ -1,0 +1,64 @@
+"""What a user of an IMU's calibration needs: how to apply it, the matrices and their inverses."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.imu.coefficients import AXES, Framed, Response
+from planrunner.estimators.interface import Table
+from planrunner.plan.units import unit
+
+Array = NDArray[np.float64]
+
+_WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
+
+
+def formula(frame: Framed) -> str:
+    """What to do with the coefficients."""
+    known = {one.kind for one in frame.responses}
+    parts = []
+    if "gyro" in known:
+        parts.append("gyros: ω = (S·M)⁻¹·(output − b − G·f)")
+    if "accel" in known:
+        parts.append("accelerometers: f = (S·M)⁻¹·(output − b)")
+    where = (
+        f"in the {frame.reference} triad's own frame" if frame.reference else "in the axes of the planned orientations"
+    )
+    return f"To calibrate an output, {where}: " + "; ".join(parts) + "."
+
+
+def matrices(one: Response) -> tuple[Table, ...]:
+    """S·M with b (and G), and the inverse, where all three axes were seen."""
+    sensed = one.sensed
+    if len(sensed) < 3:
+        return ()
+    letter, per = _WORDS[one.kind]
+    forces = one.places("accel") if one.kind == "gyro" else {}
+    bias = "bias" in one.model.names
+    columns = ["output", "unit", *(f"{letter}_{axis} [per {per}]" for axis in AXES)]
+    columns += ["b"] if bias else []
+    columns += [f"G {AXES[k]} [per g]" for k in forces]
+    rows = []
+    for axis in range(3):
+        row: list[object] = [AXES[axis], one.units[axis].text]
+        row += [float(one.values[axis, sensed[k]] * unit(per).factor) for k in range(3)]
+        row += [float(one.values[axis, one.model.names.index("bias")])] if bias else []
+        row += [float(one.values[axis, place] * unit("g").factor) for place in forces.values()]
+        rows.append(tuple(row))
+    found = [Table(f"Matrix S·M of the {one.kind} triad", tuple(columns), tuple(rows))]
+    if (inverse := inverse_matrix(one)) is not None:
+        units = [own.text for own in one.units]
+        heads = (letter, *(f"output {axis} [{per} per {text}]" for axis, text in zip(AXES, units, strict=True)))
+        cells = tuple((axis, *map(float, row)) for axis, row in zip(AXES, inverse, strict=True))
+        found.append(Table(f"Inverse (S·M)⁻¹ of the {one.kind} triad", heads, cells))
+    return tuple(found)
+
+
+def inverse_matrix(one: Response) -> Array | None:
+    """(S·M)⁻¹, deg/s or g per recorded unit, shape (3, 3); None where the outputs do not span space."""
+    matrix = one.values[:, [one.sensed[k] for k in range(3)]] * unit(_WORDS[one.kind][1]).factor
+    lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
+    if (lengths == 0).any() or np.linalg.cond(matrix / lengths) > 1e6:
+        return None
+    return np.asarray(np.linalg.inv(matrix))

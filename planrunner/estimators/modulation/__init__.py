@@ -1,0 +1,1 @@
+"""How much of constant errors a rotation cycle leaves in the navigation."""

@@ -1,0 +1,310 @@
+"""What turning the sensor does to its navigation: two or more navigations side by side, one of them without rotation.
+
+Each navigation is a `strapdown_navigation` estimate. Over the time that all of them last, their errors give the ratio of CEP rates and the
+suppression of the position error; over whole cycles, the part that repeats with the cycle is told apart and stands beside what
+the cycle's residual and harmonics make of declared constant errors. docs/rotation-cycles.md has theory and figures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Remark,
+    Table,
+)
+from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, periodic_part
+from planrunner.estimators.modulation.navigations import Navigation, compared, rotation
+from planrunner.estimators.modulation.prediction import errors_over_time, horizontal, periodic_amplitudes
+from planrunner.estimators.strapdown.navigation_errors import HOUR, NAUTICAL_MILE
+from planrunner.plan.kinds import ListOf, QuantityOf, Record, key
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+
+LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted for
+
+
+class ModulationResidualParameters(Record):
+    """Keys of the estimator modulation_residual."""
+
+    gyro_errors: tuple[Quantity, ...] = key(
+        ListOf(QuantityOf("angular rate"), minimum=3, maximum=3),
+        "Constant errors of the gyros about x, y, z as declared, from which errors are predicted.",
+        ["0.02 deg/h", "-0.015 deg/h", "0.01 deg/h"],
+        default_factory=tuple,
+    )
+    accelerometer_errors: tuple[Quantity, ...] = key(
+        ListOf(QuantityOf("acceleration"), minimum=3, maximum=3),
+        "Constant errors of the accelerometers along x, y, z as declared.",
+        ["50 ug", "-40 ug", "30 ug"],
+        default_factory=tuple,
+    )
+
+    @property
+    def declared(self) -> Array | None:
+        """Constant errors (6,), rad/s and m/s²; None where none are stated."""
+        if not self.gyro_errors and not self.accelerometer_errors:
+            return None
+        parts = (self.gyro_errors, self.accelerometer_errors)
+        return np.concatenate([[item.value for item in part] if part else np.zeros(3) for part in parts])
+
+
+class ModulationResidual:
+    """The plug-in."""
+
+    summary = "Navigation errors with and without rotation of the sensor: suppression, CEP rates, residual modulation"
+    Parameters = ModulationResidualParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """No coefficients are fitted; notes say what the cycles leave, a remark says where the comparison cannot be made."""
+        moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
+        if not moving or len(request.uses) < 2:
+            message = "the comparison needs a navigation with rotation and one without, and the segments of both"
+            hint = "name both in `uses` and their segments in `segments`"
+            return Design((), remarks=(Remark("physics-modulation", message, hint, "uses", error=True),))
+        lacks = _lacks(request)
+        if lacks is not None:
+            return Design((), remarks=(lacks,))
+        followed = {segment.index - 1: segment.motion for segment in moving}
+        told = [
+            segment for segment in moving if followed.get(segment.index) != segment.motion
+        ]  # an alignment belongs to what follows
+        return Design((), notes=tuple(_left(segment, request) for segment in told))
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """The comparison. Raises `EstimationError`."""
+        navigations = compared(request)
+        (still,) = (item for item in navigations if item.cycle is None)
+        turned = [item for item in navigations if item.cycle is not None]
+        coefficients, covariance = _ratios(still, turned)
+        periodic, notes = _periodic(turned, request)
+        amplitudes = tuple(
+            Coefficient(
+                f"modulation_{name}", part.largest_position(), "m", part.position_noise(),
+                description=f"Amplitude of {name}'s position error that repeats with its cycle",
+            )
+            for name, part in periodic.items()
+        )  # fmt: skip
+        everything = (*coefficients, *amplitudes)
+        whole = np.zeros((len(everything), len(everything)))
+        whole[: len(coefficients), : len(coefficients)] = covariance
+        for row, item in enumerate(amplitudes, start=len(coefficients)):
+            whole[row, row] = item.standard_uncertainty**2
+        tables = [_figures(navigations), *_cycles(turned, periodic, request), *_predicted(navigations, request)]
+        return Estimate(
+            request.name,
+            "modulation_residual",
+            everything,
+            whole,
+            tuple(item.name for item in coefficients),
+            {"compared over": f"{still.course[0, -1]:.6g} s", "without rotation": still.name},
+            tuple(tables),
+            _plots(navigations),
+            notes,
+            segments=tuple(recorded.label for recorded in request.segments),
+        )
+
+
+def _lacks(request: DesignRequest) -> Remark | None:
+    """What is missing among the navigations used, where their designs tell what they navigate."""
+    told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
+    if len(told) < len(request.uses):
+        return None
+    labels = {segment.label for segment in request.segments}
+    for name, extra in told.items():
+        if extra["navigated"] not in labels:
+            message = f"`segments` lacks '{extra['navigated']}', which '{name}' navigates"
+            return Remark("physics-modulation", message, "name the segments of every navigation used", error=True)
+    still = [name for name, extra in told.items() if not extra["turned"]]
+    if len(still) == 1:
+        return None
+    found = f"{' and '.join(still)} are" if still else "none is"
+    message = f"of the navigations used {found} without rotation, and the comparison needs exactly one"
+    return Remark(
+        "physics-modulation",
+        message,
+        "name one navigation at rest in `uses`, and those with rotation",
+        "uses",
+        error=True,
+    )
+
+
+def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
+    """Ratios of CEP rates and suppression, with covariance: the navigation at rest is in all of them."""
+    if still.rms == 0.0:
+        raise EstimationError(f"'{still.name}' has no position error at all, so that nothing can be compared with it")
+    coefficients, rows = [], []
+    for number, item in enumerate(turned):
+        ratio = item.cep_rate / still.cep_rate
+        suppression = still.rms / item.rms if item.rms else math.inf
+        if not math.isfinite(suppression):
+            raise EstimationError(f"'{item.name}' has no position error at all, so that no suppression can be stated")
+        own = np.zeros(len(turned))
+        own[number] = item.spread
+        for name, value, sign, words in (
+            (f"cep_rate_ratio_{item.name}", ratio, 1.0, f"CEP rate of {item.name} over that of {still.name}"),
+            (
+                f"suppression_{item.name}",
+                suppression,
+                -1.0,
+                f"Rms radial error of {still.name} over that of {item.name}",
+            ),
+        ):
+            row = value * sign * np.append(own, -still.spread)
+            rows.append(row)
+            coefficients.append(Coefficient(name, value, "1", float(np.linalg.norm(row)), description=words))
+    matrix = np.array(rows)
+    return tuple(coefficients), matrix @ matrix.T
+
+
+def _periodic(
+    turned: Sequence[Navigation], request: EstimateRequest
+) -> tuple[dict[str, PeriodicPart], tuple[str, ...]]:
+    found: dict[str, PeriodicPart] = {}
+    notes = []
+    for item in turned:
+        assert item.cycle is not None
+        time, velocity = item.course[0], item.course[3] + 1j * item.course[4]
+        try:
+            part = periodic_part(time, velocity, item.cycle.period, item.highest, request.site)
+        except TooLittleError as error:
+            notes.append(f"The part of '{item.name}' that repeats with its cycle is not told: {error}.")
+            continue
+        found[item.name] = part
+        if part.hidden:
+            shown = ", ".join(map(str, part.hidden))
+            notes.append(
+                f"'{item.name}': harmonic {shown} of the cycle cannot be told from free oscillations and is left out."
+            )
+    notes.append(
+        "Ratios compare navigations of one sensor over the same time; their uncertainties hold white noise alone, as bounded by each "
+        "navigation. What rotation does not modulate (azimuth gyro, alignment) stays in all of them. Scale factor errors and misalignments "
+        "times the turns repeat with the cycle as well, beside what is predicted from constant errors."
+    )
+    return found, tuple(notes)
+
+
+def _figures(navigations: Sequence[Navigation]) -> Table:
+    rows = tuple(
+        (
+            item.name, "–" if item.cycle is None else f"{item.cycle.period:.1f} s", float(item.radial[-1]), float(item.radial.max()),
+            item.rms, float(np.sqrt(np.mean(item.course[3] ** 2 + item.course[4] ** 2))), item.cep_rate,
+        )
+        for item in navigations
+    )  # fmt: skip
+    columns = (
+        "Navigation",
+        "Cycle",
+        "radial at the end [m]",
+        "largest radial [m]",
+        "rms radial [m]",
+        "rms velocity [m/s]",
+        "CEP rate [nmi/h]",
+    )
+    return Table("Navigation errors with and without rotation", columns, rows)
+
+
+def _cycles(
+    turned: Sequence[Navigation], periodic: Mapping[str, PeriodicPart], request: EstimateRequest
+) -> list[Table]:
+    """What each cycle leaves, and the part of the error that repeats with it, predicted and measured."""
+    declared = request.parameters.declared
+    columns = (
+        "Navigation", "stops leave [s]", "turns leave [s]", "not modulated", "velocity [m/s]", "predicted velocity [m/s]",
+        "position [m]", "predicted position [m]",
+    )  # fmt: skip
+    rows = []
+    for item in turned:
+        assert item.cycle is not None
+        stops, turns = item.cycle.integral()
+        part = periodic.get(item.name)
+        measured = (part.largest_velocity(), part.largest_position()) if part else ("–", "–")
+        expected: tuple[Any, Any] = ("–", "–")
+        if declared is not None and part is not None and item.attitude is not None:
+            expected = periodic_amplitudes(declared, item.attitude, item.cycle, part.orders, request.site)
+        share = abs(item.cycle.residual) / item.cycle.period
+        rows.append(
+            (
+                item.name, f"{abs(stops):.2f}", f"{abs(turns):.2f}", f"{100 * share:.3f} %", measured[0], expected[0], measured[1],
+                expected[1],
+            )
+        )  # fmt: skip
+    return [Table("Residual of each cycle, and errors that repeat with it", columns, tuple(rows))]
+
+
+def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> list[Table]:
+    """Errors that the declared constant errors alone make, by the linear error equations; the error about the vertical is not modulated, so
+    that of the other two says what a cycle is worth."""
+    declared = request.parameters.declared
+    if declared is None:
+        return []
+    rows = []
+    for item in navigations:
+        if item.attitude is None:
+            continue
+        radial = [
+            np.hypot(
+                *errors_over_time(errors, item.attitude, item.cycle, item.aligned, item.seconds, request.site)[1].T
+            )
+            for errors in (declared, horizontal(declared, item.attitude))
+        ]
+        rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
+        rows.append((item.name, item.rms, *rms))
+    columns = ("Navigation", "rms radial [m]", "predicted [m]", "of this, horizontal errors alone [m]")
+    return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
+
+
+def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
+    grid = max((item.course[0] for item in navigations), key=lambda time: -len(time))
+    hours = tuple((grid / HOUR).tolist())
+    radial = {
+        item.name: tuple((np.interp(grid, item.course[0], item.radial) / NAUTICAL_MILE).tolist())
+        for item in navigations
+    }
+    north = {
+        item.name: tuple((np.interp(grid, item.course[0], item.course[2]) / NAUTICAL_MILE).tolist())
+        for item in navigations
+    }
+    return (
+        Plot(
+            "Position error over time, with and without rotation",
+            "time [h]",
+            "radial error [nmi]",
+            hours,
+            radial,
+            lines=True,
+        ),
+        Plot("North position error over time", "time [h]", "north error [nmi]", hours, north, lines=True),
+    )
+
+
+def _left(segment: Segment, request: DesignRequest) -> str:
+    """What the cycle of a planned segment leaves, and what the declared horizontal errors then make of a position."""
+    table, declared = request.setup.table, request.parameters.declared
+    cycle = rotation(segment.motion, table)
+    assert cycle is not None
+    share = 0.0 if cycle.balanced else 100 * abs(cycle.residual) / cycle.period
+    left = f"'{segment.label}': {share:.3g} % of a constant horizontal error is not modulated by its cycle of {cycle.period:.1f} s"
+    dwell = segment.dwell or 0.0
+    if declared is None or segment.attitude is None or not 0 < dwell <= LONGEST:
+        return f"{left}."
+    before = next((item for item in request.segments if item.index == segment.index - 1), None)
+    aligned = rotation(before.motion, table) if before is not None else None
+    errors = horizontal(declared, segment.attitude)
+    position = errors_over_time(errors, segment.attitude, cycle, aligned, dwell, request.site)[1]
+    rms = float(np.sqrt(np.mean(np.sum(position**2, axis=1))))
+    return f"{left}; the declared horizontal errors make {rms:.3g} m rms of position error over {dwell / HOUR:.3g} h."

@@ -1,0 +1,83 @@
+"""What declared constant sensor errors make of a navigation on a turning table: by the linear error equations, and harmonic by harmonic.
+
+An alignment at rest levels the errors that it cannot see (`ErrorEquations.levelled`), and at rest they then cancel for the most part; one
+that goes through a cycle levels only what that cycle leaves. From there the errors of gyros and accelerometers, turned as the table turns,
+drive the equations.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.modulation.fit import largest
+from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
+from planrunner.physics.earth import Site
+from planrunner.physics.modulation import forced_velocity
+from planrunner.physics.rotation_cycle import RotationCycle
+
+Array = NDArray[np.float64]
+
+STEP = 20.0  # s, over which a mean drives the equations
+_FINE = 40  # angles in each step
+
+
+def errors_over_time(
+    errors: Array,
+    attitude: Array,
+    cycle: RotationCycle | None,
+    aligned: RotationCycle | None,
+    seconds: float,
+    site: Site,
+) -> tuple[Array, Array]:
+    """(times (n,) [s], position errors (n, 2) [m], east and north).
+
+    errors: (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z; attitude: (3, 3), rows are the sensor's axes in
+    East-North-Up at the first position; cycle, aligned: of the navigation and of the alignment before it, None at rest.
+    """
+    equations = ErrorEquations.at(site)
+    level = attitude.T @ errors.reshape(2, 3).T  # columns: gyros, accelerometers, in East-North-Up
+    count = max(1, round(seconds / STEP))
+    mean = np.ones(count, dtype=complex)
+    if cycle is not None:
+        angle = cycle.angle((np.arange(count * _FINE) + 0.5) * STEP / _FINE)
+        mean = np.exp(1j * angle).reshape(count, _FINE).mean(axis=1)
+    driven = np.empty((count, INPUTS, 1))
+    for column, first in ((0, 0), (1, 3)):
+        turned = (level[0, column] + 1j * level[1, column]) * mean
+        driven[:, first, 0], driven[:, first + 1, 0], driven[:, first + 2, 0] = (
+            turned.real,
+            turned.imag,
+            level[2, column],
+        )
+    start = np.zeros((SIZE, 1))
+    seen = level.copy()
+    if aligned is not None:
+        left = (level[0] + 1j * level[1]) * aligned.residual / aligned.period
+        seen[0], seen[1] = left.real, left.imag
+    start[TILT] = equations.levelled() @ np.concatenate([seen[:, 0], seen[:, 1]])[:, None]
+    found = equations.responses(start, driven, STEP)
+    return np.arange(1, count + 1) * np.float64(STEP), found[:, :2, 0]
+
+
+def horizontal(errors: Array, attitude: Array) -> Array:
+    """Constant errors (6,) without their part along the vertical, which turning about it does not modulate."""
+    up = attitude[:, 2]
+    return errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
+
+
+def periodic_amplitudes(
+    errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
+) -> tuple[float, float]:
+    """Amplitudes of the velocity [m/s] and position errors [m] that repeat with the cycle, from its harmonics `orders`."""
+    level = attitude.T @ errors.reshape(2, 3).T
+    gyro, accelerometer = (complex(level[0, column], level[1, column]) for column in (0, 1))
+    forced = {
+        order: forced_velocity(cycle, gyro, accelerometer, site, order)
+        for order in sorted(set(np.abs(orders).tolist()))
+    }
+    parts = np.array([forced[abs(order)][0 if order > 0 else 1] for order in orders.tolist()])
+    positions = parts * cycle.period / (2j * math.pi * orders)
+    return largest(orders, parts), largest(orders, positions)

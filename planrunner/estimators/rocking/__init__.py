@@ -1,0 +1,1 @@
+"""A platform's drift while it rocks, from gravity and from gimbal angles."""

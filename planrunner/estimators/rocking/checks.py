@@ -1,0 +1,238 @@
+"""What can be said of a rocking test before it runs: windows, timing, pattern, caging, resolution and axes that cannot be seen.
+
+An error is what leaves no rocking drift or a wrong one; a warning what makes it worse than the method promises.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
+from planrunner.estimators.rocking.parameters import RockingDriftParameters
+from planrunner.estimators.rocking.runs import Quadruple, Run, by_state, quadruples
+from planrunner.estimators.rocking.windows import SAMPLES, passed
+from planrunner.plan.schedule import Rock
+from planrunner.plan.units import STANDARD_GRAVITY, unit
+
+LEAST_RELEASE = 60.0  # s
+LEAST_WINDOW = 2.0  # s
+LONGEST_ROCKING = 480.0  # s
+LARGEST_PHASE = math.radians(45)
+PASSED = 0.01  # of the rocking's acceleration, through the filter
+ARCSEC = math.radians(1 / 3600)
+SMALL = 1e-6
+
+
+def span(runs: Sequence[Run]) -> float | None:
+    """The dwell [s] of the shortest run; None where one lasts as long as its recording."""
+    dwells = [run.segment.dwell for run in runs if run.segment.dwell is not None]
+    return min(dwells) if len(dwells) == len(runs) else None
+
+
+def remarks(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
+    parameters: RockingDriftParameters = request.parameters
+    found = [*_windows(parameters), *_encoders(request), *_sampling(request, runs), *_caging(runs)]
+    found += _rocking(runs, parameters)
+    try:
+        groups = by_state(quadruples(runs))
+    except EstimationError as error:
+        hint = "plan static-1, dynamic-1, dynamic-2, static-2 in each orientation"
+        return [*found, Remark("physics-rocking-pattern", str(error), hint, error=True)]
+    found += _timing(runs)
+    found += _unseen(groups)
+    dwell = span(runs)
+    if dwell is not None:
+        found += _dwell(runs, dwell, parameters)
+        found += _resolution(request, dwell, parameters)
+    return found
+
+
+def _windows(parameters: RockingDriftParameters) -> list[Remark]:
+    found = []
+    release, window = parameters.release.value, parameters.window.value
+    if release < LEAST_RELEASE - SMALL:
+        message = f"{release:g} s after release the element may still be in the levelling dead region (1 arcmin at 1 deg/h lasts 60 s)"
+        found.append(Remark("physics-rocking-release", message, "let it have 60 s or more", "release"))
+    if window < LEAST_WINDOW - SMALL:
+        message = f"a window of {window:g} s is shorter than the 2 s that the method asks for"
+        found.append(Remark("physics-rocking-window", message, "average over 2 s or more", "window"))
+    return found
+
+
+def _encoders(request: DesignRequest) -> list[Remark]:
+    """Gimbals that cannot be as named, and encoders that are asked for and not there. A bench without a table may play back a recording
+    with more channels than it names."""
+    parameters: RockingDriftParameters = request.parameters
+    found = []
+    if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
+        message = f"two adjacent gimbals turn about one axis ({', '.join(parameters.gimbal_axes)}): the element could not be stabilised so"
+        hint = "name the three axes, outermost first, such as [x, y, z]"
+        found.append(Remark("physics-rocking-encoders", message, hint, "gimbal_axes", error=True))
+    table = request.setup.table
+    if table is None or parameters.azimuth != "encoders":
+        return found
+    hint = "correct the names, or write `azimuth: nominal`"
+    missing = [name for name in (*parameters.rings, *parameters.gimbals) if request.sensor.output(name) is None]
+    if missing:
+        key = "rings" if missing[0] in parameters.rings else "gimbals"
+        message = f"the azimuth is to come from encoders, but the sensor has no output '{missing[0]}'"
+        found.append(Remark("physics-rocking-encoders", message, hint, key, error=True))
+    if len(table.axes) != len(parameters.rings):
+        message = f"`rings` names {len(parameters.rings)}, the table has {len(table.axes)}"
+        found.append(Remark("physics-rocking-encoders", message, hint, "rings", error=True))
+    return found
+
+
+def _sampling(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
+    cutoff = request.parameters.cutoff.value
+    rate = min(run.segment.sample_rate or request.sensor.sample_rate for run in runs)
+    if cutoff <= rate / SAMPLES:
+        return []
+    message = f"a cutoff of {cutoff:g} Hz needs {SAMPLES * cutoff:g} samples a second, and {rate:g} are planned"
+    return [Remark("physics-rocking-filter", message, "lower `cutoff`, or sample faster", "cutoff", error=True)]
+
+
+def _caging(runs: Sequence[Run]) -> list[Remark]:
+    free = [run.label for run in runs if run.caged_before is False]
+    if free:
+        message = f"the platform is not caged before '{free[0]}'{_more(free)}: its element goes on from where the run before left it"
+        return [
+            Remark("physics-rocking-caging", message, "put a segment with `mode: caged` before each run", error=True)
+        ]
+    unknown = [run.label for run in runs if run.caged_before is None]
+    if unknown:
+        message = f"whether the platform is caged before '{unknown[0]}'{_more(unknown)} cannot be told from the chosen segments"
+        return [Remark("physics-rocking-caging", message, 'choose the caged segments too, such as `segments: "*"`')]
+    return []
+
+
+def _rocking(runs: Sequence[Run], parameters: RockingDriftParameters) -> list[Remark]:
+    found: list[Remark] = []
+    for run in runs:
+        motion = run.segment.motion
+        if not isinstance(motion, Rock) or any(motion == other.segment.motion for other in runs[: runs.index(run)]):
+            continue
+        if motion.duration > LONGEST_ROCKING + SMALL and math.isfinite(motion.duration):
+            message = f"'{run.label}' rocks for {motion.duration / 60:g} min; the method asks for 8 min at most"
+            found.append(Remark("physics-rocking-duration", message, "add `for: 8 min`"))
+        found += _phases(run, motion)
+        cutoff = parameters.cutoff.value
+        if passed(motion.frequency, cutoff) > PASSED:
+            message = f"the filter lets {100 * passed(motion.frequency, cutoff):.0f} % of the rocking at {motion.frequency:g} Hz through"
+            found.append(
+                Remark("physics-rocking-filter", message, f"lower `cutoff` to {motion.frequency / 4:g} Hz", "cutoff")
+            )
+    return found
+
+
+def _phases(run: Run, motion: Rock) -> list[Remark]:
+    differences = [later - before for before, later in zip(motion.phases, motion.phases[1:], strict=False)]
+    hint = "write for example phases: [0 deg, 45 deg, 90 deg]"
+    shown = ", ".join(f"{math.degrees(phase):g}" for phase in motion.phases)
+    if differences and max(differences) - min(differences) > SMALL:
+        message = f"adjacent rings of '{run.label}' differ in phase by unequal amounts ({shown} deg)"
+        return [Remark("physics-rocking-phases", message, hint)]
+    if any(abs(difference) > LARGEST_PHASE + SMALL for difference in differences):
+        message = f"adjacent rings of '{run.label}' differ in phase by more than 45 deg ({shown} deg)"
+        return [Remark("physics-rocking-phases", message, hint)]
+    return []
+
+
+def _timing(runs: Sequence[Run]) -> list[Remark]:
+    first = runs[0]
+    for run in runs[1:]:
+        if run.segment.dwell != first.segment.dwell or run.segment.settle != first.segment.settle:
+            message = f"'{run.label}' has another timing than '{first.label}'; what is alike in all runs would no longer cancel"
+            return [Remark("physics-rocking-timing", message, "give all runs the same dwell and settle", error=True)]
+    motions = [run for run in runs if run.dynamic]
+    other = [run for run in motions if run.segment.motion != motions[0].segment.motion]
+    if other:
+        message = f"'{other[0].label}' rocks otherwise than '{motions[0].label}': their drifts have different causes"
+        return [Remark("physics-rocking-timing", message, "let all dynamic runs rock alike", error=True)]
+    return []
+
+
+def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters) -> list[Remark]:
+    second = dwell - parameters.window.value
+    if parameters.release.value + parameters.window.value > second:
+        message = f"the second window, from {second:g} s on, does not follow the first, which ends at {_first_end(parameters):g} s"
+        return [
+            Remark("physics-rocking-dwell", message, "dwell 10 min, or 15 min for a smaller method error", error=True)
+        ]
+    cutoff, between = parameters.cutoff.value, second - _first_end(parameters)
+    if 1 / cutoff > between:
+        message = (
+            f"a filter with a cutoff of {cutoff:g} Hz averages over {1 / cutoff:.3g} s, and {between:g} s lie between the windows: it "
+            "would mix them"
+        )
+        hint = f"raise `cutoff` to {1 / between:.2g} Hz or more" if between > 0 else "dwell longer"
+        return [Remark("physics-rocking-filter", message, hint, "cutoff", error=True)]
+    late = [run for run in runs if run.rocking_ends > second]
+    if late:
+        ends = late[0].rocking_ends
+        when = "as long as it records" if not math.isfinite(ends) or ends > dwell else f"until {ends:g} s"
+        message = f"'{late[0].label}' still rocks when its second window begins at {second:g} s: it rocks {when}, fading out included"
+        return [Remark("physics-rocking-end", message, "shorten `for`, or dwell longer", error=True)]
+    return []
+
+
+def _first_end(parameters: RockingDriftParameters) -> float:
+    return parameters.release.value + parameters.window.value
+
+
+def count_seconds(request: DesignRequest, parameters: RockingDriftParameters) -> tuple[str, float, float] | None:
+    """The coarsest accelerometer, its count [m/s^2], and the seconds in which the smallest drift moves it by a count."""
+    coarsest: tuple[str, float, float] | None = None
+    for name in parameters.accelerometers:
+        output = request.sensor.output(name)
+        if output is None:
+            raise EstimationError(
+                f"the bench's sensor has no output '{name}': name its accelerometers in `accelerometers`"
+            )
+        count = output.noise.resolution * unit(output.unit).factor
+        if count and (coarsest is None or count > coarsest[1]):
+            coarsest = name, count, count / request.site.gravity / parameters.smallest_drift.value
+    return coarsest
+
+
+def count_in_words(count: float, seconds: float, parameters: RockingDriftParameters, gravity: float) -> str:
+    """One count in arc seconds and g, and how long the smallest drift takes for it."""
+    size = f"{count / STANDARD_GRAVITY * 1e6:.3g} µg, {count / gravity / ARCSEC:.3g} arcsec"
+    return f"one count ({size}) takes {seconds:.3g} s at {parameters.smallest_drift}"
+
+
+def _resolution(request: DesignRequest, dwell: float, parameters: RockingDriftParameters) -> list[Remark]:
+    found = count_seconds(request, parameters)
+    between = dwell - parameters.window.value - parameters.release.value
+    if found is None or found[2] <= between or between <= 0:
+        return []
+    name, count, seconds = found
+    output = request.sensor.output(name)
+    full_scale = output.full_scale * unit(output.unit).factor / STANDARD_GRAVITY if output else math.inf
+    told = f"{name}, {full_scale:.3g} g range" if math.isfinite(full_scale) else name
+    words = count_in_words(count, seconds, parameters, request.site.gravity)
+    message = f"{told}: {words}, and {between:g} s lie between the windows"
+    hint = (
+        "use the accelerometers' 1.25 g range"
+        if full_scale > 2
+        else "dwell longer, or set `smallest_drift` to what is asked for"
+    )
+    return [Remark("physics-rocking-resolution", message, hint, "smallest_drift")]
+
+
+def _unseen(groups: Sequence[Sequence[Quadruple]]) -> list[Remark]:
+    seen = {axis for group in groups for axis in group[0].runs[0].state.level}
+    missing = ["xyz"[axis] for axis in range(3) if axis not in seen]
+    if not missing:
+        return []
+    axis = missing[0]
+    message = f"{axis} is vertical in every state, so that a drift about it does not show in gravity: there will be no drift_{axis}"
+    return [
+        Remark("physics-rocking-axes", message, f"add a state in which {axis} is level, with the base turned by 90 deg")
+    ]
+
+
+def _more(labels: Sequence[str]) -> str:
+    return f" and {len(labels) - 1} more" if len(labels) > 1 else ""

@@ -1,0 +1,149 @@
+"""Tables, plots and sentences about a rocking test: the two methods side by side, and what limits the one by gravity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from planrunner.estimators.interface import EstimateRequest, Plot, Table
+from planrunner.estimators.rocking.checks import ARCSEC
+from planrunner.estimators.rocking.influences import DEG_PER_HOUR, azimuth_uncertainty, resolution
+from planrunner.estimators.rocking.parameters import RockingDriftParameters
+from planrunner.estimators.rocking.statistics import AXES, Pairings, StateDrifts
+from planrunner.plan.units import STANDARD_GRAVITY
+
+CLAIMED = 0.70
+STATED_STABILITY = 1e-5 * STANDARD_GRAVITY  # m/s^2, for the figures that are commonly quoted
+COMMON_TIMES = (540.0, 900.0)  # s
+
+
+def comparison(pairings: Sequence[Pairings]) -> Table:
+    rows = []
+    for pairs in pairings:
+        ours, theirs = pairs.deviations
+        rows.append(
+            (
+                AXES[pairs.axis],
+                len(pairs.accelerometers),
+                _figure(ours),
+                _figure(theirs),
+                f"{theirs / ours:.1f}" if ours > 0 and math.isfinite(theirs) else "",
+                f"{100 * pairs.smaller:.0f} %",
+            )
+        )
+    columns = (
+        "axis",
+        "pairs",
+        "standard deviation by accelerometers, deg/h",
+        "by gimbal angles, deg/h",
+        "ratio",
+        "drifts by accelerometers that are smaller",
+    )
+    return Table("Two methods over random pairings of a static and a dynamic run", columns, tuple(rows))
+
+
+def sentence(pairings: Sequence[Pairings]) -> str:
+    """The headline in words."""
+    better = [AXES[pairs.axis] for pairs in pairings if pairs.deviations[0] < pairs.deviations[1]]
+    worse = [AXES[pairs.axis] for pairs in pairings if AXES[pairs.axis] not in better]
+    all_pairs = sum(len(pairs.accelerometers) for pairs in pairings)
+    smaller = sum(pairs.smaller * len(pairs.accelerometers) for pairs in pairings) / all_pairs
+    few = [AXES[pairs.axis] for pairs in pairings if pairs.smaller <= CLAIMED]
+    told = (
+        f"on every axis ({', '.join(better)})"
+        if not worse
+        else f"on {', '.join(better) or 'no axis'}, not on {', '.join(worse)}"
+    )
+    claim = "more than 70 % on every axis" if not few else f"not more than 70 % on {', '.join(few)}"
+    return (
+        f"Over {all_pairs} random pairings the accelerometer method has the smaller standard deviation {told}; "
+        f"{100 * smaller:.0f} % of its drifts are smaller than those by gimbal angles, {claim}."
+    )
+
+
+def quadruple_table(states: Sequence[StateDrifts]) -> Table:
+    """Step 6 for each quadruple."""
+    rows = []
+    encoders = states[0].drifts.shape[2] == 4
+    for state in states:
+        for quadruple, values in zip(state.quadruples, state.rocking, strict=True):
+            for place, axis in enumerate(state.level):
+                row = [quadruple.name, AXES[axis], _figure(values[place])]
+                rows.append((*row, _figure(values[place + 2])) if encoders else tuple(row))
+    columns = ("quadruple", "axis", "by accelerometers, deg/h", *(("by gimbal angles, deg/h",) if encoders else ()))
+    return Table("Rocking drift of each quadruple", columns, tuple(rows))
+
+
+def run_table(states: Sequence[StateDrifts]) -> Table:
+    """Step 5 for each run."""
+    rows = []
+    encoders = states[0].drifts.shape[2] == 4
+    for state in states:
+        names = [AXES[axis] for axis in state.level]
+        for quadruple, drifts in zip(state.quadruples, state.drifts, strict=True):
+            for run, values in zip(quadruple.runs, drifts, strict=True):
+                shown = [", ".join(f"{name} {_figure(v)}" for name, v in zip(names, values[:2], strict=True))]
+                if encoders:
+                    shown.append(", ".join(f"{name} {_figure(v)}" for name, v in zip(names, values[2:], strict=True)))
+                rows.append((run.label, *shown))
+    columns = ("run", "by accelerometers, deg/h", *(("by gimbal angles, deg/h",) if encoders else ()))
+    return Table("Drift of each run relative to inertial space", columns, tuple(rows))
+
+
+def method_error(request: EstimateRequest, seconds: float) -> Table:
+    """What one run's drift can be wrong by, deg/h."""
+    parameters: RockingDriftParameters = request.parameters
+    gravity = request.site.gravity
+    rows = [
+        (f"accelerometer stability 10 µg over {time:g} s", _figure(STATED_STABILITY / gravity / time * DEG_PER_HOUR))
+        for time in COMMON_TIMES
+    ]
+    stability = parameters.accelerometer_stability
+    if stability is not None:
+        shown = f"accelerometer stability {stability} (plan) over {seconds:g} s"
+        rows.append((shown, _figure(stability.value / gravity / seconds * DEG_PER_HOUR)))
+    count = resolution(request, parameters)
+    if count:
+        shown = f"one count of the accelerometers, {count / STANDARD_GRAVITY * 1e6:.3g} µg, over {seconds:g} s"
+        rows.append((shown, _figure(count / gravity / seconds * DEG_PER_HOUR)))
+    level = math.cos(request.site.latitude) * request.site.earth_rate * DEG_PER_HOUR
+    whole = request.site.earth_rate * DEG_PER_HOUR
+    rows.append(("Earth rate through 0.1 deg of azimuth that is not modelled", _figure(level * math.radians(0.1))))
+    azimuth = azimuth_uncertainty(request)
+    if azimuth is not None:
+        size = azimuth.standard_uncertainty
+        rows.append((f"Earth rate through {size / ARCSEC:.3g} arcsec of azimuth, as stated", _figure(level * size)))
+    rows.append(("Earth rate through 6.9 arcsec of attitude", _figure(whole * 6.9 * ARCSEC)))
+    return Table("Method error of one run", ("from", "deg/h"), tuple(rows))
+
+
+def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
+    """For each axis, the sizes of the drifts by both methods in rising order."""
+    return [
+        Plot(
+            f"Rocking drift about {AXES[pairs.axis]} over random pairings",
+            "share of the pairs with a smaller drift, %",
+            "size of the rocking drift, deg/h",
+            tuple(100 * (number + 0.5) / len(pairs.gimbals) for number in range(len(pairs.gimbals))),
+            {
+                "by gimbal angles": tuple(sorted(map(abs, pairs.gimbals.tolist()))),
+                "by accelerometers": tuple(sorted(map(abs, pairs.accelerometers.tolist()))),
+            },
+            lines=True,
+        )
+        for pairs in pairings
+    ]
+
+
+def leak_note(request: EstimateRequest, seconds: float) -> str:
+    """How much of a drift about the vertical axis reads as one about a level axis."""
+    tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
+    return (
+        f"By the second window the element has tilted by {math.degrees(tilt):.2f} deg against the site, so that up to "
+        f"{100 * math.sin(tilt):.1f} % of the rocking drift about the vertical axis counts as one about a level axis."
+    )
+
+
+def _figure(value: float) -> str:
+    digits = 4 if abs(value) >= 0.001 or value == 0 else 5
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""

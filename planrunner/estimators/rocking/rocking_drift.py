@@ -1,0 +1,264 @@
+"""Rocking drift of an inertial platform from the gravity vector in its accelerometers, and from gimbal angles beside it.
+
+The base rocks; the stabilised element should stay still in inertial space; its drift shows as a tilt of gravity. Runs of 10 min in
+navigation, caged before each, come as static, dynamic, dynamic, static in states that differ by a turn of the base by 90°. Of each run:
+(1) low-pass filter, (2) installation angles, (3) tilts, (4) their change from a window at t0 to one at t1, (5) less the change that an
+inertially fixed element shows; then (6) dynamic less static. Reading is in `rocking_windows`, steps 2 to 5 in `rocking_solution`,
+step 6 and random pairings in `rocking_statistics`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+)
+from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
+from planrunner.estimators.rocking.influences import DEG_PER_HOUR, conditions_of, drifts_of, influences_of
+from planrunner.estimators.rocking.parameters import RockingDriftParameters
+from planrunner.estimators.rocking.report import (
+    comparison,
+    leak_note,
+    method_error,
+    pair_plots,
+    quadruple_table,
+    run_table,
+    sentence,
+)
+from planrunner.estimators.rocking.runs import Quadruple, Run, by_state, find_runs, quadruples
+from planrunner.estimators.rocking.solution import ReducedRun, reduce_run
+from planrunner.estimators.rocking.statistics import AXES, Combined, Pairings, StateDrifts, combine, pair
+from planrunner.estimators.rocking.windows import Windows
+from planrunner.plan.schedule import Rock
+from planrunner.plan.units import unit
+
+UNIT = "deg/h"
+
+
+class RockingDrift:
+    """The plug-in."""
+
+    summary = "Drift of a platform while its base rocks, from gravity in its accelerometers, beside gimbal angles"
+    Parameters = RockingDriftParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """What is wrong or doubtful, and the uncertainty to expect. Raises `EstimationError` for segments that are no rocking test."""
+        parameters: RockingDriftParameters = request.parameters
+        runs = find_runs(request.segments, parameters.rotation_order)
+        found = remarks(request, runs)
+        notes = []
+        count = count_seconds(request, parameters)
+        if count is not None:
+            name, size, seconds = count
+            notes.append(f"{name}: {count_in_words(size, seconds, parameters, request.site.gravity)}.")
+        dwell = span(runs)
+        if dwell is None or any(remark.error for remark in found):
+            return Design((), notes=tuple(notes), remarks=tuple(found))
+        return Design((), _predicted(request, by_state(quadruples(runs)), dwell), tuple(notes), remarks=tuple(found))
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Steps 1 to 6 and both methods. Raises `EstimationError` for data that cannot serve."""
+        parameters: RockingDriftParameters = request.parameters
+        recorded = request.segments
+        runs = find_runs([item.segment for item in request.segments], parameters.rotation_order)
+        groups = by_state(quadruples(runs))
+        windows = _windows([recorded[run.place] for run in runs], parameters)
+        encoders, why = _encoders(request)
+        conditions = conditions_of(request.site, parameters)
+        reduced = [
+            [
+                [reduce_run(run, recorded[run.place], request, windows, encoders) for run in quadruple.runs]
+                for quadruple in group
+            ]
+            for group in groups
+        ]
+        states = [
+            StateDrifts(
+                group[0].runs[0].segment.orientation,
+                group[0].runs[0].state.level,
+                tuple(group),
+                np.array([[drifts_of(run, conditions) for run in four] for four in mine]),
+            )
+            for group, mine in zip(groups, reduced, strict=True)
+        ]
+        combined = combine(states)
+        pairings = pair(states, parameters.pairings, parameters.pairing_seed) if encoders else []
+        seconds = reduced[0][0][0].seconds
+        coefficients = tuple(_coefficient(combined, m) for m in range(len(combined.axes)))
+        return Estimate(
+            name=request.name,
+            estimator="rocking_drift",
+            coefficients=coefficients,
+            covariance=combined.covariance,
+            headline=tuple(item.name for item in coefficients),
+            settings=_settings(parameters, windows, states),
+            tables=(
+                *((comparison(pairings),) if pairings else ()),
+                quadruple_table(states),
+                method_error(request, seconds),
+                run_table(states),
+            ),
+            plots=tuple(pair_plots(pairings)),
+            notes=_notes(request, states, pairings, seconds),
+            warnings=(why,) if why else (),
+            segments=tuple(run.label for run in runs),
+            extra=_extra(states, pairings, reduced),
+            influences=influences_of(reduced, combined, conditions, request),
+        )
+
+
+def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
+    """The same for all runs: the second window ends with the shortest one."""
+    for item in recorded:
+        if item.truncated:
+            raise EstimationError(f"'{item.label}' was cut short: repeat its quadruple")
+    planned = [item.segment.dwell for item in recorded if item.segment.dwell is not None]
+    rates = [(item.statistics.count + item.statistics.rejected - 1) for item in recorded]
+    if min(rates) < 1:
+        raise EstimationError("a run has no samples")
+    lasting = [item.statistics.end - item.statistics.start for item in recorded]
+    end = min([*planned, *(seconds * (1 + 1 / n) for seconds, n in zip(lasting, rates, strict=True))])
+    if planned and end < min(planned) - 1.0:
+        short = recorded[int(np.argmin(lasting))]
+        raise EstimationError(
+            f"'{short.label}' lasts {min(lasting):.1f} s; {min(planned):g} s were planned: repeat its quadruple"
+        )
+    windows = Windows(
+        parameters.release.value, end - parameters.window.value, parameters.window.value, parameters.cutoff.value
+    )
+    if windows.second < windows.first + windows.length:
+        raise EstimationError(
+            f"the runs last {end:g} s: too short for a window at {windows.first:g} s and one at the end"
+        )
+    if 1 / windows.cutoff > windows.second - windows.first:
+        raise EstimationError(
+            f"a filter with a cutoff of {windows.cutoff:g} Hz averages over {1 / windows.cutoff:.3g} s, longer than the windows are apart: "
+            "raise `cutoff`"
+        )
+    return windows
+
+
+def _encoders(request: EstimateRequest) -> tuple[bool, str]:
+    """Whether rings and gimbals can be used, and why not."""
+    parameters: RockingDriftParameters = request.parameters
+    names = (*parameters.rings, *parameters.gimbals)
+    missing = [name for name in names if any(name not in item.units for item in request.segments)]
+    if missing:
+        why = f"the recording has no channel '{missing[0]}'"
+    elif request.setup.table is None:
+        why = "the bench has no table whose rings could be followed"
+    elif len(request.setup.table.axes) != len(parameters.rings):
+        why = f"the table has {len(request.setup.table.axes)} axes, `rings` names {len(parameters.rings)}"
+    else:
+        return True, ""
+    if parameters.azimuth == "encoders":
+        raise EstimationError(
+            f"the azimuth is to come from encoders, but {why}: write `azimuth: nominal`, or record them"
+        )
+    return False, f"Without the gimbal-angle method: {why}."
+
+
+def _coefficient(combined: Combined, m: int) -> Coefficient:
+    axis, gimbals = AXES[combined.axes[m]], combined.by_gimbals[m]
+    return Coefficient(
+        f"gimbal_drift_{axis}" if gimbals else f"drift_{axis}",
+        float(combined.values[m]),
+        UNIT,
+        math.sqrt(max(float(combined.covariance[m, m]), 0.0)),
+        combined.degrees_of_freedom[m],
+        f"rocking drift about {axis}" + (", from gimbal and ring angles" if gimbals else ""),
+    )
+
+
+def _settings(parameters: RockingDriftParameters, windows: Windows, states: Sequence[StateDrifts]) -> dict[str, object]:
+    return {
+        "basis": "repeats",
+        "t0": f"{windows.first:g} s",
+        "t1": f"{windows.second:g} s",
+        "window": f"{windows.length:g} s",
+        "cutoff": f"{windows.cutoff:g} Hz",
+        "azimuth": parameters.azimuth,
+        "rotation order": {state.name: _order(state.quadruples[0].runs[0]) for state in states},
+    }
+
+
+def _order(run: Run) -> str:
+    state = run.state
+    return "·".join(f"R_{AXES[axis]}" for axis in (state.other, state.sine, state.vertical))
+
+
+def _notes(
+    request: EstimateRequest, states: Sequence[StateDrifts], pairings: Sequence[Pairings], seconds: float
+) -> tuple[str, ...]:
+    notes = [sentence(pairings)] if pairings else []
+    rocking = next(run.segment for run in states[0].quadruples[0].runs if run.dynamic)
+    if isinstance(rocking.motion, Rock) and math.isfinite(rocking.motion.duration):
+        rocked = rocking.motion.duration - request.parameters.release.value - request.parameters.window.value / 2
+        notes.append(
+            f"Rocking drift is the mean from t0 to t1, {seconds:g} s; the base rocked during {rocked:g} s of them."
+        )
+    notes.append(leak_note(request, seconds))
+    if any(len(state.quadruples) == 1 for state in states):
+        notes.append(
+            "With one quadruple in a state the uncertainty rests on how its two static and its two dynamic runs differ, with one degree of "
+            "freedom; `repeat` the quadruples for a narrower interval."
+        )
+    missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]
+    if missing:
+        notes.append(f"No state has {', '.join(missing)} level, so that a drift about it does not show in gravity.")
+    return tuple(notes)
+
+
+def _extra(
+    states: Sequence[StateDrifts], pairings: Sequence[Pairings], reduced: Sequence[Sequence[Sequence[ReducedRun]]]
+) -> dict[str, object]:
+    return {
+        "seconds": reduced[0][0][0].seconds,
+        "rocking": {state.name: state.rocking.tolist() for state in states},
+        "pairings": {
+            AXES[pairs.axis]: {
+                "pairs": len(pairs.accelerometers),
+                "standard_deviation": pairs.deviations[0],
+                "gimbal_standard_deviation": pairs.deviations[1],
+                "smaller": pairs.smaller,
+            }
+            for pairs in pairings
+        },
+    }
+
+
+def _predicted(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwell: float) -> tuple[Coefficient, ...]:
+    """Standard uncertainties to expect of stated stability, declared noise and counts, and the table's position."""
+    parameters: RockingDriftParameters = request.parameters
+    seconds = dwell - parameters.window.value - parameters.release.value
+    averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
+    stability = parameters.accelerometer_stability.value if parameters.accelerometer_stability else 0.0
+    noise = 0.0
+    for name in parameters.accelerometers:
+        output = request.sensor.output(name)
+        assert output is not None  # count_seconds has asked for each
+        rate = request.sensor.sample_rate
+        noise = max(noise, output.noise.standard_error(averaging, rate) * unit(output.unit).factor)
+    by_gravity = math.hypot(stability, math.sqrt(2) * noise) / request.site.gravity
+    table = request.setup.table
+    by_gimbals = math.sqrt(2) * table.position_uncertainty if table else 0.0
+    found = []
+    for prefix, angle in (("drift", by_gravity), ("gimbal_drift", by_gimbals)):
+        for axis in range(3):
+            counts = [len(group) for group in groups if axis in group[0].runs[0].state.level]
+            if counts:
+                share = math.sqrt(sum(1 / count for count in counts)) / len(counts)
+                freedom = float(max(1, sum(count - 1 for count in counts)))
+                spread = angle / seconds * DEG_PER_HOUR * share
+                found.append(Coefficient(f"{prefix}_{AXES[axis]}", 0.0, UNIT, spread, freedom))
+    return tuple(found)

@@ -1,0 +1,124 @@
+"""The runs of a rocking test: which segments are static and dynamic runs, and how four of them make a quadruple."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.rocking.attitude import LevelState, level_state
+from planrunner.plan.schedule import Cycle, Rest, Rock, Segment, Spin
+
+CAGED = "caged"
+PATTERN = (False, True, True, False)  # dynamic?
+WORDS = {False: "static", True: "dynamic"}
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run in navigation. place: among the chosen segments; caged_before: None where that cannot be told from them."""
+
+    segment: Segment
+    place: int
+    state: LevelState
+    caged_before: bool | None
+
+    @property
+    def label(self) -> str:
+        return self.segment.label
+
+    @property
+    def dynamic(self) -> bool:
+        return isinstance(self.segment.motion, Rock)
+
+    @property
+    def lead(self) -> float:
+        """Planned seconds from the release to the beginning of the record: settling, and a period to fade the rocking in."""
+        motion = self.segment.motion
+        return self.segment.settle + (1 / motion.frequency if isinstance(motion, Rock) else 0.0)
+
+    @property
+    def rocking_ends(self) -> float:
+        """Seconds from the beginning of the record until the rings stand, the period in which it fades out included; 0 at rest."""
+        motion = self.segment.motion
+        return motion.duration + 1 / motion.frequency if isinstance(motion, Rock) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Quadruple:
+    """static, dynamic, dynamic, static: its rocking drift is free of whatever changes linearly over the four."""
+
+    runs: tuple[Run, Run, Run, Run]
+
+    @property
+    def name(self) -> str:
+        """What the labels of its runs have in common."""
+        parts = [run.label.split("/") for run in self.runs]
+        common = [words[0] for words in zip(*parts, strict=False) if len(set(words)) == 1]
+        return "/".join(common) or f"{self.runs[0].label} …"
+
+
+def find_runs(segments: Sequence[Segment], order: str) -> list[Run]:
+    """The runs among the chosen segments. Raises `EstimationError` for a segment that is no run of a rocking test."""
+    runs = []
+    before: Segment | None = None
+    for place, segment in enumerate(segments):
+        if segment.mode != CAGED:
+            runs.append(_run(segment, place, before, order))
+        before = segment
+    if not runs:
+        raise EstimationError("none of the chosen segments is a run in navigation: choose static and dynamic runs")
+    return runs
+
+
+def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Run:
+    if isinstance(segment.motion, Spin | Cycle):
+        raise EstimationError(f"'{segment.label}' spins or indexes: runs are static, or rock")
+    if segment.attitude is None:
+        raise EstimationError(f"the orientation of '{segment.label}' is unknown: say where the platform's axes point")
+    state = level_state(np.asarray(segment.attitude, dtype=float), order)
+    if state is None:
+        raise EstimationError(
+            f"'{segment.label}' has no axis along the vertical ({segment.orientation}): two axes must be level to see their tilts"
+        )
+    if not isinstance(segment.motion, Rest | Rock):
+        raise EstimationError(f"'{segment.label}' is neither at rest nor rocking")
+    caged: bool | None = before is not None and before.mode == CAGED
+    if not caged and segment.index > 0 and (before is None or before.index != segment.index - 1):
+        caged = None
+    return Run(segment, place, state, caged)
+
+
+def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
+    """Four runs after four, each static, dynamic, dynamic, static in one orientation. Raises `EstimationError` saying where not."""
+    found = []
+    for first in range(0, len(runs), 4):
+        four = tuple(runs[first : first + 4])
+        pattern = tuple(run.dynamic for run in four)
+        if pattern != PATTERN:
+            is_now = ", ".join(WORDS[dynamic] for dynamic in pattern)
+            raise EstimationError(
+                f"the runs from '{four[0].label}' on are {is_now}; a quadruple is static, dynamic, dynamic, static"
+            )
+        a, b, c, d = four
+        if any(not np.allclose(run.state.nominal, a.state.nominal, atol=1e-9) for run in four):
+            raise EstimationError(
+                f"the orientation changes within the four runs from '{a.label}' on; a quadruple is static, dynamic, dynamic, static in one"
+            )
+        found.append(Quadruple((a, b, c, d)))
+    return found
+
+
+def by_state(found: Sequence[Quadruple]) -> list[list[Quadruple]]:
+    """The quadruples of each orientation, in the order in which the orientations come."""
+    groups: list[list[Quadruple]] = []
+    for quadruple in found:
+        nominal = quadruple.runs[0].state.nominal
+        group = next((g for g in groups if np.allclose(g[0].runs[0].state.nominal, nominal, atol=1e-9)), None)
+        if group is None:
+            groups.append([quadruple])
+        else:
+            group.append(quadruple)
+    return groups

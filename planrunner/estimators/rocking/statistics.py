@@ -1,0 +1,137 @@
+"""From drifts of runs to rocking drifts with uncertainties, and the comparison of two methods over random pairings.
+
+The rocking drift of a quadruple is the mean of its dynamic runs less the mean of its static ones (step 6). Quadruples of one state are
+repeats of each other; an axis that is level in several states has the mean of the states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.rocking.runs import Quadruple
+from planrunner.uncertainty.budget import effective_degrees_of_freedom
+
+Array = NDArray[np.float64]
+AXES = "xyz"
+WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
+
+
+@dataclass(frozen=True, slots=True)
+class StateDrifts:
+    """What one state gave. level: the two level axes. quadruples: q of them. drifts: (q, 4, k) deg/h, of the four runs of each; the k
+    columns are the two axes by the accelerometers, then the same by the gimbals where there are encoders."""
+
+    name: str
+    level: tuple[int, int]
+    quadruples: tuple[Quadruple, ...]
+    drifts: Array
+
+    @property
+    def rocking(self) -> Array:
+        """The rocking drift of each quadruple, shape (q, k), deg/h."""
+        return np.asarray(np.einsum("r,qrk->qk", WEIGHTS, self.drifts))
+
+    @property
+    def runs(self) -> tuple[Array, Array]:
+        """Drifts of the static and of the dynamic runs, each (2q, k), deg/h."""
+        static, dynamic = self.drifts[:, [0, 3]], self.drifts[:, [1, 2]]
+        return static.reshape(-1, static.shape[2]), dynamic.reshape(-1, dynamic.shape[2])
+
+    def scatter(self) -> tuple[Array, float]:
+        """Covariance (k, k) of the mean rocking drift, and its degrees of freedom.
+
+        Of several quadruples, from their scatter. Of one alone, from the difference of its two dynamic and of its two static runs; which
+        of the two scatters more is not known, so that one degree of freedom is counted (Welch's formula gives between one and two).
+        """
+        count = len(self.quadruples)
+        if count > 1:
+            return np.atleast_2d(np.cov(self.rocking.T)) / count, count - 1.0
+        static, dynamic = self.runs
+        differences = (static[1] - static[0], dynamic[1] - dynamic[0])
+        return sum((np.outer(d, d) for d in differences), np.zeros((static.shape[1],) * 2)) / 4, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Combined:
+    """Rocking drifts over all states, m of them: those by the accelerometers first. axes: of each. by_gimbals: (m,). share: one matrix
+    (m, k) for each state, by how much its columns count."""
+
+    axes: tuple[int, ...]
+    by_gimbals: tuple[bool, ...]
+    values: Array
+    covariance: Array
+    degrees_of_freedom: tuple[float, ...]
+    shares: tuple[Array, ...]
+
+
+def combine(states: Sequence[StateDrifts]) -> Combined:
+    """Each level axis of each method: the mean of the states in which it is level."""
+    columns = states[0].drifts.shape[2]
+    seen = sorted({axis for state in states for axis in state.level})
+    rows = [(axis, gimbals) for gimbals in (False, True)[: columns // 2] for axis in seen]
+    shares = []
+    for state in states:
+        share = np.zeros((len(rows), columns))
+        for m, (axis, gimbals) in enumerate(rows):
+            if axis in state.level:
+                together = sum(axis in other.level for other in states)
+                share[m, 2 * gimbals + state.level.index(axis)] = 1 / together
+        shares.append(share)
+    values = sum((s @ state.rocking.mean(axis=0) for s, state in zip(shares, states, strict=True)), np.zeros(len(rows)))
+    parts = [s @ state.scatter()[0] @ s.T for s, state in zip(shares, states, strict=True)]
+    freedoms = [state.scatter()[1] for state in states]
+    degrees = tuple(_freedom([part[m, m] for part in parts], freedoms) for m in range(len(rows)))
+    axes, by_gimbals = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
+    return Combined(axes, by_gimbals, values, np.sum(parts, axis=0), degrees, tuple(shares))
+
+
+def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:
+    """Effective degrees of freedom of a sum; the fewest where nothing scatters."""
+    return effective_degrees_of_freedom(np.sqrt(variances).tolist(), degrees) if any(variances) else min(degrees)
+
+
+@dataclass(frozen=True, slots=True)
+class Pairings:
+    """Pairs of a static and a dynamic run: their rocking drifts by both methods, (p,) deg/h each, of one axis."""
+
+    axis: int
+    accelerometers: Array
+    gimbals: Array
+
+    @property
+    def smaller(self) -> float:
+        """The share of pairs in which the drift by the accelerometers is the smaller one."""
+        return float(np.mean(np.abs(self.accelerometers) < np.abs(self.gimbals)))
+
+    @property
+    def deviations(self) -> tuple[float, float]:
+        """Standard deviations of both methods, deg/h."""
+        return _deviation(self.accelerometers), _deviation(self.gimbals)
+
+
+def _deviation(values: Array) -> float:
+    return float(np.std(values, ddof=1)) if values.size > 1 else math.nan
+
+
+def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
+    """Random pairings within each state, one entry for each level axis: all pairs where there are at most `most` of them in a state."""
+    draw = np.random.default_rng(seed)
+    found: dict[int, list[Array]] = {}
+    for state in states:
+        static, dynamic = state.runs
+        chosen = np.arange(len(static) * len(dynamic))
+        if chosen.size > most:
+            chosen = draw.choice(chosen, most, replace=False)
+        differences = dynamic[chosen % len(dynamic)] - static[chosen // len(dynamic)]
+        for place, axis in enumerate(state.level):
+            found.setdefault(axis, []).append(differences[:, [place, place + 2]])
+    pairings = []
+    for axis, parts in sorted(found.items()):
+        pairs = np.concatenate(parts)
+        pairings.append(Pairings(axis, pairs[:, 0], pairs[:, 1]))
+    return pairings

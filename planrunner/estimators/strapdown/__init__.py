@@ -1,0 +1,1 @@
+"""Strapdown navigation: alignment, position errors and what predicts them."""

@@ -1,0 +1,236 @@
+"""Alignment of a recorded segment, at rest or turned from stop to stop: what must hold for it, the coarse attitude and the noise from its
+first stop, the fine attitude from all of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.strapdown.reading import IncrementReader, Increments, duration, reference_speed
+from planrunner.instruments.models import TableModel
+from planrunner.navigation import attitude
+from planrunner.navigation.alignment import Alignment, FineAlignment, coarse
+from planrunner.navigation.error_equations import TILT, ErrorEquations
+from planrunner.navigation.mechanisation import Navigator
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import rotation_about
+from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.plan.schedule import Cycle, Rest, Segment
+
+Array = NDArray[np.float64]
+
+SHORTEST = 60.0  # s
+# cos = 0.087: beyond, gyro errors turn into heading eleven times as much as at the equator.
+HIGHEST_LATITUDE = math.radians(85)
+STILL = 0.05  # m/s; a reference that moves faster is not at rest
+_COARSE = 300.0  # s at most that the coarse attitude is taken from, and the noise
+_GRAVITY_TOLERANCE = 0.01
+# Of the Earth's rate: that much gyro error is 6 deg of heading at the equator, the end of small angles.
+_EARTH_TOLERANCE = 0.1
+_HEADING_LIMIT = math.radians(3)
+_WIDENED = 1.5  # consistency from which uncertainties are widened
+_MOVED = 0.1  # m/s; what stands on a floor, or in a parked vehicle, does not do so within a second
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """alignment: with covariance as used. last: (6,), the last increments. density: (6, 6), variance per second of the integrated
+    sensors in navigation axes, from the scatter at rest. white: (6,), its square roots in body axes. seconds: s. turned: whether the
+    unit was turned from stop to stop meanwhile, so that its constant errors were estimated too."""
+
+    alignment: Alignment
+    last: Array
+    density: Array
+    white: Array
+    seconds: float
+    turned: bool
+    warnings: tuple[str, ...]
+
+
+def align(
+    recorded: RecordedSegment, reader: IncrementReader, site: Site, gravity_factor: float, constant: Array
+) -> Aligned:
+    """The attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard uncertainty of
+    the constant errors, rad/s and m/s², for a unit that is turned meanwhile. Raises `EstimationError`."""
+    seconds = duration(recorded, reader.interval)
+    still = stillness(recorded.segment, seconds)
+    _check_stop(recorded, seconds, still, site)
+    pieces = reader.blocks(recorded)
+    begin = _first(pieces, still)
+    mean, white = _at_rest(begin, still)
+    _check_at_rest(recorded.label, mean, site)
+    start = coarse(mean[:3], mean[3:])
+    turned = not isinstance(recorded.segment.motion, Rest)
+    density = to_navigation(start, white**2)
+    every = max(1, round(1 / reader.interval))
+    fine = FineAlignment(
+        ErrorEquations.at(site),
+        levelled_out(density) if turned else density,
+        every * reader.interval,
+        constant if turned else None,
+    )
+    navigator = Navigator(
+        attitude.quaternion(start),
+        np.zeros(3),
+        (site.latitude, site.longitude, site.height),
+        gravity_factor=gravity_factor,
+        earth_rate=site.earth_rate,
+        every=every,
+    )
+    before = start[None]
+    for piece in chain(begin, pieces):
+        knots = navigator.advance(piece.values, piece.interval)
+        rotations = np.concatenate([before, attitude.matrix(knots.attitude)])
+        turns = attitude.turned_about_up(rotations[:-1], rotations[1:]) / (every * reader.interval)
+        fine.take(knots.velocity[:, :2], (rotations[1:] + rotations[:-1]) / 2, turns)
+        before = rotations[-1:]
+    found, warnings = _judged(recorded.label, fine.finish(navigator.rotation), seconds)
+    density = to_navigation(found.rotation, white**2)
+    return Aligned(found, navigator.last, density, white, seconds, turned, warnings)
+
+
+def stillness(segment: Segment, seconds: float) -> float:
+    """Seconds from the beginning in which the unit stands still, of `seconds`: those that the coarse attitude is taken from."""
+    first = segment.motion.stop if isinstance(segment.motion, Cycle) else seconds
+    return min(first, seconds, _COARSE)
+
+
+def end_attitude(segment: Segment, table: TableModel | None) -> Array | None:
+    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None where it is not known."""
+    if segment.attitude is None or not isinstance(segment.motion, Cycle):
+        return segment.attitude if isinstance(segment.motion, Rest) else None
+    if segment.dwell is None:
+        return None
+    upright = [axis.max_acceleration for axis in table.axes if abs(axis.direction[2]) > 1 - 1e-9] if table else []
+    angle = float(
+        RotationCycle.of(segment.motion, upright[0] if upright else math.inf).angle(np.array([segment.dwell]))[0]
+    )
+    turned = rotation_about((0.0, 0.0, 1.0), angle)
+    return np.asarray(segment.attitude @ turned.T)
+
+
+def same_attitude(one: Array | None, other: Array | None) -> bool:
+    """Whether both are known and the same, to a microradian."""
+    return one is not None and other is not None and bool(np.allclose(one, other, atol=1e-6))
+
+
+def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
+    """Pieces from the beginning that cover the first stop."""
+    found: list[Increments] = []
+    covered = 0.0
+    for piece in pieces:
+        found.append(piece)
+        covered += float(piece.interval.sum())
+        if covered >= seconds:
+            break
+    return found
+
+
+def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, Array]:
+    """Mean (6,), rad/s and m/s², over the first so many seconds, and white noise (6,), rad/√s and m/s/√s: the Allan deviation of means over
+    one second, which slow motion does not enlarge."""
+    values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
+    interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
+    within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
+    batches = int(seconds)
+    size = within // batches
+    if size == 0:
+        return np.full(6, math.nan), np.zeros(6)
+    used = size * batches
+    times = interval[:used].reshape(batches, size).sum(axis=1)
+    means = values[:, :used].reshape(6, batches, size).sum(axis=2) / times
+    white = np.sqrt(np.mean(np.diff(means) ** 2, axis=1) / 2 * times.mean())
+    return values[:, :used].sum(axis=1) / times.sum(), white
+
+
+def to_navigation(rotation: Array, variances: Array) -> Array:
+    """Variances (6,) of body axes as a covariance (6, 6) in navigation axes."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = rotation * variances[:3] @ rotation.T
+    both[3:, 3:] = rotation * variances[3:] @ rotation.T
+    return both
+
+
+def levelled_out(density: Array) -> Array:
+    """The density (6, 6) of a unit that turns about the vertical: east and north share their noise."""
+    found = np.zeros_like(density)
+    for k in (0, 3):
+        horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
+        np.fill_diagonal(found[k : k + 3, k : k + 3], (horizontal, horizontal, density[k + 2, k + 2]))
+    return found
+
+
+def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: Site) -> None:
+    label = recorded.label
+    if not isinstance(recorded.segment.motion, Rest | Cycle):
+        raise EstimationError(
+            f"segment '{label}' turns all the time: alignment needs a stop, or a cycle of stops; align before the motion begins"
+        )
+    if recorded.statistics.count == 0:
+        raise EstimationError(f"segment '{label}' holds no usable samples: record it again")
+    if still < SHORTEST:
+        what = "its first stop lasts" if seconds >= SHORTEST else "it has samples for"
+        raise EstimationError(
+            f"segment '{label}' is too short to align in: {what} {still:.3g} s; at least {SHORTEST:g} s are needed, better 5 to 10 min"
+        )
+    if abs(site.latitude) > HIGHEST_LATITUDE:
+        raise EstimationError(
+            f"at latitude {math.degrees(site.latitude):.4g} deg the Earth's rate hardly has a horizontal component: north cannot be found "
+            f"by gyrocompassing beyond {math.degrees(HIGHEST_LATITUDE):g} deg"
+        )
+    speed = reference_speed(recorded)
+    if speed > STILL:
+        raise EstimationError(f"segment '{label}': the carrier moves with up to {speed:.3g} m/s: align during a stop")
+
+
+def _check_at_rest(label: str, mean: Array, site: Site) -> None:
+    """mean: (6,), rad/s and m/s², at the first stop."""
+    if not np.isfinite(mean).all():
+        raise EstimationError(f"segment '{label}' holds too few usable samples: record it again")
+    force = float(np.linalg.norm(mean[3:]))
+    if abs(force / site.gravity - 1) > _GRAVITY_TOLERANCE:
+        raise EstimationError(
+            f"segment '{label}': the mean specific force is {force:.5g} m/s^2 where gravity is {site.gravity:.5g}: check the "
+            "accelerometers' units and order, and that the unit is at rest"
+        )
+    rate = float(np.linalg.norm(mean[:3]))
+    up = float(mean[:3] @ mean[3:]) / force
+    found = np.array([math.sqrt(max(0.0, rate * rate - up * up)), up])
+    earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])
+    if float(np.linalg.norm(found - earth)) > _EARTH_TOLERANCE * site.earth_rate:
+        shown = np.degrees([*found, *earth]) * 3600
+        raise EstimationError(
+            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, the Earth turns with "
+            f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the latitude; gyros with "
+            "such errors cannot find north"
+        )
+
+
+def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tuple[str, ...]]:
+    warnings: list[str] = []
+    covariance = found.covariance
+    if found.largest > _MOVED:
+        raise EstimationError(
+            f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second: the unit moved during alignment; align again "
+            "while it stands still"
+        )
+    if found.consistency > _WIDENED:
+        covariance = covariance * found.consistency**2
+        warnings.append(
+            f"During '{label}' velocity departs from rest {found.consistency:.2g} times as far as noise explains (vibration, a base that "
+            "sways); the uncertainties of the alignment are widened by that."
+        )
+    heading = math.sqrt(covariance[TILT, TILT][2, 2])
+    if heading > _HEADING_LIMIT:
+        raise EstimationError(
+            f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg (standard uncertainty): "
+            "align longer, or use gyros with less noise"
+        )
+    return replace(found, covariance=covariance), tuple(warnings)

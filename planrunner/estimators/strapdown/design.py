@@ -1,0 +1,231 @@
+"""What can be said of a strapdown navigation before it is recorded: whether its segments can serve, and which errors to expect.
+
+Expected errors follow from the declared white noise and the constant errors that the plan states as uncertainties: the filter of the
+alignment tells what it will leave of them, then both drive the linear error equations, turned as the table turns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark
+from planrunner.estimators.strapdown.alignment import (
+    HIGHEST_LATITUDE,
+    SHORTEST,
+    end_attitude,
+    levelled_out,
+    same_attitude,
+    stillness,
+    to_navigation,
+)
+from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
+from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigationParameters, parts
+from planrunner.estimators.strapdown.uncertainty import NAMES, SCHULER_PERIOD
+from planrunner.navigation import attitude
+from planrunner.navigation.alignment import FineAlignment
+from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
+from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.plan.findings import closest
+from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
+from planrunner.plan.units import UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+
+_STEP = 60.0  # s, over which the error equations are driven by a mean
+_LONGEST = 7 * 86400.0  # s that errors are predicted for
+_FINE = 60  # angles in each such step
+_COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
+
+
+def design(request: DesignRequest) -> Design:
+    """Remarks and expected errors. Raises `EstimationError` for segments or outputs that make no sense."""
+    parameters: StrapdownNavigationParameters = request.parameters
+    for name in (*parameters.gyros, *parameters.accelerometers):
+        if request.sensor.output(name) is None:
+            hint = closest(name, [item.name for item in request.sensor.outputs])
+            raise EstimationError(f"the bench's sensor has no output '{name}': {hint}")
+    labels = [segment.label for segment in request.segments]
+    try:
+        stop, moving = parts(request.segments, labels, parameters.align)
+    except EstimationError as error:
+        hint = "give `segments` the stop to align in, then the segment to navigate"
+        return Design((), remarks=(Remark("physics-navigation-align", str(error), hint, error=True),))
+    remarks = (*_on_alignment(request, stop), *_on_joint(request, stop, moving), *_on_navigation(request, moving))
+    if any(remark.error for remark in remarks):
+        return Design((), remarks=remarks)
+    predicted, notes = _expected(request, stop, moving)
+    last = moving[-1]
+    told = {"navigated": last.label, "turned": isinstance(last.motion, Spin | Cycle)}
+    return Design((), predicted, notes, told, remarks)
+
+
+def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
+    found = []
+    if not isinstance(stop.motion, Rest | Cycle):
+        message = f"'{stop.label}' turns all the time; alignment needs a stop, or a cycle of stops"
+        found.append(Remark("physics-navigation-align", message, "align at rest, before the motion begins", error=True))
+    still = stillness(stop, stop.dwell if stop.dwell is not None else math.inf)
+    if still < SHORTEST:
+        message = f"'{stop.label}' stands still for {still:g} s; alignment needs at least {SHORTEST:g} s"
+        found.append(Remark("physics-navigation-align", message, "dwell 5 to 10 min", error=True))
+    if abs(request.site.latitude) > HIGHEST_LATITUDE:
+        message = f"at latitude {math.degrees(request.site.latitude):.4g} deg north cannot be found by gyrocompassing"
+        found.append(Remark("physics-navigation-latitude", message, "use a bench nearer to the equator", error=True))
+    return found
+
+
+def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> list[Remark]:
+    found = []
+    first = moving[0]
+    known = stop.attitude is not None and first.attitude is not None
+    if known and not same_attitude(end_attitude(stop, request.setup.table), first.attitude):
+        message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment does not hold for it"
+        found.append(
+            Remark(
+                "physics-navigation-gap",
+                message,
+                "give both the same orientation, which is that of the cycle's start",
+                error=True,
+            )
+        )
+    for before, after in pairwise(moving):
+        if after.index != before.index + 1 or after.settle or after.soak or after.transition:
+            message = f"time passes without samples between '{before.label}' and '{after.label}'; navigation cannot be carried over that"
+            found.append(Remark("physics-navigation-gap", message, "navigate in one segment", error=True))
+    rates = {segment.sample_rate or request.sensor.sample_rate for segment in (stop, *moving)}
+    if len(rates) > 1:
+        message = "alignment and navigation have different sample rates"
+        found.append(Remark("physics-navigation-rate", message, "give both the same `sample_rate`", error=True))
+    return found
+
+
+def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Remark]:
+    found = []
+    lasting = [segment.dwell for segment in moving if segment.dwell is not None]
+    if len(lasting) == len(moving) and sum(lasting) < SCHULER_PERIOD:
+        message = (
+            f"the navigation lasts {sum(lasting) / 60:.4g} min, less than a Schuler period of 84.4 min: what it gives in nmi/h must not be "
+            "carried on to longer times"
+        )
+        found.append(Remark("physics-navigation-short", message, "navigate for several hours"))
+    for segment in moving:
+        turning = segment.motion.rate if isinstance(segment.motion, Spin | Cycle) else 0.0
+        rate = segment.sample_rate or request.sensor.sample_rate
+        if abs(turning) / rate > _COARSE_TURN:
+            message = (
+                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; what coning "
+                "and sculling corrections leave is not small then"
+            )
+            found.append(Remark("physics-navigation-rate", message, "sample faster, or turn more slowly", "segments"))
+    return found
+
+
+def _expected(
+    request: DesignRequest, stop: Segment, moving: Sequence[Segment]
+) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
+    parameters: StrapdownNavigationParameters = request.parameters
+    white, constant = _declared(request), _stated(parameters)
+    dwells = [segment.dwell for segment in (stop, *moving)]
+    if not white.any() and not constant.any():
+        return (), (
+            "No errors are predicted: neither noise nor gyro_uncertainty and accelerometer_uncertainty are known.",
+        )
+    if stop.attitude is None or any(dwell is None for dwell in dwells):
+        what = "orientation" if stop.attitude is None else "dwell"
+        return (), (f"No errors are predicted: the plan leaves the {what} of a segment open.",)
+    if sum(dwell or 0.0 for dwell in dwells) > _LONGEST:
+        return (), (f"No errors are predicted for navigations of more than {_LONGEST / 86400:g} days.",)
+    equations = ErrorEquations.at(request.site)
+    rotation = np.asarray(stop.attitude, dtype=float).T
+    density = to_navigation(rotation, white**2)
+    after = FineAlignment(equations, density, 1.0, constant)
+    course = _turning([stop], rotation, 1.0)[:, :3, :3]
+    turned = np.append(0.0, np.cumsum(attitude.turned_about_up(course[:-1], course[1:])))
+    after.take(np.zeros((len(course), 2)), course, np.gradient(turned))
+    start = after.finish(course[-1]).covariance[: SIZE + INPUTS, : SIZE + INPUTS]
+    # Errors of the navigation follow those left by the alignment and the constant errors that hid behind them.
+    driven = _turning(moving, rotation, _STEP) @ np.eye(INPUTS, SIZE + INPUTS, SIZE)
+    responses = equations.responses(np.eye(SIZE, SIZE + INPUTS), driven, _STEP)
+    turning = any(not isinstance(segment.motion, Rest) for segment in moving)
+    noise = equations.covariances(
+        np.zeros((SIZE, SIZE)), levelled_out(density) if turning else density, _STEP, len(driven)
+    )
+    covariances = responses @ start @ responses.transpose(0, 2, 1) + np.array(list(noise))
+    sensitivities = -attitude.angle_sensitivities(rotation)
+    angles = sensitivities @ start[TILT, TILT] @ sensitivities.T
+    note = (
+        "Expected errors are root mean squares over many such units, from declared white noise and from gyro_uncertainty and "
+        "accelerometer_uncertainty as far as they are stated."
+    )
+    return _coefficients(rotation, angles, covariances), (note,)
+
+
+def _declared(request: DesignRequest) -> Array:
+    """White noise as the sensor declares it (6,), rad/√s and m/s/√s."""
+    parameters: StrapdownNavigationParameters = request.parameters
+    found = np.zeros(6)
+    for k, name in enumerate((*parameters.gyros, *parameters.accelerometers)):
+        output = request.sensor.output(name)
+        assert output is not None
+        try:
+            found[k] = output.noise.white * unit(output.unit).factor
+        except UnknownUnitError as error:
+            raise EstimationError(f"output '{name}': {error}") from None
+    return found
+
+
+def _stated(parameters: StrapdownNavigationParameters) -> Array:
+    gyro, accelerometer = parameters.gyro_uncertainty, parameters.accelerometer_uncertainty
+    return np.array([gyro.value if gyro else 0.0] * 3 + [accelerometer.value if accelerometer else 0.0] * 3)
+
+
+def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:
+    """Body to navigation axes for (ε, ∇), the mean over each `step` [s], (n, 6, 6). rotation: (3, 3) where each segment begins."""
+    found = []
+    for segment in segments:
+        count = max(1, round((segment.dwell or 0.0) / step))
+        times = (np.arange(count * _FINE) + 0.5) * step / _FINE
+        angle = np.zeros(times.size)
+        about = np.array([0.0, 0.0, 1.0])
+        if isinstance(segment.motion, Cycle):
+            angle = RotationCycle.of(segment.motion, math.inf).angle(times)
+        elif isinstance(segment.motion, Spin):
+            angle, about = segment.motion.rate * times, np.asarray(segment.motion.about)
+        along = np.outer(about, about)
+        skew = np.array([[0, -about[2], about[1]], [about[2], 0, -about[0]], [-about[1], about[0], 0]])
+        cosine = np.cos(angle).reshape(count, _FINE).mean(axis=1)[:, None, None]
+        sine = np.sin(angle).reshape(count, _FINE).mean(axis=1)[:, None, None]
+        mean = (along + cosine * (np.eye(3) - along) + sine * skew) @ rotation
+        both = np.zeros((count, INPUTS, INPUTS))
+        both[:, :3, :3] = both[:, 3:, 3:] = mean
+        found.append(both)
+    return np.concatenate(found)
+
+
+def _coefficients(rotation: Array, angles: Array, covariances: Array) -> tuple[Coefficient, ...]:
+    time = _STEP * np.arange(1, len(covariances) + 1)
+    radial = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+    speed = np.sqrt(covariances[:, 2, 2] + covariances[:, 3, 3])
+    rate = float(time @ radial / (time @ time)) * HOUR / NAUTICAL_MILE
+    expected = (
+        *np.degrees(np.sqrt(np.diag(angles))).tolist(),
+        *np.sqrt(np.diag(covariances[-1])[:4]).tolist(),
+        float(radial[-1]),
+        float(radial.max()),
+        float(np.sqrt(np.mean(radial**2))),
+        float(speed.max()),
+        float(np.sqrt(np.mean(speed**2))),
+        rate,
+        rate * CEP_SHARE * CEP_SPREAD,
+    )
+    nominal = dict(zip(("heading", "pitch", "roll"), np.degrees(attitude.angles(rotation)).tolist(), strict=True))
+    nominal["cep_rate"] = rate * CEP_SHARE
+    return tuple(
+        Coefficient(name, nominal.get(name, 0.0), text, u, description=words)
+        for (name, (text, words)), u in zip(NAMES.items(), expected, strict=True)
+    )

@@ -1,0 +1,200 @@
+"""Results of a strapdown navigation: coefficients, tables, courses and what must be said beside them.
+
+What leaves the figures uncertain is in `strapdown_uncertainty`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Table
+from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
+from planrunner.estimators.strapdown.strapdown_navigation import Navigated, StrapdownNavigationParameters
+from planrunner.estimators.strapdown.uncertainty import DEGREE, NAMES, RATE, SCHULER_PERIOD, Spread, influences
+from planrunner.navigation import attitude
+from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
+from planrunner.plan.schedule import Rest
+from planrunner.plan.units import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+
+def assemble(request: EstimateRequest, found: Navigated) -> Estimate:
+    """The estimate."""
+    points = found.record.points()
+    equations = ErrorEquations.at(found.site)
+    spread = Spread(equations, found, points, _turns(request))
+    coefficients = _coefficients(found, spread)
+    values = {item.name: item.value for item in coefficients}
+    return Estimate(
+        request.name,
+        "strapdown_navigation",
+        coefficients,
+        spread.covariance,
+        ("heading", "radial_error", "largest_radial_error", "rms_radial_error", "radial_error_rate", "cep_rate"),
+        _settings(request, found),
+        (_table(points, spread.radial), *_constants(request, found)),
+        _plots(points),
+        _notes(request, found, values),
+        _warnings(found),
+        tuple(recorded.label for recorded in request.segments),
+        {
+            "time_s": points[0].tolist(),
+            "east_m": points[1].tolist(),
+            "north_m": points[2].tolist(),
+            "velocity_east": points[3].tolist(),
+            "velocity_north": points[4].tolist(),
+            "cep_rate_nmi_h": values["cep_rate"],
+            "duration_s": found.seconds,
+        },
+        influences(request, equations, found),
+    )
+
+
+def _turns(request: EstimateRequest) -> bool:
+    return any(not isinstance(recorded.segment.motion, Rest) for recorded in request.segments)
+
+
+def _coefficients(found: Navigated, spread: Spread) -> tuple[Coefficient, ...]:
+    record = found.record
+    east, north, velocity_east, velocity_north = found.final.tolist()
+    values = (
+        *(attitude.angles(found.aligned.alignment.rotation) * DEGREE).tolist(),
+        east,
+        north,
+        velocity_east,
+        velocity_north,
+        math.hypot(east, north),
+        record.largest,
+        record.rms,
+        record.largest_speed,
+        record.rms_speed,
+        record.radial_rate * RATE,
+        record.radial_rate * RATE * CEP_SHARE,
+    )
+    uncertainties = np.sqrt(np.diag(spread.covariance)).tolist()
+    return tuple(
+        Coefficient(name, value, unit, u, description=words)
+        for (name, (unit, words)), value, u in zip(NAMES.items(), values, uncertainties, strict=True)
+    )
+
+
+def _settings(request: EstimateRequest, found: Navigated) -> dict[str, object]:
+    parameters: StrapdownNavigationParameters = request.parameters
+    white = found.aligned.white * np.array([60 * DEGREE] * 3 + [60.0] * 3)
+    return {
+        "vertical": parameters.vertical,
+        "gravity": parameters.gravity,
+        "start_latitude": f"{math.degrees(found.site.latitude):.7f} deg",
+        "start_longitude": f"{math.degrees(found.site.longitude):.7f} deg",
+        "start_height": f"{found.site.height:.2f} m",
+        "alignment": f"{found.aligned.seconds:.6g} s",
+        "navigation": f"{found.seconds:.6g} s",
+        "innovations over noise": f"{found.aligned.alignment.consistency:.2g}",
+        "gyro noise seen": ", ".join(f"{value:.3g}" for value in white[:3]) + " deg/sqrt(h)",
+        "accelerometer noise seen": ", ".join(f"{value:.3g}" for value in white[3:]) + " m/s/sqrt(h)",
+    }
+
+
+def _table(points: Array, uncertainty: Array) -> Table:
+    """Errors at whole hours; every ten minutes, every minute or at every point where the run is shorter."""
+    time = points[0]
+    steps = [3600.0, 600.0, 60.0, 1.0]
+    step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])
+    rows = []
+    for moment in np.arange(1, int(time[-1] / step + 1e-6) + 1) * step:
+        k = int(np.argmin(np.abs(time - moment)))
+        east, north, velocity_east, velocity_north = points[1:, k].tolist()
+        rows.append(
+            (time[k] / HOUR, east, north, math.hypot(east, north), float(uncertainty[k]), velocity_east, velocity_north)
+        )
+    columns = (
+        "time [h]",
+        "east [m]",
+        "north [m]",
+        "radial [m]",
+        "uncertainty of radial [m]",
+        "east velocity [m/s]",
+        "north velocity [m/s]",
+    )
+    return Table("Navigation errors over time", columns, tuple(tuple(map(float, row)) for row in rows))
+
+
+def _constants(request: EstimateRequest, found: Navigated) -> tuple[Table, ...]:
+    """Constant errors as alignment found them, where the unit was turned meanwhile."""
+    if not found.aligned.turned:
+        return ()
+    parameters: StrapdownNavigationParameters = request.parameters
+    alignment = found.aligned.alignment
+    uncertainties = np.sqrt(np.diag(alignment.covariance)[SIZE : SIZE + INPUTS])
+    scales = [(DEGREE * HOUR, "deg/h")] * 3 + [(1e6 / STANDARD_GRAVITY, "ug")] * 3
+    rows = tuple(
+        (name, float(value) * scale, float(u) * scale, text)
+        for name, value, u, (scale, text) in zip(
+            (*parameters.gyros, *parameters.accelerometers), alignment.constant, uncertainties, scales, strict=True
+        )
+    )
+    return (Table("Constant errors found in alignment", ("sensor", "error", "standard uncertainty", "unit"), rows),)
+
+
+def _plots(points: Array) -> tuple[Plot, ...]:
+    hours = tuple((points[0] / HOUR).tolist())
+    position = {
+        "east": tuple((points[1] / NAUTICAL_MILE).tolist()),
+        "north": tuple((points[2] / NAUTICAL_MILE).tolist()),
+        "radial": tuple((np.hypot(points[1], points[2]) / NAUTICAL_MILE).tolist()),
+    }
+    velocity = {"east": tuple(points[3].tolist()), "north": tuple(points[4].tolist())}
+    return (
+        Plot("Position error over time", "time [h]", "position error [nmi]", hours, position, lines=True),
+        Plot("Velocity error over time", "time [h]", "velocity error [m/s]", hours, velocity, lines=True),
+    )
+
+
+def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float]) -> tuple[str, ...]:
+    low, high = (values["cep_rate"] * share for share in CEP_INTERVAL)
+    notes = [
+        f"One run says little of a CEP: with normal errors of one variance and zero mean the CEP rate lies between {low:.3g} and "
+        f"{high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several runs, times 0.8326.",
+        "Uncertainties of the errors come from white noise as seen during alignment, carried through the linear error equations; constant "
+        "sensor errors are part of what is measured. Those of largest, root-mean-square and rate figures are upper bounds.",
+    ]
+    parameters: StrapdownNavigationParameters = request.parameters
+    unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None
+    if unknown and found.aligned.turned:
+        notes.append(
+            "Alignment takes constant errors for unknown within 0.1 deg/h and 1 mg where gyro_uncertainty and "
+            "accelerometer_uncertainty do not say better."
+        )
+    elif unknown:
+        notes.append(
+            "The uncertainties of heading, pitch and roll hold the noise alone: what constant gyro and accelerometer errors add "
+            "(ε_E/(Ω·cos φ) and ∇/g) is not known without gyro_uncertainty and accelerometer_uncertainty."
+        )
+    if found.seconds < SCHULER_PERIOD:
+        notes.append(
+            f"The navigation lasts {found.seconds / 60:.3g} min, less than a Schuler period of 84.4 min: rates in nmi/h are those of the "
+            "beginning of an oscillation and must not be carried on."
+        )
+    if found.gap:
+        notes.append(
+            f"{found.gap:.4g} s without samples lie between alignment and navigation: the attitude was carried over them, "
+            "the unit being at rest "
+            "or having been brought back to the same orientation by the table."
+        )
+    truncated = [recorded.label for recorded in request.segments if recorded.truncated]
+    if truncated:
+        notes.append(f"'{truncated[0]}' was cut short; the figures are those of {found.seconds / HOUR:.3g} h.")
+    return tuple(notes)
+
+
+def _warnings(found: Navigated) -> tuple[str, ...]:
+    bridged = (
+        (f"{found.bridged} missing samples were filled on straight lines; the errors of navigation may grow by that.",)
+        if found.bridged
+        else ()
+    )
+    return (*found.aligned.warnings, *bridged)

@@ -1,0 +1,1 @@
+"""Coefficients over temperature: polynomials and splines, and the order that data support."""

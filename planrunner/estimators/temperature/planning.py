@@ -1,0 +1,74 @@
+"""Whether a plan gives enough temperatures for a curve, and the coefficients that it is asked for; before anything is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Design, DesignRequest, Remark
+from planrunner.estimators.temperature.curve import FEWEST, groups_of
+from planrunner.plan.findings import closest
+
+
+def remarks(request: DesignRequest) -> tuple[Remark, ...]:
+    """Errors for what no recording could give; nothing where it is not known: ramps, and estimates whose designs do not say what they
+    give by temperature (`interface.Design`)."""
+    if request.uses:
+        return tuple(_of_estimates(request))
+    if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):
+        return ()
+    planned = [segment.temperature for segment in request.segments if segment.temperature is not None]
+    return tuple(_too_few(request, "", planned, "segments"))
+
+
+def _of_estimates(request: DesignRequest) -> list[Remark]:
+    none = [name for name, used in request.uses.items() if _given(used) == ()]
+    if none:
+        message = f"'{none[0]}' gives no coefficients by temperature: its segments have no temperature, or not one for all of them"
+        hint = "choose segments of one stated temperature for it, or use another estimate"
+        return [Remark("physics-temperatures", message, hint, "uses", error=True)]
+    designs = [used for used in request.uses.values() if _given(used) is not None]
+    if len(designs) < len(request.uses):
+        return []
+    if not all("names_by_temperature" in used.extra for used in designs):
+        return _too_few(request, "", [kelvin for used in designs for kelvin in used.extra["temperatures"]], "uses")
+    held: dict[str, list[float]] = {}
+    for used in designs:
+        for name in used.extra["names_by_temperature"]:
+            held.setdefault(name, []).extend(used.extra["temperatures"])
+    return _of_names(request, held)
+
+
+def _of_names(request: DesignRequest, held: Mapping[str, Sequence[float]]) -> list[Remark]:
+    patterns = request.parameters.coefficients
+    for place, pattern in enumerate(patterns):
+        if not any(fnmatchcase(name, pattern) for name in held):
+            message = f"no coefficient that is given by temperature is named like '{pattern}'"
+            return [Remark("meaning-unknown-quantity", message, closest(pattern, held), f"coefficients[{place}]", True)]
+    for name, kelvin in held.items():
+        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns):
+            found = _too_few(request, f"{name}: ", kelvin, "uses")
+            if found:
+                return found
+    return []
+
+
+def _given(used: Design | None) -> tuple[float, ...] | None:
+    """Temperatures at which an estimate gives its coefficients; None where its design does not say."""
+    return None if used is None else used.extra.get("temperatures")
+
+
+def _too_few(request: DesignRequest, what: str, kelvin: Sequence[float], key: str) -> list[Remark]:
+    parameters = request.parameters
+    planned: NDArray[np.float64] = np.array(kelvin, dtype=float)
+    distinct = int(groups_of(planned, parameters.bin.value).max(initial=-1)) + 1
+    needed = FEWEST if parameters.order is None else parameters.order + 1
+    if distinct >= needed:
+        return []
+    order = "an order to be chosen" if parameters.order is None else f"order {parameters.order}"
+    count = f"{distinct} planned temperature{'s are' if distinct != 1 else ' is'} too few"
+    message = f"{what}{count} for a {parameters.form} of {order}, which needs {needed}"
+    return [Remark("physics-temperatures", message, "sweep over more temperatures", key, error=True)]

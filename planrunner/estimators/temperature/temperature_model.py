@@ -1,0 +1,360 @@
+"""How coefficients or outputs follow temperature: a polynomial or a spline whose order is chosen by held-out error.
+
+Values come from `temperature_points`, curves and the choice of their order from `temperature_curve`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.covariances import independent
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Table,
+)
+from planrunner.estimators.temperature.curve import FORMS, RULES, CurveFit, fit_curve, groups_of
+from planrunner.estimators.temperature.planning import remarks
+from planrunner.estimators.temperature.points import Points, from_channels, from_estimates
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.units import ZERO_CELSIUS
+from planrunner.uncertainty.decision import expanded_uncertainty
+
+Array = NDArray[np.float64]
+
+_SHOWN = 9  # temperatures of the table of predictions
+_DRAWN = 61
+_WIDEST = 150.0  # K; a width written in degC comes out larger
+
+
+class TemperatureModelParameters(Record):
+    """Keys of the estimator temperature_model."""
+
+    coefficients: tuple[str, ...] = key(
+        ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
+        "Coefficients of the estimates in `uses`, with * and ?; all that they give by temperature when left out.",
+        "gyro_bias_*",
+        default_factory=tuple,
+    )
+    channels: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1, single=True),
+        "Channels whose own course over temperature is wanted, without another estimate.",
+        ["gyro_x"],
+        default_factory=tuple,
+    )
+    temperature_channel: str | None = key(
+        CHANNEL,
+        "The sensor's own thermometer, for channels along a ramp; the planned temperature when left out.",
+        "temperature",
+        None,
+    )
+    form: str = key(Choice(FORMS), "Powers of T − reference, or a natural cubic spline.", "spline", "polynomial")
+    order: int | None = key(
+        Number(0, 12, integer=True),
+        "Order of the polynomial, or knots of the spline less one; chosen by held-out error when left out.",
+        2,
+        None,
+    )
+    highest_order: int = key(Number(1, 12, integer=True), "Highest order that is tried.", 4, 4)
+    folds: int = key(
+        Number(0, 100, integer=True),
+        "Into how many adjoining ranges the temperatures are divided to be held out in turn; 0 holds out each alone.",
+        5,
+        0,
+    )
+    rule: str = key(
+        Choice(RULES),
+        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; or the smallest itself.",
+        "smallest_error",
+        "one_standard_error",
+    )
+    reference: Quantity = key(
+        QuantityOf("temperature"),
+        "T₀, at which a polynomial's constant is the value.",
+        "20 degC",
+        parse_quantity("25 degC"),
+    )
+    bin: Quantity = key(
+        QuantityOf("temperature", "positive"),
+        "Along a ramp samples are put together in steps of this; temperatures nearer than this are held out together.",
+        "2 K",
+        parse_quantity("1 K"),
+    )
+    uncertainty: str = key(
+        Choice(("residual", "propagated")),
+        "What the uncertainties rest on: the scatter of the values about the curve, or the values' own uncertainties.",
+        "propagated",
+        "residual",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Modelled:
+    """One quantity with its curve."""
+
+    points: Points
+    fit: CurveFit
+
+
+class TemperatureModel:
+    """The plug-in."""
+
+    summary = "Coefficients or outputs over temperature: polynomial or spline, order chosen by held-out error"
+    Parameters = TemperatureModelParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """Whether the planned temperatures are enough, and the coefficients asked for are given. Raises `EstimationError` for keys that
+        contradict each other."""
+        parameters: TemperatureModelParameters = request.parameters
+        _one_source(parameters, bool(request.uses))
+        return Design((), remarks=remarks(request))
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Curves through all values. Raises `EstimationError`."""
+        parameters: TemperatureModelParameters = request.parameters
+        _one_source(parameters, bool(request.uses))
+        if parameters.channels:
+            width = parameters.bin.value
+            found = from_channels(request.segments, parameters.channels, parameters.temperature_channel, width)
+        else:
+            found = from_estimates(request.uses, parameters.coefficients)
+        models = [_model(points, parameters) for points in found]
+        coefficients, covariance = _coefficients(models)
+        return Estimate(
+            request.name,
+            "temperature_model",
+            coefficients,
+            covariance,
+            tuple(item.name for item in coefficients),
+            {
+                "form": parameters.form,
+                "order": {one.points.name: one.fit.curve.order for one in models},
+                "rule": parameters.rule if parameters.order is None else "given",
+                "folds": parameters.folds,
+                "uncertainty": parameters.uncertainty,
+            },
+            tuple(table for one in models for table in _tables(one)),
+            tuple(plot for one in models for plot in _plots(one)),
+            tuple(dict.fromkeys(note for one in models for note in _notes(one, parameters))),
+            tuple(warning for one in models for warning in _warnings(one)),
+            tuple(recorded.label for recorded in request.segments),
+            {"curves": {one.points.name: _plain(one) for one in models}},
+        )
+
+
+def _one_source(parameters: TemperatureModelParameters, uses: bool) -> None:
+    if parameters.channels and uses:
+        raise EstimationError(
+            "both `channels` and `uses` are given: model either channels or other estimates' coefficients"
+        )
+    if not parameters.channels and not uses:
+        raise EstimationError("nothing to model: name `channels`, or estimates in `uses`")
+    if parameters.coefficients and not uses:
+        raise EstimationError("`coefficients` are those of other estimates: name these in `uses`")
+    if parameters.temperature_channel and not parameters.channels:
+        raise EstimationError("`temperature_channel` belongs to `channels`; coefficients know their temperature")
+    if parameters.bin.value > _WIDEST:
+        shown = parameters.bin.unit.from_si(parameters.bin.value)
+        raise EstimationError(f"`bin` is a difference of temperatures: write it in K, for example {shown:g} K")
+    if parameters.form == "spline" and parameters.order == 0:
+        raise EstimationError("a spline has at least two knots: `order: 1` is a straight line")
+
+
+def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
+    scatter = parameters.uncertainty == "residual"
+    if not scatter and not points.known:
+        raise EstimationError(
+            f"'{points.name}' has no uncertainty of its own everywhere: write `uncertainty: residual`"
+        )
+    try:
+        fit = fit_curve(
+            parameters.form,
+            parameters.order,
+            parameters.highest_order,
+            parameters.reference.value - ZERO_CELSIUS,
+            points.temperature,
+            points.value,
+            points.sigma,
+            groups_of(points.temperature, parameters.bin.value),
+            parameters.folds,
+            parameters.rule,
+            scatter,
+            points.series,
+        )
+    except EstimationError as error:
+        raise EstimationError(f"'{points.name}': {error}") from None
+    return Modelled(points, fit)
+
+
+def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
+    """All curves' coefficients and what ramps say beside them, with their covariance; curves are taken for independent of each other."""
+    rows: list[Coefficient] = []
+    blocks: list[Array] = []
+    for one in models:
+        made, name, text = one.fit.curve, one.points.name, one.points.unit
+        spread = np.sqrt(np.diag(one.fit.covariance))
+        for k, (value, u) in enumerate(zip(one.fit.fit.coefficients, spread, strict=True)):
+            if made.form == "spline":
+                label, own, words = f"{name}_knot_{k + 1}", text, f"{name} at {made.knots[k]:.6g} degC"
+            else:
+                label, own = f"{name}_T{k}", _per_kelvin(text, k)
+                words = (
+                    f"{name} at {made.reference:.6g} degC"
+                    if k == 0
+                    else f"{name}: coefficient of (T − {made.reference:.6g} degC)^{k}"
+                )
+            rows.append(Coefficient(label, float(value), own, float(u), one.fit.degrees_of_freedom, words))
+        blocks.append(one.fit.covariance)
+        if (loop := hysteresis(one.points)) is not None:
+            largest, u, celsius = loop
+            words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
+            rows.append(Coefficient(f"hysteresis_{name}", largest, text, u, description=words))
+            blocks.append(np.array([[u**2]]))
+    return tuple(rows), independent(blocks)
+
+
+def _per_kelvin(text: str, power: int) -> str:
+    return text if power == 0 else f"{text}/K" if power == 1 else f"{text}/K^{power}"
+
+
+def hysteresis(points: Points) -> tuple[float, float, float] | None:
+    """Largest difference of a rising and a falling ramp at one temperature, its standard uncertainty and the temperature [degC]; None
+    without both. The falling one is read on straight lines between its values, within the range that both cover."""
+    rising, falling = points.direction > 0, points.direction < 0
+    if rising.sum() < 2 or falling.sum() < 2:
+        return None
+    order = np.argsort(points.temperature[falling])
+    t, y, u = (values[falling][order] for values in (points.temperature, points.value, points.uncertainty))
+    at = points.temperature[rising]
+    inside = (at >= t[0]) & (at <= t[-1])
+    if not inside.any():
+        return None
+    difference = points.value[rising][inside] - np.interp(at[inside], t, y)
+    largest = int(np.argmax(np.abs(difference)))
+    own = np.hypot(points.uncertainty[rising][inside], np.interp(at[inside], t, u))[largest]
+    return float(abs(difference[largest])), float(own) if np.isfinite(own) else 0.0, float(at[inside][largest])
+
+
+def _tables(one: Modelled) -> list[Table]:
+    name, text, points, fit = one.points.name, one.points.unit, one.points, one.fit
+    found = []
+    if fit.errors:
+        titles = ("order", f"held-out error, rms [{text}]", "mean square ± standard error", "")
+        rows = tuple(
+            (
+                item.order,
+                item.error**0.5,
+                f"{item.error:.3g} ± {item.standard_error:.2g}",
+                "chosen" if item.order == fit.curve.order else "",
+            )
+            for item in fit.errors
+        )
+        found.append(Table(f"Held-out error of {name}", titles, rows))
+    fitted, _ = fit.predict(points.temperature)
+    columns = ("from", "temperature [degC]", f"{name} [{text}]", f"u [{text}]", f"residual [{text}]")
+    rows_ = zip(points.labels, points.temperature, points.value, points.uncertainty, points.value - fitted, strict=True)
+    cells = tuple(
+        (label, float(t), float(y), float(u) if np.isfinite(u) else None, float(r)) for label, t, y, u, r in rows_
+    )
+    found.append(Table(f"{name} over temperature", columns, cells))
+    grid = np.linspace(points.temperature.min(), points.temperature.max(), _SHOWN)
+    values, u = fit.predict(grid)
+    wide = [expanded_uncertainty(float(own), fit.degrees_of_freedom) for own in u]
+    heads = ("temperature [degC]", f"curve [{text}]", f"u [{text}]", f"U 95 % [{text}]")
+    found.append(
+        Table(f"Curve of {name}", heads, tuple(zip(grid.tolist(), values.tolist(), u.tolist(), wide, strict=True)))
+    )
+    return found
+
+
+def _plots(one: Modelled) -> list[Plot]:
+    name, text, points, fit = one.points.name, one.points.unit, one.points, one.fit
+    order = np.argsort(points.temperature, kind="stable")
+    residual = points.value - fit.predict(points.temperature)[0]
+    grid = np.linspace(points.temperature.min(), points.temperature.max(), _DRAWN)
+    values, u = fit.predict(grid)
+    wide = np.array([expanded_uncertainty(float(own), fit.degrees_of_freedom) for own in u])
+    courses = {"curve": values, "curve − U 95 %": values - wide, "curve + U 95 %": values + wide}
+    spread = {"residual": tuple(points.uncertainty[order].tolist())} if points.known else {}
+    return [
+        Plot(
+            f"{name} over temperature",
+            "temperature [degC]",
+            f"{name} [{text}]",
+            tuple(grid.tolist()),
+            {label: tuple(course.tolist()) for label, course in courses.items()},
+            lines=True,
+        ),
+        Plot(
+            f"Residuals of {name}",
+            "temperature [degC]",
+            f"residual [{text}]",
+            tuple(points.temperature[order].tolist()),
+            {"residual": tuple(residual[order].tolist())},
+            spread,
+        ),
+    ]
+
+
+def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
+    name, fit = one.points.name, one.fit
+    found = []
+    if fit.errors:
+        held = "each temperature in turn" if parameters.folds == 0 else f"{parameters.folds} adjoining ranges in turn"
+        by = (
+            "the simplest curve within one standard error of the smallest held-out error"
+            if parameters.rule == "one_standard_error"
+            else "the smallest held-out error"
+        )
+        orders = ", ".join(str(item.order) for item in fit.errors)
+        found.append(f"{name}: order {fit.curve.order} was chosen of {orders} by {by}, leaving out {held}.")
+        found.append(
+            "The uncertainties are those of the chosen curve: that another might have been chosen is not in them."
+        )
+    low, high = one.points.temperature.min(), one.points.temperature.max()
+    found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond, the curve is a guess.")
+    if not parameters.channels:
+        found.append(
+            "What the values at all temperatures have in common, such as a fixture's angle, is in the estimates used, not here."
+        )
+    if parameters.uncertainty == "residual":
+        found.append(
+            f"{name}: the uncertainty rests on the scatter about the curve, with {fit.degrees_of_freedom:.0f} degrees of freedom."
+        )
+    if fit.correlation > 1:
+        found.append(
+            f"{name}: consecutive values along the ramps resemble each other; variances are {fit.correlation:.3g} times those of "
+            "independent ones, and degrees of freedom as many times fewer."
+        )
+    return found
+
+
+def _warnings(one: Modelled) -> list[str]:
+    fit, points = one.fit, one.points
+    if fit.errors and fit.curve.order == fit.errors[-1].order and len(fit.errors) > 1:
+        return [
+            f"{points.name}: the highest order that was tried is chosen; raise `highest_order` or add temperatures."
+        ]
+    return []
+
+
+def _plain(one: Modelled) -> Mapping[str, object]:
+    made = one.fit.curve
+    return {
+        "form": made.form,
+        "reference_degC": made.reference,
+        "knots_degC": made.knots.tolist(),
+        "coefficients": one.fit.fit.coefficients.tolist(),
+        "covariance": one.fit.covariance.tolist(),
+        "unit": one.points.unit,
+    }

@@ -1,0 +1,193 @@
+"""From means to scale factors of tilted axes: F_j − F_r over what each axis felt, per repeat, then over repeats and temperatures.
+
+One function of the recorded means and of the conditions under which they were recorded. Uncertainties follow from it by changing the
+means or the conditions a little (JCGM 100:2008, 5.1.3, note 2), so that a formula stands here once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.tilted.mounted_axes import MountedAxes
+from planrunner.estimators.tilted.rate_lines import RateLines, fit_lines
+from planrunner.estimators.tilted.rate_series import RateSeries
+
+Array = NDArray[np.float64]
+
+QUANTITIES = ("K", "F0", "nonlinearity", "asymmetry", "response")
+K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """axes: where they point. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's
+    frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None where that is not corrected for. rate_error: relative, of the
+    table's rate, one for all segments or (N,)."""
+
+    axes: MountedAxes
+    commanded: Array
+    along: Array
+    felt: Array | None
+    rate_error: Array | float = 0.0
+
+    def inputs(self, group: Group) -> Array:
+        """What each axis felt more than at rest, shape (q, n, m), rad/s."""
+        turning = self.along * self.commanded[:, None] * (1.0 if self.felt is None else 0.0)
+        felt = turning if self.felt is None else self.felt
+        felt = felt + self.along * (self.rate_error * self.commanded)[:, None]
+        home = group.rest @ felt
+        return np.asarray((felt[group.spins] - home[:, None]) @ self.axes.directions.T)
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """q repeats of n rates at one temperature. kelvin: measured, or planned, NaN where neither is known. spins: (q, n) rows of the
+    segments; rest: (q, N), how each segment counts in the rest value of
+    a repeat, half for the zeros before and half for those after. outputs: F_j − F_r, (q, n, m). drift: end zero less start
+    zero, (q, m)."""
+
+    label: str
+    kelvin: float
+    names: tuple[str, ...]
+    rates: Array
+    spins: NDArray[np.int64]
+    rest: Array
+    outputs: Array
+    drift: Array
+
+    @property
+    def full_scale(self) -> Array:
+        """Largest output, (m,)."""
+        return np.abs(self.outputs.mean(axis=0)).max(axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a change of conditions is compared by. means: (g, m, 5), over repeats, in the order of `QUANTITIES`; repeats: of each group
+    (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN for one repeat. coefficient: (m,), slope
+    of K over temperature by K at the reference; sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); NaN for one temperature."""
+
+    means: Array
+    repeats: tuple[Array, ...]
+    residuals: tuple[Array, ...]
+    repeatability: Array
+    coefficient: Array
+    sensitivity: Array
+
+    @property
+    def vector(self) -> Array:
+        """All of it that is a result: means, repeatability, coefficient, sensitivity, one after the other."""
+        return np.concatenate(
+            [self.means.ravel(), self.repeatability.ravel(), self.coefficient.ravel(), self.sensitivity.ravel()]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """Which rate (g, m) has the largest residual and its sign, and which temperature (m,) decides the sensitivity."""
+
+    rate: NDArray[np.int64]
+    sign: Array
+    temperature: NDArray[np.int64]
+
+
+def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commanded: Array, mean: Array) -> Group:
+    """The repeats of one temperature. commanded: (N,); mean: (N, m), of all segments."""
+    spins = np.array([one.spins for one in series])
+    before, after = (
+        _weights(series, [one.start for one in series], mean),
+        _weights(series, [one.end for one in series], mean),
+    )
+    rest = (before + after) / 2
+    names, rates = tuple(one.name for one in series), commanded[spins[0]]
+    return Group(
+        label, kelvin, names, rates, spins, rest, mean[spins] - (rest @ mean)[:, None], (after - before) @ mean
+    )
+
+
+def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean: Array) -> Array:
+    weights = np.zeros((len(series), len(mean)))
+    for repeat, own in enumerate(rows):
+        weights[repeat, [*own]] = 1 / len(own)
+    return weights
+
+
+def evaluate(groups: Sequence[Group], conditions: Conditions, reference: int, worst: Worst | None = None) -> Findings:
+    """reference: the group whose K the others are compared with. worst: held fixed while conditions are changed."""
+    lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
+    residuals = [line.residuals.mean(axis=0) for line in lines]
+    held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))
+    repeats = [
+        quantities(line, group.full_scale, held.rate[k], held.sign[k])
+        for k, (group, line) in enumerate(zip(groups, lines, strict=True))
+    ]
+    means = np.array([one.mean(axis=0) for one in repeats])
+    spread = [one[..., K].std(axis=0, ddof=1) if len(one) > 1 else np.full(one.shape[1], np.nan) for one in repeats]
+    kelvin = np.array([group.kelvin for group in groups])
+    coefficient, sensitivity = _over_temperature(means[..., K], kelvin, reference, worst)
+    return Findings(means, tuple(repeats), tuple(residuals), np.array(spread) / means[..., K], coefficient, sensitivity)
+
+
+def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
+    """`QUANTITIES` of each repeat, (q, m, 5). rate, sign: (m,), of the largest residual."""
+    at = line.residuals[:, rate, np.arange(len(rate))]
+    return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
+
+
+def worst_of(groups: Sequence[Group], found: Findings, reference: int) -> Worst:
+    kelvin = np.array([group.kelvin for group in groups])
+    size = np.abs(_relative_change(found.means[..., K], kelvin, reference))
+    return _worst(found.residuals, np.nan_to_num(size, nan=-1.0).argmax(axis=0))
+
+
+def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
+    rate = np.array([np.abs(one).argmax(axis=0) for one in residuals])
+    sign = np.array([np.sign(one[own, np.arange(len(own))]) for one, own in zip(residuals, rate, strict=True)])
+    return Worst(rate, np.where(sign == 0, 1.0, sign), temperature)
+
+
+def slope_weights(kelvin: Array) -> Array:
+    """Weights (g,) of the values whose sum is the slope of the straight line through them [1/K]."""
+    off = kelvin - kelvin.mean()
+    return np.asarray(off / np.sum(off * off))
+
+
+def answers_of(groups: Sequence[Group], conditions: Conditions, worst: Worst) -> tuple[Array, ...]:
+    """How the quantities of each group answer to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m, 5)."""
+    return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
+
+
+def _answers(group: Group, conditions: Conditions, rate: NDArray[np.int64], sign: Array) -> Array:
+    x, full_scale = conditions.inputs(group), group.full_scale
+    n, m = x.shape[1:]
+    step = 1e-6 * full_scale
+    found = np.empty((n, m, len(QUANTITIES)))
+    for row in range(n):
+        change = np.zeros((n, m))
+        change[row] = step
+        up, down = (
+            quantities(fit_lines(x, group.outputs + sense * change), full_scale, rate, sign).mean(axis=0)
+            for sense in (1, -1)
+        )
+        found[row] = np.nan_to_num((up - down) / (2 * step[:, None]))
+    return found
+
+
+def _relative_change(values: Array, kelvin: Array, reference: int) -> Array:
+    """(K_T − K_0)/(K_0·(T − T_0)), (g, m), NaN at the reference."""
+    apart = kelvin - kelvin[reference]
+    apart = np.where(apart == 0, np.nan, apart)
+    return np.asarray((values - values[reference]) / (values[reference] * apart[:, None]))
+
+
+def _over_temperature(values: Array, kelvin: Array, reference: int, worst: Worst | None) -> tuple[Array, Array]:
+    m = values.shape[1]
+    if len(kelvin) < 2 or not np.isfinite(kelvin).all() or np.ptp(kelvin) == 0:
+        return np.full(m, np.nan), np.full(m, np.nan)
+    change = np.abs(_relative_change(values, kelvin, reference))
+    chosen = np.nan_to_num(change, nan=-1.0).argmax(axis=0) if worst is None else worst.temperature
+    return slope_weights(kelvin) @ values / values[reference], change[chosen, np.arange(m)]

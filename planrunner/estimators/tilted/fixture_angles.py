@@ -1,0 +1,297 @@
+"""Angles of a fixture's axes from spins about one rotation axis in several orientations of the fixture.
+
+An axis of scale factor K along the unit vector d answers to a rate ω along n by K·(d·n)·ω, n in the fixture's frame. So every orientation
+of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give all of it, and
+with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle where the azimuth is stated. Orientations with the
+same n, or with n reversed, tell nothing of the angle. What all rates have wrong in common cancels in the angles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators import least_squares
+from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.covariances import independent
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignBlock,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Remark,
+    Table,
+)
+from planrunner.estimators.observations import observe
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.slope_units import rate_and_output, slope_unit
+from planrunner.estimators.tilted.fixture_gains import (
+    FITTED,
+    STATED,
+    GainModel,
+    Polar,
+    gain_basis,
+    gain_model,
+    polar,
+    stated_changes,
+)
+from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
+from planrunner.estimators.tilted.turning_rates import recorded_seconds
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
+from planrunner.plan.units import unit
+from planrunner.uncertainty.budget import merged
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+_DEGREE, _ARCSEC = unit("deg").factor, unit("arcsec").factor
+_WORDS = (
+    "scale factor along the axis",
+    "angle from the fixture's z axis",
+    "azimuth about the fixture's z axis, from x",
+)
+
+
+class FixtureAnglesParameters(Record):
+    """Keys of the estimator fixture_angles."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1, single=True),
+        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
+        ["gyro_x", "gyro_y", "gyro_z"],
+        default_factory=tuple,
+    )
+    azimuth: str = key(
+        Choice((FITTED, STATED)),
+        "The axes' azimuths in the fixture: fitted, which takes three orientations; or as stated in `mounting`, for which two are enough.",
+        FITTED,
+        FITTED,
+    )
+    rate_unit: str = key(
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the segments.",
+        "residual",
+        "residual",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AxisAngles:
+    """One axis. coefficients, covariance (q, q): of the data; columns: what is stated, its part's name, and (q,) per unit of it."""
+
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    influences: tuple[Influence, ...]
+
+
+class FixtureAngles:
+    """The plug-in."""
+
+    summary = "Angles of the axes in a fixture, from spins about one axis in two or more orientations of the fixture"
+    Parameters = FixtureAnglesParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """The gain vector's components at the planned orientations, for each output. Raises `EstimationError`."""
+        how = request.parameters.azimuth
+        outputs = [output.name for output in request.sensor.outputs]
+        axes = mounted_axes(request.setup.mounting, outputs, request.parameters.outputs)
+        seconds = [segment.dwell for segment in request.segments]
+        model = gain_model(request.segments, seconds, request.site, request.setup)
+        blocks: list[DesignBlock] = []
+        predicted: list[AxisAngles] = []
+        for k, name in enumerate(axes.outputs):
+            basis = gain_basis(axes, k, how)
+            (block,) = planned_blocks(request, [name], model.terms(how), model.matrix(basis), model.magnitudes(basis))
+            blocks.append(block)
+            expected = _expected(request, model, axes, k, block)
+            predicted += [expected] if expected is not None else []
+        remarks = tuple(_remarks(model, how))
+        if len(predicted) < len(axes.names):
+            return Design(tuple(blocks), remarks=remarks)
+        covariance, influences = independent([one.covariance for one in predicted]), _padded(predicted)
+        whole = np.sqrt(np.diag(covariance + sum(item.covariance for item in merged(influences))))
+        data = [item for one in predicted for item in one.coefficients]
+        shown = tuple(replace(item, standard_uncertainty=float(u)) for item, u in zip(data, whole, strict=True))
+        # An estimate that builds on this one takes what the data show and what is stated apart, as it will be in the end.
+        extra = {"covariance": covariance, "influences": influences}
+        return Design(tuple(blocks), shown, extra=extra, remarks=remarks)
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """From the recorded means. Raises `EstimationError`."""
+        parameters: FixtureAnglesParameters = request.parameters
+        if not request.segments:
+            raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
+        axes = mounted_axes(request.setup.mounting, request.segments[0].statistics.channels, parameters.outputs)
+        seconds = [recorded_seconds(one) for one in request.segments]
+        model = gain_model([one.segment for one in request.segments], seconds, request.site, request.setup)
+        found: list[AxisAngles] = []
+        plots: list[Plot] = []
+        notes: list[str] = []
+        warnings: list[str] = []
+        for k, name in enumerate(axes.outputs):
+            basis = gain_basis(axes, k, parameters.azimuth)
+            observations = observe(request.segments, [name], request.sensor)
+            fit = fit_outputs(
+                model.matrix(basis),
+                observations,
+                model.magnitudes(basis),
+                model.terms(parameters.azimuth),
+                parameters.uncertainty,
+            )
+            require_basis(fit, parameters.uncertainty, request.name)
+            found.append(_found(request, model, axes, k, fit, observations.units[0]))
+            plots.append(residual_plot(observations, fit, f"Residuals of {name}", "segment"))
+            own_notes, own_warnings = judge(fit, parameters.uncertainty)
+            notes += [text for text in own_notes if text not in notes]
+            warnings += own_warnings
+        coefficients = tuple(item for axis in found for item in axis.coefficients)
+        return Estimate(
+            request.name,
+            "fixture_angles",
+            coefficients,
+            independent([axis.covariance for axis in found]),
+            tuple(item.name for item in coefficients),
+            {"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},
+            (_table(axes, found),),
+            tuple(plots),
+            tuple(notes),
+            tuple(warnings),
+            tuple(one.label for one in request.segments),
+            influences=_padded(found),
+        )
+
+
+def _found(
+    request: EstimateRequest, model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit, output_unit: str
+) -> AxisAngles:
+    basis = gain_basis(axes, k, request.parameters.azimuth)
+    offsets = len(model.orientations)
+    gain = fit.coefficients[0, offsets:]
+    shape = polar(gain, basis, axes, k)
+    gradient = np.column_stack([np.zeros((len(shape.values), offsets)), shape.gradient])
+    how = request.parameters.uncertainty
+    covariance = gradient @ fit.covariance(how) @ gradient.T
+    freedom = fit.degrees_of_freedom(gradient, how)
+    return _shown(request, model, axes, k, shape, gain, gradient @ fit.gains[0], covariance, freedom, output_unit)
+
+
+def _expected(
+    request: DesignRequest, model: GainModel, axes: MountedAxes, k: int, block: DesignBlock
+) -> AxisAngles | None:
+    """From the noise that the sensor declares and all that is stated; None where the orientations do not tell the angles."""
+    output = request.sensor.output(axes.outputs[k])
+    assert output is not None  # a block is of an output that the sensor has
+    pair = rate_and_output(request.parameters.rate_unit, output.unit)
+    nominal = request.sensor.nominal.get(f"K_{output.name}", 1.0 if slope_unit(*pair)[0] == "1" else math.nan)
+    if not math.isfinite(nominal) or not np.all(block.sigma > 0):
+        return None
+    basis = gain_basis(axes, k, request.parameters.azimuth)
+    try:
+        fit = least_squares.fit(block.matrix, np.zeros(len(block.matrix)), block.sigma, block.magnitudes, block.terms)
+        gain = np.linalg.pinv(basis) @ axes.directions[k] * nominal / pair[1].factor
+        shape = polar(gain, basis, axes, k)
+    except EstimationError:
+        return None
+    gradient = np.column_stack([np.zeros((len(shape.values), len(model.orientations))), shape.gradient])
+    gains = gradient @ fit.cofactor @ (block.matrix / block.sigma[:, None] ** 2).T
+    freedom = np.full(len(gradient), math.inf)
+    covariance = gradient @ fit.cofactor @ gradient.T
+    return _shown(request, model, axes, k, shape, gain, gains, covariance, freedom, output.unit)
+
+
+def _shown(
+    request: EstimateRequest | DesignRequest,
+    model: GainModel,
+    axes: MountedAxes,
+    k: int,
+    shape: Polar,
+    gain: Array,
+    gains: Array,
+    covariance: Array,
+    freedom: Array,
+    output_unit: str,
+) -> AxisAngles:
+    """In the units of the results. gains: (q, n), results from observations; covariance: (q, q), SI."""
+    how = request.parameters.azimuth
+    text, factor = slope_unit(*rate_and_output(request.parameters.rate_unit, output_unit))
+    units = (text, "deg", "deg")[: len(shape.values)]
+    scale = np.array([factor, 1 / _DEGREE, 1 / _DEGREE])[: len(shape.values)]
+    spread = np.sqrt(np.diag(covariance)) * scale
+    coefficients = tuple(
+        Coefficient(
+            f"{word}_{axes.names[k]}",
+            float(value),
+            own,
+            float(u),
+            float(dof),
+            f"{axes.names[k]}: {description}",
+        )
+        for word, value, own, u, dof, description in zip(
+            ("K", "angle", "azimuth"), shape.values * scale, units, spread, freedom, _WORDS, strict=False
+        )
+    )
+    influences = tuple(
+        # The outputs are as they are: what is stated differently is answered by the opposite change of the fit.
+        Influence(
+            quantity,
+            np.column_stack([-scale * (gains @ change) for change in changes.values()]),
+            parts=tuple(changes),
+        )
+        for quantity, changes in stated_changes(model, request.setup, request.site, axes, k, how, gain)
+    )
+    return AxisAngles(coefficients, covariance * np.outer(scale, scale), influences)
+
+
+def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
+    if model.directions >= (3 if azimuth == FITTED else 2):
+        return []
+    seen = {0: "no direction", 1: "one direction (or its reverse)", 2: "directions in one plane"}[model.directions]
+    hint = "orient the fixture so that the table turns about a third direction of it, or write `azimuth: stated`"
+    if model.directions < 2:
+        hint = "orient the fixture so that the table turns about another direction of it: one of its axes, or z turned by a known angle"
+    return [Remark("physics-fixture", f"the table turns about {seen} of the fixture only", hint)]
+
+
+def _padded(found: Sequence[AxisAngles]) -> tuple[Influence, ...]:
+    """The influences of each axis on the coefficients of all; parts of the same name are one input."""
+    size, at, made = sum(len(axis.coefficients) for axis in found), 0, []
+    for axis in found:
+        for item in axis.influences:
+            wide = np.zeros((size, item.sensitivities.shape[1]))
+            wide[at : at + len(axis.coefficients)] = item.sensitivities
+            made.append(Influence(item.quantity, wide, item.in_scatter, item.parts))
+        at += len(axis.coefficients)
+    return tuple(made)
+
+
+def _table(axes: MountedAxes, found: Sequence[AxisAngles]) -> Table:
+    rows: list[tuple[Any, ...]] = []
+    for k, axis in enumerate(found):
+        angle = axis.coefficients[1]
+        off = (angle.value * _DEGREE - axes.angles[k]) / _ARCSEC
+        stated = f"{math.degrees(axes.angles[k]):.6g} deg"
+        rows.append(
+            (
+                axes.names[k],
+                stated,
+                f"{angle.value:.6f} deg",
+                float(off),
+                angle.standard_uncertainty * _DEGREE / _ARCSEC,
+            )
+        )
+    columns = ("axis", "angle stated", "angle found", "found less stated [arcsec]", "u(angle), data alone [arcsec]")
+    return Table("Angles of the fixture, found and stated", columns, tuple(rows))

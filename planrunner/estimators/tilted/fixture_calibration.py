@@ -1,0 +1,118 @@
+"""Angles of a fixture from an estimate `fixture_angles` instead of from the plan: values, and what they depend on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
+from planrunner.estimators.tilted.mounted_axes import MountedAxes, seeing
+from planrunner.plan.units import unit
+from planrunner.uncertainty.influences import Influence, InputQuantity
+
+Array = NDArray[np.float64]
+
+Used = TypeVar("Used", Design, Estimate)
+
+_ANGLE = "angle_{}"
+_AZIMUTH = "azimuth_{}"
+
+
+def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[MountedAxes, tuple[Influence, ...]]:
+    """The axes at their calibrated angles, and influences on these angles, (m, r) in rad; as they were without a calibration.
+
+    Raises `EstimationError` for an estimate that is no calibration of the fixture, or not of all axes.
+    """
+    if not uses:
+        return axes, ()
+    name, used = _only(uses)
+    rows = _rows(axes, used.coefficients, name)
+    covariance = used.covariance if used.data_covariance is None else used.data_covariance
+    freedom = [_data_freedom(used, used.coefficients[row]) for row in rows]
+    influences = _carried(axes, used.coefficients, rows, covariance, used.influences, freedom, name)
+    return seeing(_at(axes, used.coefficients)), influences
+
+
+def planned_axes(axes: MountedAxes, uses: Mapping[str, Design]) -> tuple[MountedAxes, tuple[Influence, ...]]:
+    """The same before anything is recorded: the angles as stated, with the uncertainty that the calibration lets one expect."""
+    if not uses:
+        return axes, ()
+    name, used = _only(uses)
+    if not used.predicted:
+        return axes, ()
+    rows = _rows(axes, used.predicted, name)
+    freedom = [math.inf] * len(rows)
+    acting = used.extra["influences"]
+    return axes, _carried(axes, used.predicted, rows, used.extra["covariance"], acting, freedom, name)
+
+
+def _only(uses: Mapping[str, Used]) -> tuple[str, Used]:
+    if len(uses) > 1:
+        raise EstimationError(f"it uses {' and '.join(uses)}: name one calibration of the fixture")
+    return next(iter(uses.items()))
+
+
+def _rows(axes: MountedAxes, coefficients: Sequence[Coefficient], used: str) -> list[int]:
+    names = [item.name for item in coefficients]
+    wanted = [_ANGLE.format(axis) for axis in axes.names]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise EstimationError(
+            f"'{used}' has no coefficient '{missing[0]}': `uses` names a `fixture_angles` estimate of the same axes"
+        )
+    return [names.index(name) for name in wanted]
+
+
+def _carried(
+    axes: MountedAxes,
+    coefficients: Sequence[Coefficient],
+    rows: Sequence[int],
+    covariance: Array,
+    acting: Sequence[Influence],
+    freedom: Sequence[float],
+    name: str,
+) -> tuple[Influence, ...]:
+    """Influences on the angles: of the calibration's data, one an axis, and of what the calibration itself depends on."""
+    factors = np.array([unit(coefficients[row].unit).factor for row in rows])
+    arcsec = unit("arcsec").factor
+    found = []
+    for k, row in enumerate(rows):
+        spread = float(np.sqrt(covariance[row, row]) * factors[k])
+        quantity = InputQuantity(
+            f"fixture angle {axes.names[k]}",
+            float(coefficients[row].value * factors[k]),
+            "rad",
+            spread,
+            freedom[k],
+            "t" if math.isfinite(freedom[k]) else "normal",
+            f"data of the estimate '{name}'",
+            shown="arcsec",
+            shown_factor=arcsec,
+        )
+        found.append(Influence(quantity, np.eye(len(rows))[:, [k]]))
+    found += [replace(item, sensitivities=item.sensitivities[[*rows]] * factors[:, None]) for item in acting]
+    return tuple(found)
+
+
+def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
+    known = {item.name: item.value * unit(item.unit).factor for item in coefficients if item.unit == "deg"}
+
+    def of(form: str, stated: Array) -> Array:
+        return np.array(
+            [known.get(form.format(axis), float(own)) for axis, own in zip(axes.names, stated, strict=True)]
+        )
+
+    return replace(axes, angles=of(_ANGLE, axes.angles), azimuths=of(_AZIMUTH, axes.azimuths))
+
+
+def _data_freedom(used: Estimate, item: Coefficient) -> float:
+    """Degrees of freedom of the data alone: the analysis has combined them with those of the influences."""
+    for budget in used.budgets:
+        if budget.coefficient == item.name:
+            return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)
+    return item.degrees_of_freedom

@@ -1,0 +1,197 @@
+"""The gain vector K·d of an axis in a fixture: design matrix over orientations, polar form, and what it depends on beside the data.
+
+Each orientation has an offset of its own, which takes the bias, its dependence on gravity, and the Earth's rotation along the axis of the
+table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import EstimationError, Setup
+from planrunner.estimators.linear_influences import orthogonality_tilts
+from planrunner.estimators.rate_influences import rate_part
+from planrunner.estimators.tilted.mounted_axes import MountedAxes, rotation_axis
+from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates
+from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis
+from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.uncertainty.influences import InputQuantity
+
+Array = NDArray[np.float64]
+
+FITTED, STATED = "fitted", "stated"
+AXES = ("x", "y", "z")
+
+
+def tilt_part(orientation: str, axis: str) -> str:
+    """Name of a tilt of the fixture in one orientation, so that it is known for the same wherever it acts."""
+    return f"{orientation}, about {axis}"
+
+
+@dataclass(frozen=True, slots=True)
+class GainModel:
+    """n segments at o orientations. felt: (n, 3), mean rate in the fixture's frame, rad/s; turning: (n, 3), the table's part of it;
+    place: (n,), which orientation."""
+
+    segments: tuple[Segment, ...]
+    orientations: tuple[str, ...]
+    place: NDArray[np.int64]
+    felt: Array
+    turning: Array
+
+    @property
+    def directions(self) -> int:
+        """How many independent directions of the fixture the table has turned about."""
+        size = np.linalg.norm(self.turning, axis=1)
+        units = self.turning[size > 0] / size[size > 0, None]
+        return int(np.linalg.matrix_rank(units, tol=1e-6)) if len(units) else 0
+
+    def terms(self, azimuth: str) -> tuple[str, ...]:
+        gains = ("gain_x", "gain_y", "gain_z") if azimuth == FITTED else ("gain_across", "gain_along")
+        return (*(f"offset {text}" for text in self.orientations), *gains)
+
+    def matrix(self, basis: Array) -> Array:
+        """basis: (3, r), directions in the fixture that the gain vector is made of."""
+        return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
+
+    def magnitudes(self, basis: Array) -> Array:
+        largest = float(np.linalg.norm(self.turning, axis=1).max(initial=1e-12))
+        return np.array([1.0] * len(self.orientations) + [largest] * basis.shape[1])
+
+
+def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], site: Site, setup: Setup) -> GainModel:
+    """Raises `EstimationError` for a segment that neither spins nor rests, and for an unknown orientation."""
+    for segment in segments:
+        if not isinstance(segment.motion, Spin | Rest):
+            kind = type(segment.motion).__name__.lower()
+            raise EstimationError(
+                f"segment '{segment.label}' has no constant rate ({kind}): leave it out of `segments`"
+            )
+        if segment.attitude is None:
+            raise EstimationError(
+                f"the orientation of segment '{segment.label}' is unknown, so it tells nothing of the fixture's angles: give it"
+            )
+    begun = as_recording_begins(segments, site, setup.table)
+    known = tuple(dict.fromkeys(segment.orientation for segment in segments))
+    rates = np.array([segment.rate for segment in segments])
+    return GainModel(
+        tuple(segments),
+        known,
+        np.array([known.index(segment.orientation) for segment in segments]),
+        mean_rates(begun, site, seconds),
+        rotation_axis(segments, along_z=False) * rates[:, None],
+    )
+
+
+def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
+    """The fixture's x, y and z; or the direction of the stated azimuth and z. Raises `EstimationError` without an azimuth."""
+    if azimuth == FITTED:
+        return np.eye(3)
+    if math.isnan(axes.azimuths[k]):
+        raise EstimationError(f"mounting.{axes.names[k]} states no azimuth, which `azimuth: stated` needs")
+    across = [math.cos(axes.azimuths[k]), math.sin(axes.azimuths[k]), 0.0]
+    return np.array([across, [0.0, 0.0, 1.0]]).T
+
+
+@dataclass(frozen=True, slots=True)
+class Polar:
+    """values: K in output unit/(rad/s), angle and, if fitted, azimuth [rad]; gradient: (q, r) by the gain's components."""
+
+    values: Array
+    gradient: Array
+
+
+def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Polar:
+    """gain: (r,), components along `basis` (3, r), of axis k. An output whose sign is not that of its stated direction has a
+    negative K. Raises `EstimationError` for an axis whose azimuth means nothing, because it lies
+    along z."""
+    sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
+    own = sign * gain
+    size = float(np.linalg.norm(own))
+    if len(own) == 2:
+        across, along = own
+        values = np.array([sign * size, math.atan2(across, along)])
+        gradient = np.array([own / size * sign, np.array([along, -across]) / size**2])
+        return Polar(values, gradient * sign)
+    x, y, z = own
+    about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
+    across = math.hypot(x, y)
+    if across < 1e-9 * size:
+        raise EstimationError("an axis lies along the fixture's z axis, so it has no azimuth: write `azimuth: stated`")
+    azimuth = about + math.remainder(math.atan2(y, x) - about, 2 * math.pi)
+    values = np.array([sign * size, math.atan2(across, z), azimuth])
+    gradient = np.array(
+        [
+            own / size * sign,
+            np.array([z * x / across, z * y / across, -across]) / size**2,
+            np.array([-y, x, 0.0]) / across**2,
+        ]
+    )
+    return Polar(values, gradient * sign)
+
+
+def stated_changes(
+    model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str, gain: Array
+) -> Iterator[tuple[InputQuantity, dict[str, Array]]]:
+    """What is stated with an uncertainty, and by part how the outputs predicted for `gain` (r,) change with it, (n,) per unit."""
+    basis = gain_basis(axes, k, azimuth)
+    vector = basis @ gain
+    if position := setup.inputs.get("table position"):
+        yield (
+            position,
+            {
+                tilt_part(text, name): np.where(model.place == o, -np.cross(np.eye(3)[j], model.felt) @ vector, 0.0)
+                for o, text in enumerate(model.orientations)
+                for j, name in enumerate(AXES)
+            },
+        )
+    rates = np.array([segment.rate for segment in model.segments])
+    if rate := setup.inputs.get("table rate"):
+        yield (
+            rate,
+            {
+                rate_part(value): np.where(rates == value, model.turning @ vector, 0.0)
+                for value in np.unique(rates[rates != 0])
+            },
+        )
+    if (
+        (orthogonality := setup.inputs.get("table orthogonality"))
+        and setup.table is not None
+        and len(setup.table.axes) > 1
+        and _outermost(setup.table.axes, model.segments, site.azimuth)
+    ):
+        try:
+            tilts = orthogonality_tilts(setup.table.axes, [one.attitude for one in model.segments], site.azimuth)
+        except Unreachable:
+            tilts = ()
+        names = [axis.name for axis in setup.table.axes]
+        if tilts:
+            yield (
+                orthogonality,
+                {
+                    f"{names[pair]} and {names[pair + 1]}": np.cross(tilt, model.felt) @ vector
+                    for pair, tilt in enumerate(tilts)
+                },
+            )
+    if azimuth == STATED and (mounted := setup.inputs.get(f"fixture azimuth {axes.names[k]}")):
+        turned = np.array([-math.sin(axes.azimuths[k]), math.cos(axes.azimuths[k]), 0.0])
+        yield mounted, {"": gain[0] * (model.felt @ turned)}
+
+
+def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
+    """Whether the outermost axis makes every spin: only then does the table's rate lean with nothing outside it."""
+    for one in segments:
+        if isinstance(one.motion, Spin) and one.attitude is not None:
+            try:
+                joints = joint_angles(axes, one.attitude, np.zeros(len(axes)), azimuth)
+                if spin_axis(axes, joints, one.motion.about, azimuth):
+                    return False
+            except Unreachable:
+                return False
+    return True

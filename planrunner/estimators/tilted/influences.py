@@ -1,0 +1,225 @@
+"""What scale factors of tilted axes depend on beside the data (type B): fixture, table, site, temperature, resolution, drift of the zero.
+
+Sensitivities are taken by computing everything again with the input changed by its standard uncertainty, up and down (JCGM 100:2008,
+5.1.3, note 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.rate_influences import rate_part
+from planrunner.estimators.tilted.evaluation import QUANTITIES, Conditions, Findings, Group, K, Worst, evaluate
+from planrunner.estimators.tilted.fixture_gains import tilt_part
+from planrunner.estimators.tilted.mounted_axes import MountedAxes
+from planrunner.estimators.tilted.turning_rates import mean_rates
+from planrunner.estimators.turned_segments import UP, turned
+from planrunner.physics.earth import Site
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.influences import Influence, InputQuantity, Inputs
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """All that the results come from. answers: of each group, (n, m, 5), by its outputs; gradient: of `Findings.vector` by the means of all
+    groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture: influences
+    on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
+
+    groups: tuple[Group, ...]
+    conditions: Conditions
+    found: Findings
+    worst: Worst
+    reference: int
+    answers: tuple[Array, ...]
+    gradient: Array
+    segments: tuple[Segment, ...]
+    seconds: tuple[float | None, ...]
+    site: Site
+    home: str
+    units: tuple[str, ...]
+    fixture: tuple[Influence, ...] = ()
+
+    def again(self, conditions: Conditions) -> Array:
+        """The results' vector under other conditions."""
+        return evaluate(self.groups, conditions, self.reference, self.worst).vector
+
+
+@dataclass(frozen=True, slots=True)
+class Rounding:
+    """What rounding to counts leaves in the means of one output. share: of a count; in_scatter: whether the samples vary at all, so that
+    the scatter shows it."""
+
+    share: float
+    in_scatter: bool
+
+
+def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
+    """The error that all rates share, as the plan states it for an estimate."""
+    source = f"plan estimates.{estimate}.rate_uncertainty"
+    width = stated.value if stated else 0.0
+    return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
+
+
+def influences(
+    situation: Situation,
+    inputs: Inputs,
+    common: InputQuantity,
+    basis: str,
+    rounding: Mapping[str, Rounding] | None = None,
+) -> list[Influence]:
+    """On `Findings.vector`. inputs: what bench and plan state with an uncertainty; common: relative error that all rates share;
+    rounding: by output."""
+    found = [
+        *_fixture(situation, inputs),
+        *_table(situation, inputs, common),
+        *_earth(situation, inputs),
+        *_temperature(situation, inputs),
+        *_resolution(situation, inputs, rounding or {}),
+        *_zero_drift(situation, basis),
+    ]
+    return [item for item in found if item.quantity.standard_uncertainty > 0]
+
+
+def _by_change(
+    quantity: InputQuantity, compute: Iterable[Callable[[float], Array]], parts: Sequence[str] = ()
+) -> Influence:
+    """One column for each way of computing with the input changed."""
+    step = quantity.standard_uncertainty or 1.0
+    columns = [(one(step) - one(-step)) / (2 * step) for one in compute]
+    return Influence(quantity, np.nan_to_num(np.column_stack(columns)), parts=tuple(parts))
+
+
+def _fixture(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
+    axes = situation.conditions.axes
+    if situation.fixture:
+        gradient = np.column_stack([_angle_gradient(situation, k, 1e-6) for k in range(len(axes.names))])
+        yield from (item.through(gradient) for item in situation.fixture)
+        return
+    for k, name in enumerate(axes.names):
+        stated = inputs.get(f"fixture angle {name}")
+        if stated is not None:
+            yield Influence(stated, _angle_gradient(situation, k, stated.standard_uncertainty or 1e-6)[:, None])
+
+
+def _angle_gradient(situation: Situation, axis: int, step: float) -> Array:
+    def changed(by: float) -> Array:
+        angles = situation.conditions.axes.angles.copy()
+        angles[axis] += by
+        return situation.again(_with_axes(situation, angles=angles))
+
+    return np.asarray(np.nan_to_num((changed(step) - changed(-step)) / (2 * step)))
+
+
+def _table(situation: Situation, inputs: Inputs, common: InputQuantity) -> Iterator[Influence]:
+    """The bench states how well each rate is held, the same whenever it comes again; the plan what all rates share."""
+    commanded = situation.conditions.commanded
+    rate = inputs.get("table rate")
+    if rate is not None:
+        different = np.unique(commanded[commanded != 0])
+        each = [_with_rates(situation, commanded == value) for value in different]
+        yield _by_change(rate, each, [rate_part(value) for value in different])
+    if common.standard_uncertainty:
+        yield _by_change(common, [_with_rates(situation, np.ones(len(commanded)))])
+    tilts = [
+        lambda by: situation.again(_with_axes(situation, tilt=(by, 0.0))),
+        lambda by: situation.again(_with_axes(situation, tilt=(0.0, by))),
+    ]
+    position = inputs.get("table position")
+    if position is not None:
+        yield _by_change(position, tilts, [tilt_part(situation.home, axis) for axis in ("x", "y")])
+
+
+def _earth(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
+    if situation.conditions.felt is None:
+        return
+
+    def at(site: Site, segments: Sequence[Segment]) -> Array:
+        return situation.again(replace(situation.conditions, felt=mean_rates(segments, site, situation.seconds)))
+
+    site, segments = situation.site, situation.segments
+    latitude, azimuth = inputs.get("latitude"), inputs.get("azimuth")
+    if latitude is not None:
+        yield _by_change(latitude, [lambda by: at(replace(site, latitude=site.latitude + by), segments)])
+    if azimuth is not None:
+        yield _by_change(azimuth, [lambda by: at(site, turned(segments, UP, -by))])
+
+
+def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
+    """A thermometer that reads wrong shifts all temperatures alike: K belongs to another temperature, its coefficient stays."""
+    stated, found = inputs.get("temperature"), situation.found
+    if stated is None or not np.isfinite(found.coefficient).all():
+        return
+    means = np.zeros_like(found.means)
+    means[..., K] = found.coefficient * found.means[situation.reference, :, K]
+    sensitivities = np.zeros(len(found.vector))
+    sensitivities[: means.size] = means.ravel()
+    yield Influence(stated, sensitivities[:, None])
+
+
+def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rounding]) -> Iterator[Influence]:
+    """Rounding of each mean, the same in every repeat."""
+    for axis, output in enumerate(situation.conditions.axes.outputs):
+        stated, left = inputs.get(f"resolution {output}"), rounding.get(output)
+        if stated is not None and left is not None:
+            acting = _by_courses(situation, stated, axis, _each_rate)
+            yield replace(acting, sensitivities=left.share * acting.sensitivities, in_scatter=left.in_scatter)
+
+
+def _zero_drift(situation: Situation, basis: str) -> Iterator[Influence]:
+    """How far the zero during the rates may have been from the mean of the zeros before and after: half of their difference either way.
+
+    Two courses act: an offset of all rates, and a steady change from one end of the series to the other. On the basis `repeats` only the
+    part of the drift that all repeats share is taken, since its changes are in their scatter.
+    """
+    for axis, output in enumerate(situation.conditions.axes.outputs):
+        drifts = [group.drift[:, axis] for group in situation.groups]
+        sizes = [abs(one.mean()) if basis == "repeats" else math.sqrt(np.mean(one**2)) for one in drifts]
+        half = math.sqrt(np.mean(np.square(sizes))) / 2
+        if half > 0:
+            text = situation.units[axis]
+            spread = half / math.sqrt(3)
+            quantity = InputQuantity(
+                f"zero drift {output}", 0.0, text, spread, distribution="rectangular", source="start and end zeros"
+            )
+            yield _by_courses(situation, quantity, axis, _drift_courses)
+
+
+def _each_rate(n: int) -> dict[str, Array]:
+    return {f"rate {row + 1}": one for row, one in enumerate(np.eye(n))}
+
+
+def _drift_courses(n: int) -> dict[str, Array]:
+    return {"offset": np.ones(n), "steady change": np.linspace(-1, 1, n)}
+
+
+def _by_courses(
+    situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
+) -> Influence:
+    """An error of one output that takes a course over the n rates of a series, apart at each temperature."""
+    columns, parts = [], []
+    width = situation.answers[0].shape[1] * len(QUANTITIES)
+    for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):
+        for name, course in courses(len(group.rates)).items():
+            change = np.zeros(answers.shape[1:])
+            change[axis] = course @ answers[:, axis]
+            columns.append(situation.gradient[:, k * width : (k + 1) * width] @ change.ravel())
+            parts.append(f"{group.label} {name}")
+    return Influence(quantity, np.column_stack(columns), parts=tuple(parts))
+
+
+def _with_rates(situation: Situation, which: NDArray[Any]) -> Callable[[float], Array]:
+    return lambda by: situation.again(replace(situation.conditions, rate_error=by * which))
+
+
+def _with_axes(situation: Situation, **changes: object) -> Conditions:
+    axes: MountedAxes = replace(situation.conditions.axes, **changes)  # type: ignore[arg-type]
+    return replace(situation.conditions, axes=axes)

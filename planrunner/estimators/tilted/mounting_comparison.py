@@ -1,0 +1,72 @@
+"""One tilted mounting against one mounting an axis: how long the test takes, and what it costs in uncertainty.
+
+An axis along the rotation axis sees the whole rate, so its noise counts cos θ as much; and where it leans by a small δ, only 1 − cos δ is
+lost, while the tilted axis loses δ·tan θ. Each mounting takes the same schedule, its temperature cycle included, and a time for mounting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Table
+from planrunner.estimators.tilted.mounted_axes import MountedAxes
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+
+
+def scheduled_seconds(segments: Sequence[Segment], seconds: Sequence[float | None]) -> float:
+    """From the first move to the end of the last segment, as planned; dwells that the plan leaves open as recorded.
+
+    seconds: recorded. Where the schedule has no times (a recording that is played back), the dwells alone.
+    """
+    lasting = [segment.dwell or own or 0.0 for segment, own in zip(segments, seconds, strict=True)]
+    waiting = [segment.transition + segment.soak + segment.settle for segment in segments]
+    planned = segments[-1].start + lasting[-1] - (segments[0].start - waiting[0])
+    return max(planned, sum(lasting) + sum(waiting))
+
+
+def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
+    """noise: (m,), relative standard uncertainty of K from the noise within the segments; angle: (m,), standard uncertainty of θ, rad.
+
+    Alone, the axis may lean by `angle` about either of two directions: 1 − cos δ has the mean angle² and the standard deviation angle².
+    """
+    rows = []
+    for k, name in enumerate(axes.names):
+        cosine, tangent = abs(np.cos(axes.angles[k])), abs(np.tan(axes.angles[k]))
+        tilted, alone = tangent * angle[k], np.sqrt(2) * angle[k] ** 2
+        cells = (
+            noise[k],
+            tilted,
+            np.hypot(noise[k], tilted),
+            noise[k] * cosine,
+            alone,
+            np.hypot(noise[k] * cosine, alone),
+        )
+        rows.append((name, f"{np.degrees(axes.angles[k]):.4f}", *(float(cell * 1e6) for cell in cells)))
+    columns = (
+        "axis",
+        "angle [deg]",
+        "tilted: noise [ppm]",
+        "tilted: angle [ppm]",
+        "tilted: both [ppm]",
+        "alone: noise [ppm]",
+        "alone: lean [ppm]",
+        "alone: both [ppm]",
+    )
+    return Table("Standard uncertainty of K in one tilted mounting and in one mounting an axis", columns, tuple(rows))
+
+
+def time_note(seconds: float, mountings: int, remounting: float) -> str:
+    one, many = seconds + remounting, mountings * (seconds + remounting)
+    return (
+        f"Test time: {_hours(one)} in one tilted mounting ({_hours(seconds)} as scheduled, {_hours(remounting)} for mounting). One axis at "
+        f"a time it would be {_hours(many)}, in {mountings} mountings with a temperature cycle each."
+    )
+
+
+def _hours(seconds: float) -> str:
+    return f"{seconds / 3600:.3g} h" if seconds >= 3600 else f"{seconds / 60:.3g} min"

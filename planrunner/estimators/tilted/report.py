@@ -1,0 +1,297 @@
+"""What people are shown of tilted scale factors: tables, pictures, and notes on how far to trust them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Estimate, Plot, Table
+from planrunner.estimators.slope_units import slope_unit
+from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
+from planrunner.estimators.tilted.influences import Situation
+from planrunner.estimators.tilted.mounting_comparison import comparison_table, scheduled_seconds, time_note
+from planrunner.estimators.tilted.rate_lines import lowest_pair
+from planrunner.estimators.tilted.scatter import Noise, Scatter
+from planrunner.estimators.tilted.turning_rates import part_turns
+from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
+from planrunner.uncertainty.decision import coverage_factor
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+Units = Sequence[tuple[Unit, Unit]]
+
+HALF = 0.5  # of the change expected: where threshold and resolution are reached (IEEE Std 528)
+
+
+def report(
+    made: Estimate,
+    situation: Situation,
+    units: Units,
+    scatter: Scatter,
+    within: Scatter,
+    noise: Noise,
+    acting: Sequence[Influence],
+    parameters: Any,
+) -> Estimate:
+    """The estimate with its tables, plots, notes and warnings."""
+    spread = _spread(scatter, situation)
+    tables = (
+        _per_axis(situation, units, spread),
+        _per_repeat(situation),
+        _residuals(situation, units),
+        _lowest_rate(situation, units, noise),
+        comparison_table(
+            situation.conditions.axes, _relative(_spread(within, situation), situation), _angles(situation, acting)
+        ),
+    )
+    plots = (_residual_plot(situation, units), *_temperature_plot(situation, spread))
+    return replace(
+        made,
+        tables=tables,
+        plots=plots,
+        notes=(*made.notes, *_notes(situation, scatter, acting, parameters)),
+        warnings=(*made.warnings, *_warnings(situation)),
+    )
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def _per_axis(situation: Situation, units: Units, spread: Array) -> Table:
+    found, axes = situation.found, situation.conditions.axes
+    slope, factor = slope_unit(*units[0])
+    own = units[0][1].text
+    columns = (
+        "axis",
+        "temperature",
+        f"K [{slope}]",
+        f"K' [{slope}]",
+        "u(K), data alone",
+        f"F0 [{own}]",
+        "nonlinearity [ppm]",
+        "asymmetry [ppm]",
+        "repeatability [ppm]",
+        f"zero drift [{own}]",
+        "repeats",
+    )
+    rows = []
+    for axis, name in enumerate(axes.names):
+        cosine = float(axes.directions[axis] @ _along(situation))
+        for k, group in enumerate(situation.groups):
+            mean = found.means[k, axis]
+            value = float(mean[K] * factor)
+            figures = (float(mean[F0]), *(float(mean[q] * 1e6) for q in (NONLINEARITY, ASYMMETRY)))
+            repeatability = float(found.repeatability[k, axis] * 1e6)
+            drift = float(group.drift[:, axis].mean())
+            own_spread = float(spread[k, axis] * factor)
+            shown = (name, _celsius(group), value, value * cosine, own_spread, *figures)
+            rows.append((*shown, repeatability, drift, len(group.names)))
+    return Table("Scale factor of each axis at each temperature", columns, tuple(rows))
+
+
+def _per_repeat(situation: Situation) -> Table:
+    names, found = situation.conditions.axes.names, situation.found
+    rows = [
+        (group.label or "–", name, *(float(value) for value in (repeat[:, K] / mean[:, K] - 1) * 1e6))
+        for group, repeats, mean in zip(situation.groups, found.repeats, found.means, strict=True)
+        for name, repeat in zip(group.names, repeats, strict=True)
+    ]
+    columns = ("temperature", "series", *(f"{name} [ppm]" for name in names))
+    return Table("Scale factor in each repeat, from the mean at its temperature", columns, tuple(rows))
+
+
+def _residuals(situation: Situation, units: Units) -> Table:
+    rate = units[0][0]
+    names = situation.conditions.axes.names
+    rows = []
+    for group, residuals in zip(situation.groups, situation.found.residuals, strict=True):
+        for own, one in zip(group.rates, residuals / group.full_scale * 1e6, strict=True):
+            rows.append((group.label or "–", f"{own / rate.factor:+g}", *(float(value) for value in one)))
+    columns = ("temperature", f"rate [{rate.text}]", *(f"{name} [ppm]" for name in names))
+    return Table("Residuals, means over the repeats, in ppm of the largest output", columns, tuple(rows))
+
+
+def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
+    """Response by IEEE Std 528, and the change of rate that a recording at the lowest rate tells from noise: k·√2·u of its mean."""
+    axes, hour = situation.conditions.axes, unit("deg/h").factor
+    group, found = situation.groups[situation.reference], situation.found
+    high, low = lowest_pair(group.rates)
+    repeats = math.sqrt(len(group.names))
+    rows = []
+    for axis, name in enumerate(axes.names):
+        cosine = abs(float(np.cos(axes.angles[axis])))
+        own = noise.rates[situation.reference][[high, low], axis].max() * repeats
+        freedom = float(noise.degrees_of_freedom[axis])
+        rate = math.sqrt(2) * own / abs(found.means[situation.reference, axis, K]) / hour
+        change = float(coverage_factor(freedom) * rate) if freedom > 0 else None
+        seen = abs(group.rates[[high, low]]).max() * cosine
+        response = float(found.means[situation.reference, axis, RESPONSE])
+        rows.append(
+            (
+                name,
+                float(seen / units[axis][0].factor),
+                response,
+                "yes" if response >= HALF else "no",
+                change,
+            )
+        )
+    text = units[0][0].text
+    columns = (
+        "axis",
+        f"lowest rate that it sees [{text}]",
+        "change of output over that expected",
+        "at least half (IEEE Std 528)",
+        "smallest change told from noise [deg/h]",
+    )
+    return Table("Threshold and resolution at the lowest rate", columns, tuple(rows))
+
+
+# -- plots -----------------------------------------------------------------------------------------------------------
+
+
+def _residual_plot(situation: Situation, units: Units) -> Plot:
+    group, residuals = situation.groups[situation.reference], situation.found.residuals[situation.reference]
+    rate, order = units[0][0], np.argsort(group.rates)
+    scaled = (residuals / group.full_scale * 1e6)[order]
+    series = {
+        name: tuple(float(value) for value in scaled[:, axis])
+        for axis, name in enumerate(situation.conditions.axes.names)
+    }
+    where = f" at {group.label}" if group.label else ""
+    x = tuple(float(value / rate.factor) for value in group.rates[order])
+    return Plot(
+        f"Residuals from the straight line{where}",
+        f"rate [{rate.text}]",
+        "residual [ppm of the largest output]",
+        x,
+        series,
+    )
+
+
+def _temperature_plot(situation: Situation, spread: Array) -> tuple[Plot, ...]:
+    if not np.isfinite(situation.found.coefficient).all():
+        return ()
+    values, reference = situation.found.means[..., K], situation.reference
+    kelvin = np.array([group.kelvin for group in situation.groups])
+    order = np.argsort(kelvin)
+    x = tuple(float(value - ZERO_CELSIUS) for value in kelvin[order])
+    change = (values / values[reference] - 1)[order] * 1e6
+    width = (spread / np.abs(values))[order] * 1e6
+    names = situation.conditions.axes.names
+    series = {name: tuple(float(value) for value in change[:, axis]) for axis, name in enumerate(names)}
+    widths = {name: tuple(float(value) for value in width[:, axis]) for axis, name in enumerate(names)}
+    title = f"Scale factor over temperature, from that at {situation.groups[reference].label}"
+    return (Plot(title, "temperature [degC]", "change of K [ppm]", x, series, widths),)
+
+
+# -- words -----------------------------------------------------------------------------------------------------------
+
+
+def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], parameters: Any) -> list[str]:
+    axes, segments = situation.conditions.axes, situation.segments
+    seconds = scheduled_seconds(segments, situation.seconds)
+    notes = [
+        _basis_words(situation, scatter, parameters.uncertainty),
+        _earth_words(situation, parameters.earth_rate),
+        time_note(seconds, len(axes.names), parameters.remounting.value),
+        "Nonlinearity, response and offset are those of the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + K₋) of two half-lines "
+        "that meet at zero rate.",
+    ]
+    angles = _angles(situation, acting)
+    if not angles.any():
+        notes.append(
+            "No uncertainty of the fixture's angles is stated, so the budgets lack what usually dominates them: tan θ·u(θ)."
+        )
+    if not np.isfinite(situation.found.coefficient).all():
+        notes.append("All rates were run at one temperature, so there is no temperature coefficient.")
+    return notes
+
+
+def _basis_words(situation: Situation, scatter: Scatter, basis: str) -> str:
+    if basis == "residual":
+        return "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats."
+    if basis == "within_segment":
+        return "Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them."
+    count = min(len(group.names) for group in situation.groups)
+    text = f"Uncertainties rest on the scatter of {count} repeats at each temperature"
+    if len(situation.groups) == 1:
+        return f"{text}."
+    apart = int((~scatter.pooled).sum())
+    if not apart:
+        return f"{text}, pooled over the temperatures."
+    return (
+        f"{text}, pooled over the temperatures but where it differs between them (Bartlett's test at 1 %): "
+        f"in {apart} of {len(scatter.pooled)} quantities."
+    )
+
+
+def _earth_words(situation: Situation, how: str) -> str:
+    site, axes = situation.site, situation.conditions.axes
+    hour = unit("deg/h").factor
+    about = next(np.asarray(segment.motion.about) for segment in situation.segments if segment.rate)  # type: ignore[union-attr]
+    earth = site.earth_rate_enu
+    across = float(np.linalg.norm(earth - about * (earth @ about) / (about @ about)))
+    most = across * float(np.abs(np.sin(axes.angles)).max()) / hour
+    if how == "corrected":
+        parts = part_turns(situation.segments, situation.seconds, [0.0] * len(situation.segments))
+        text = f"The Earth's rotation is corrected for; its part across the rotation axis is up to {most:.3g} deg/h on an axis."
+        if parts:
+            text += " Where a recording covers part of a turn, the angle at which it began is taken from spin-up and settling as planned."
+        return text
+    return (
+        f"The Earth's rotation across the rotation axis is {how}: F0 holds what the zeros saw of it at home, "
+        f"up to {most:.3g} deg/h on an axis."
+    )
+
+
+def _warnings(situation: Situation) -> list[str]:
+    found, axes = situation.found, situation.conditions.axes
+    return [
+        f"{name}: at the lowest rate the output changes by {value:.2g} of what the scale factor leads one to expect, less than half: it is "
+        "within threshold or dead zone (IEEE Std 528)."
+        for name, value in zip(axes.names, found.means[situation.reference, :, RESPONSE], strict=True)
+        if value < HALF
+    ]
+
+
+# -- figures that several of them need -------------------------------------------------------------------------------
+
+
+def _spread(scatter: Scatter, situation: Situation) -> Array:
+    """Standard uncertainty of K that the data show, (g, m)."""
+    diagonal = np.diagonal(scatter.covariance, axis1=1, axis2=2)
+    return np.sqrt(diagonal).reshape(situation.found.means.shape)[..., K]
+
+
+def _relative(spread: Array, situation: Situation) -> Array:
+    at = situation.reference
+    return np.abs(spread[at] / situation.found.means[at, :, K])
+
+
+def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
+    """Standard uncertainty of each axis's angle [rad], from how much of K it makes uncertain; zero where nothing is stated."""
+    axes = situation.conditions.axes
+    stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}
+    found = np.zeros(len(axes.names))
+    for item in situation.fixture:
+        found += item.quantity.standard_uncertainty**2 * np.sum(item.sensitivities**2, axis=1)
+    if not situation.fixture:
+        for item in acting:
+            if item.quantity.name in stated:
+                found[stated[item.quantity.name]] = item.quantity.standard_uncertainty**2
+    return np.sqrt(found)
+
+
+def _along(situation: Situation) -> Array:
+    """The rotation axis in the fixture's frame."""
+    along = situation.conditions.along
+    return np.asarray(along[int(np.argmax(np.abs(along).sum(axis=1)))])
+
+
+def _celsius(group: Group) -> str:
+    return "–" if math.isnan(group.kelvin) else f"{group.kelvin - ZERO_CELSIUS:.2f} °C"

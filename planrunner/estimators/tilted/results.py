@@ -1,0 +1,146 @@
+"""Names, units and descriptions of what is learnt of tilted axes, and how it leads to an `Estimate` or to predictions.
+
+At the reference temperature a coefficient is called `K_x`; at the others the temperature stands behind it, `K_x_-40degC`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import Coefficient
+from planrunner.estimators.slope_units import slope_unit
+from planrunner.estimators.tilted.evaluation import QUANTITIES, Findings, Group
+from planrunner.estimators.tilted.mounted_axes import MountedAxes
+from planrunner.plan.units import ZERO_CELSIUS, Unit
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+WORDS = {
+    "K": "scale factor along the axis",
+    "F0": "offset of the line at zero rate",
+    "nonlinearity": "largest residual over the largest output",
+    "asymmetry": "difference of forward and backward scale factors over their mean",
+    "response": "change of output between the lowest rates over that expected",
+    "repeatability": "standard deviation of K between repeats over K",
+    "temperature_coefficient": "slope of K over temperature by K at the reference",
+    "temperature_sensitivity": "largest change of K from the reference by K and distance in temperature",
+}
+ELSEWHERE = ("K", "nonlinearity", "asymmetry")  # than at the reference; the tables show the rest
+HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeatability")
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One result: its place in `Findings.vector`, and how it is shown: value × factor in `unit`."""
+
+    at: int
+    quantity: str
+    name: str
+    unit: str
+    factor: float
+    description: str
+    reference: bool
+
+
+def items(
+    found: Findings, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
+) -> tuple[Item, ...]:
+    """The results that there are, the reference temperature first. units: of the rate and of each axis's output."""
+    listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
+    return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
+
+
+def coefficients(found: Findings, kept: Sequence[Item], covariance: Array, freedom: Array) -> tuple[Coefficient, ...]:
+    """covariance, freedom: of `Findings.vector`."""
+    spread = np.sqrt(np.diag(covariance))
+    return tuple(
+        Coefficient(
+            item.name,
+            float(found.vector[item.at] * item.factor),
+            item.unit,
+            float(spread[item.at] * abs(item.factor)),
+            float(freedom[item.at]),
+            item.description,
+        )
+        for item in kept
+    )
+
+
+def over_temperature(
+    kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
+) -> dict[str, object]:
+    """The scale factors over temperature, as `interface.Estimate` says that extra holds them; empty where no temperature is known."""
+    known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
+    of = {item.name: one for item, one in zip(kept, shown, strict=True)}
+    held: dict[str, object] = {}
+    for axis in axes.names:
+        names = {k: f"K_{axis}" if k == reference else f"K_{axis}_{groups[k].label}" for k in known}
+        there = [k for k in known if names[k] in of]
+        if there:
+            held[f"K_{axis}"] = {
+                "temperature_degC": [groups[k].kelvin - ZERO_CELSIUS for k in there],
+                "value": [of[names[k]].value for k in there],
+                "standard_uncertainty": [of[names[k]].standard_uncertainty for k in there],
+                "unit": of[names[there[0]]].unit,
+            }
+    return held
+
+
+def shown_covariance(kept: Sequence[Item], covariance: Array) -> Array:
+    at = [item.at for item in kept]
+    factors = np.array([item.factor for item in kept])
+    return np.asarray(covariance[np.ix_(at, at)] * np.outer(factors, factors))
+
+
+def shown_influences(kept: Sequence[Item], acting: Sequence[Influence]) -> tuple[Influence, ...]:
+    at = [item.at for item in kept]
+    factors = np.array([item.factor for item in kept])
+    return tuple(replace(item, sensitivities=item.sensitivities[at] * factors[:, None]) for item in acting)
+
+
+def _order(count: int, reference: int) -> list[int]:
+    return [reference, *(k for k in range(count) if k != reference)]
+
+
+def _at(
+    found: Findings,
+    groups: Sequence[Group],
+    axes: MountedAxes,
+    units: Sequence[tuple[Unit, Unit]],
+    k: int,
+    reference: int,
+) -> list[Item]:
+    g, m, p = found.means.shape
+    suffix = "" if k == reference else f"_{groups[k].label}"
+    where = f" at {groups[k].label}" if groups[k].label else ""
+    made = []
+    for quantity in (*QUANTITIES, "repeatability") if k == reference else ELSEWHERE:
+        for axis, name in enumerate(axes.names):
+            at = (
+                g * m * p + k * m + axis
+                if quantity == "repeatability"
+                else (k * m + axis) * p + QUANTITIES.index(quantity)
+            )
+            unit, factor = _unit(quantity, units[axis])
+            words = f"{name}: {WORDS[quantity]}{where}"
+            made.append(Item(at, quantity, f"{quantity}_{name}{suffix}", unit, factor, words, k == reference))
+    if k == reference:
+        for row, quantity in enumerate(("temperature_coefficient", "temperature_sensitivity")):
+            for axis, name in enumerate(axes.names):
+                at = g * m * (p + 1) + row * m + axis
+                words = f"{name}: {WORDS[quantity]}"
+                made.append(Item(at, quantity, f"{quantity}_{name}", "ppm/K", 1e6, words, True))
+    return made
+
+
+def _unit(quantity: str, units: tuple[Unit, Unit]) -> tuple[str, float]:
+    if quantity == "K":
+        return slope_unit(*units)
+    if quantity == "F0":
+        return units[1].text, 1.0
+    return ("1", 1.0) if quantity == "response" else ("ppm", 1e6)

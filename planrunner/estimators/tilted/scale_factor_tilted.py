@@ -1,0 +1,335 @@
+"""Scale factors of several axes in one tilted mounting (提高标度因数测试效率的方法, Xi'an Aerospace Precision Electromechanical, 2022).
+
+Per temperature and repeat F_r is the mean of the zeros before and after the rates, and F_j − F_r = K·cos θ·ω_j + F_0 + ν_j is fitted by
+ordinary least squares over the rates. Metrics in the wording of IEEE 952 and 1431. The Earth's rotation, which the source passes over: its
+part along the rotation axis cancels with F_r; the rest turns with the table and is averaged out by whole turns, but stays in the zeros at
+home, so that F_0 holds it unless it is corrected for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
+from planrunner.estimators.slope_units import rate_and_output
+from planrunner.estimators.tilted import planning as tilted_planning
+from planrunner.estimators.tilted.evaluation import Conditions, Group, answers_of, evaluate, make_group, worst_of
+from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
+from planrunner.estimators.tilted.influences import Rounding, Situation, common_rate, influences
+from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
+from planrunner.estimators.tilted.rate_series import RateSeries, by_temperature, split_series, temperature_label
+from planrunner.estimators.tilted.report import report
+from planrunner.estimators.tilted.results import (
+    HEADLINE,
+    coefficients,
+    items,
+    over_temperature,
+    shown_covariance,
+    shown_influences,
+)
+from planrunner.estimators.tilted.scatter import (
+    BASES,
+    Noise,
+    gradient_of,
+    noise_of_means,
+    scatter_between_repeats,
+    scatter_of_means,
+    whole,
+)
+from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.schedule import Segment
+from planrunner.plan.units import unit
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+THERMOMETER = "sensor_temperature"
+
+
+class ScaleFactorTiltedParameters(Record):
+    """Keys of the estimator scale_factor_tilted."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1, single=True),
+        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
+        ["gyro_x", "gyro_y", "gyro_z"],
+        default_factory=tuple,
+    )
+    zero: tuple[str, ...] = key(
+        ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"), minimum=1, single=True),
+        "Labels of the segments at rest before and after the rates.",
+        ["start-zero", "end-zero"],
+        ("start-zero", "end-zero"),
+    )
+    earth_rate: str = key(
+        Choice(("corrected", "averaged", "ignored")),
+        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; averaged by whole turns, "
+        "which are then required; or ignored. Only where corrected is it kept out of F0.",
+        "corrected",
+        "corrected",
+    )
+    rate_unit: str = key(
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+    )
+    rate_uncertainty: Quantity | None = key(
+        QuantityOf("ratio", "not negative"),
+        "Relative standard uncertainty of the table's rate, common to all rates; how well each is held stands in the bench file.",
+        "50 ppm",
+        None,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "What the uncertainties rest on: the scatter of the repeats, that of the rates about the line, or the noise within the segments.",
+        "repeats",
+        "repeats",
+    )
+    reference_temperature: Quantity = key(
+        QuantityOf("temperature"),
+        "The tested temperature nearest to it gives K_x, and temperature coefficients refer to it.",
+        "20 degC",
+        parse_quantity("20 degC"),
+    )
+    temperature: str | None = key(
+        CHANNEL,
+        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the planned temperatures.",
+        THERMOMETER,
+        None,
+    )
+    remounting: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "Time to bring the chamber to room temperature, mount and align, for comparing with one mounting an axis.",
+        "2 h",
+        parse_quantity("2 h"),
+    )
+
+
+class ScaleFactorTilted:
+    """The plug-in."""
+
+    summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"
+    Parameters = ScaleFactorTiltedParameters
+
+    def design(self, request: DesignRequest) -> Design:
+        """Lines through the planned rates, what uncertainties to expect, and what the plan lacks. Raises `EstimationError`."""
+        return tilted_planning.design(request)
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """From the recorded means. Raises `EstimationError`."""
+        parameters: ScaleFactorTiltedParameters = request.parameters
+        if not request.segments:
+            raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
+        channels = request.segments[0].statistics.channels
+        axes, fixture = calibrated_axes(
+            seeing(mounted_axes(request.setup.mounting, channels, parameters.outputs)), request.uses
+        )
+        kept, series, warnings = _complete(request)
+        observations = observe(kept, axes.outputs, request.sensor)
+        situation = _situation(request, axes, fixture, kept, series, observations)
+        groups, found = situation.groups, situation.found
+        noise = _noise(request, groups, observations)
+        within = scatter_of_means(groups, found, situation.answers, noise, "within_segment")
+        scatter = (
+            scatter_between_repeats(found)
+            if parameters.uncertainty == "repeats"
+            else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty)
+        )
+        covariance, freedom = whole(found, groups, scatter, situation.gradient)
+        acting = influences(
+            situation,
+            request.setup.inputs,
+            common_rate(request.name, parameters.rate_uncertainty),
+            parameters.uncertainty,
+            _rounding(request, kept, axes),
+        )
+        units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
+        shown = items(found, groups, axes, units, situation.reference)
+        learnt = coefficients(found, shown, covariance, freedom)
+        held = over_temperature(shown, learnt, groups, axes, situation.reference)
+        made = Estimate(
+            request.name,
+            "scale_factor_tilted",
+            learnt,
+            shown_covariance(shown, covariance),
+            tuple(item.name for word in HEADLINE for item in shown if item.reference and item.quantity == word),
+            {
+                "uncertainty": parameters.uncertainty,
+                "earth_rate": parameters.earth_rate,
+                "reference_temperature": groups[situation.reference].label or "not stated",
+                "fixture_angles": "calibrated" if fixture else "as stated",
+            },
+            warnings=tuple(warnings),
+            segments=tuple(one.label for one in kept),
+            influences=shown_influences(shown, acting),
+            extra={"by_temperature": held} if held else {},
+        )
+        return report(made, situation, units, scatter, within, noise, acting, parameters)
+
+
+def _situation(
+    request: EstimateRequest,
+    axes: MountedAxes,
+    fixture: tuple[Influence, ...],
+    kept: Sequence[RecordedSegment],
+    series: Sequence[RateSeries],
+    observations: Observations,
+) -> Situation:
+    seconds = tuple(recorded_seconds(one) for one in kept)
+    conditions, segments = _conditions(request, kept, axes, seconds)
+    groups = _groups(request, kept, series, observations)
+    _require_response(groups, axes)
+    reference = _reference(groups, request.parameters)
+    found = evaluate(groups, conditions, reference)
+    worst = worst_of(groups, found, reference)
+    return Situation(
+        groups,
+        conditions,
+        found,
+        worst,
+        reference,
+        answers_of(groups, conditions, worst),
+        gradient_of(found, groups, reference, worst),
+        segments,
+        seconds,
+        request.site,
+        kept[0].segment.orientation,
+        observations.units,
+        fixture,
+    )
+
+
+def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
+    """The recorded segments of whole series, those series, and warnings of the others."""
+    recorded = request.segments
+    series = split_series([one.segment for one in recorded], request.parameters.zero)
+    whole_ones: list[tuple[RateSeries, str]] = []
+    lacking: list[tuple[RateSeries, str]] = []
+    for repeats in by_temperature(series).values():
+        rates = [tuple(recorded[index].segment.rate for index in one.spins) for one in repeats]
+        most = max(rates, key=len)
+        for one, own in zip(repeats, rates, strict=True):
+            cut = [recorded[index].label for index in one.segments if recorded[index].truncated]
+            why = (one.lacks and f"has no {one.lacks}") or (cut and f"is cut short in '{cut[0]}'") or ""
+            if not why and own != most:
+                why = (
+                    f"has {len(own)} of {len(most)} rates" if len(own) < len(most) else "has other rates than the rest"
+                )
+            (lacking if why else whole_ones).append((one, why))
+    warnings = [f"Series {one.name} {why}: it is left out." for one, why in lacking]
+    if not whole_ones:
+        one, why = lacking[0]
+        raise EstimationError(
+            f"no series is complete: {one.name} {why}. Each needs a zero before the rates and one after, at rest, labelled as in `zero` "
+            f"({', '.join(request.parameters.zero)})"
+        )
+    rates_at = {tuple(recorded[index].segment.rate for index in one.spins) for one, _ in whole_ones}
+    if any(len(set(rates)) < 2 for rates in rates_at):
+        raise EstimationError("a series has one rate only, so a line cannot be told from a constant: add rates")
+    order = sorted(index for one, _ in whole_ones for index in one.segments)
+    place = {index: row for row, index in enumerate(order)}
+
+    def moved(indices: Sequence[int]) -> tuple[int, ...]:
+        return tuple(place[index] for index in indices)
+
+    kept = tuple(
+        replace(one, start=moved(one.start), spins=moved(one.spins), end=moved(one.end)) for one, _ in whole_ones
+    )
+    return [recorded[index] for index in order], kept, warnings
+
+
+def _conditions(
+    request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes, seconds: Sequence[float | None]
+) -> tuple[Conditions, tuple[Segment, ...]]:
+    planned = [one.segment for one in kept]
+    along = rotation_axis(planned)
+    commanded = np.array([segment.rate for segment in planned])
+    how = request.parameters.earth_rate
+    if how == "corrected":
+        axes.require_azimuths("`earth_rate: corrected` needs; or write `earth_rate: averaged`")
+        begun = as_recording_begins(planned, request.site, request.setup.table)
+        return Conditions(axes, commanded, along, mean_rates(begun, request.site, seconds)), begun
+    if how == "averaged":
+        intervals = [1 / (segment.sample_rate or request.sensor.sample_rate) for segment in planned]
+        parts = part_turns(planned, seconds, intervals)
+        if parts:
+            label, turns = parts[0]
+            raise EstimationError(
+                f"'{label}' covers {turns:.4g} turns, not whole ones, so the Earth's rotation is not averaged out: write "
+                "`earth_rate: corrected`, or `dwell: {turns: 1, at_least: …}`"
+            )
+    return Conditions(axes, commanded, along, None), tuple(planned)
+
+
+def _groups(
+    request: EstimateRequest, kept: Sequence[RecordedSegment], series: Sequence[RateSeries], observations: Observations
+) -> tuple[Group, ...]:
+    commanded = np.array([one.segment.rate for one in kept])
+    made = []
+    for planned, repeats in by_temperature(series).items():
+        rows = [index for one in repeats for index in one.segments]
+        kelvin = _measured(request, [kept[row] for row in rows], planned)
+        made.append(make_group(repeats, temperature_label(planned), kelvin, commanded, observations.mean))
+    return tuple(made)
+
+
+def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
+    """Raises `EstimationError` for an output that is the same at all rates, as of a sensor without power."""
+    for group in groups:
+        silent = np.flatnonzero(np.any(np.ptp(group.outputs, axis=1) == 0, axis=0))
+        if silent.size:
+            name = axes.outputs[silent[0]]
+            where = f" at {group.label}" if group.label else ""
+            raise EstimationError(
+                f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the sensor had power and "
+                "measured (`mode`), and its wiring"
+            )
+
+
+def _measured(request: EstimateRequest, recorded: Sequence[RecordedSegment], planned: float | None) -> float:
+    """Mean temperature of the sensor [K]; as planned where it is not recorded; NaN where neither is known."""
+    wanted = request.parameters.temperature
+    channel = wanted or THERMOMETER
+    if wanted is None and any(channel not in one.statistics.channels for one in recorded):
+        return math.nan if planned is None else planned
+    observed = observe(recorded, [channel], request.sensor)
+    own = unit(observed.units[0])
+    if own.dimension != unit("K").dimension:
+        raise EstimationError(f"the channel '{channel}' is in {own.text}, which is no temperature: name another")
+    return own.to_si(float(observed.mean[:, 0].mean()))
+
+
+def _reference(groups: Sequence[Group], parameters: ScaleFactorTiltedParameters) -> int:
+    off = [abs(group.kelvin - parameters.reference_temperature.value) for group in groups]
+    return int(np.nan_to_num(off, nan=math.inf).argmin())
+
+
+def _noise(request: EstimateRequest, groups: Sequence[Group], observations: Observations) -> Noise:
+    """Of the means over the repeats. An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""
+    known = [within_segment_noise(observations, k) for k in range(len(observations.channels))]
+    if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
+        raise EstimationError(
+            f"{request.name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to "
+            "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
+        )
+    sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
+    freedom = np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
+    return noise_of_means(groups, sigma, observations.correlation, freedom)
+
+
+def _rounding(request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes) -> dict[str, Rounding]:
+    """A count of the samples' average where noise dithers them, else of the whole mean."""
+    found = {}
+    for output in axes.outputs:
+        variances = [float(np.diag(one.statistics.covariance)[one.statistics.of(output)]) for one in kept]
+        dithering = all(dithered(request.sensor, output, variance) for variance in variances)
+        share = 1 / math.sqrt(min(one.statistics.count for one in kept)) if dithering else 1.0
+        found[output] = Rounding(share, min(variances) > 0)
+    return found

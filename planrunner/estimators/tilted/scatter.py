@@ -1,0 +1,170 @@
+"""What the data show of the uncertainty of tilted scale factors (type A), on the basis that the plan chooses.
+
+repeats          scatter of each quantity from repeat to repeat: sees all that is not the same in every repeat
+residual         scatter of the rates about the line, of the means over the repeats
+within_segment   noise within the segments alone
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.observations import variances_differ
+from planrunner.estimators.tilted.evaluation import (
+    QUANTITIES,
+    Findings,
+    Group,
+    K,
+    Worst,
+    slope_weights,
+)
+
+Array = NDArray[np.float64]
+
+BASES = ("repeats", "residual", "within_segment")
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Of the means: of the rates (g, n, m) and of F_r (g, m), over the repeats, standard uncertainties in the outputs' units;
+    correlation: (m, m) between outputs; degrees_of_freedom: (m,)."""
+
+    rates: tuple[Array, ...]
+    rest: Array
+    correlation: Array
+    degrees_of_freedom: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """covariance: (g, 5·m, 5·m), of the means of each group, which are independent of each other. degrees_of_freedom: (g, 5·m).
+    pooled: (5·m,), whether one variance holds at all temperatures."""
+
+    covariance: Array
+    degrees_of_freedom: Array
+    pooled: NDArray[np.bool_]
+
+
+def scatter_between_repeats(found: Findings) -> Scatter:
+    """From the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's test finds that it differs between them;
+    the correlations between quantities come from the repeats of all temperatures."""
+    repeats = [one.reshape(len(one), -1) for one in found.repeats]
+    if min(len(one) for one in repeats) < 2:
+        raise EstimationError(
+            "at some temperature the rates were run once, so nothing shows how they repeat: add `repeat: 6`, or write "
+            "`uncertainty: residual`"
+        )
+    degrees = np.array([len(one) - 1 for one in repeats])
+    variances = np.array([np.nan_to_num(one.var(axis=0, ddof=1)) for one in repeats])
+    pooled = degrees @ variances / degrees.sum()
+    same = np.array(
+        [
+            len(repeats) == 1 or not (column > 0).all() or not variances_differ(column, degrees.astype(float), mean)
+            for column, mean in zip(variances.T, pooled, strict=True)
+        ]
+    )
+    size = np.sqrt(np.where(same, pooled, variances))
+    deviations = np.nan_to_num(np.vstack([one - one.mean(axis=0) for one in repeats]))
+    correlation = _correlation(deviations.T @ deviations)
+    covariance = np.array([correlation * np.outer(own, own) / len(one) for own, one in zip(size, repeats, strict=True)])
+    freedom = np.where(same, degrees.sum(), degrees[:, None]).astype(float)
+    return Scatter(covariance, freedom, same)
+
+
+def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> Noise:
+    """sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m); freedom: (m,), of sigma."""
+    rates = tuple(np.sqrt(np.sum(sigma[group.spins] ** 2, axis=0)) / len(group.names) for group in groups)
+    rest = np.array([np.sqrt(group.rest.mean(axis=0) ** 2 @ sigma**2) for group in groups])
+    return Noise(rates, rest, correlation, freedom)
+
+
+def scatter_of_means(
+    groups: Sequence[Group], found: Findings, answers: Sequence[Array], noise: Noise, basis: str
+) -> Scatter:
+    """From the residuals of the means, or from the noise within the segments. answers: of each group, as `answers_of` gives them. Raises
+    `EstimationError` without residuals."""
+    covariances, freedoms = [], []
+    for k, group in enumerate(groups):
+        n = len(group.rates)
+        gains = answers[k]
+        sigma = noise.rates[k]
+        freedom = np.repeat(noise.degrees_of_freedom, len(QUANTITIES))
+        if basis == "residual":
+            if n < 3:
+                raise EstimationError("two rates leave no residual to take an uncertainty from: add rates, or repeats")
+            spread = np.sqrt(np.sum(found.residuals[k] ** 2, axis=0) / (n - 2))
+            sigma = np.broadcast_to(spread, sigma.shape)
+            freedom = np.full(len(freedom), float(n - 2))
+        rows = np.concatenate([gains * sigma[..., None], -gains.sum(axis=0)[None] * noise.rest[k][None, :, None]])
+        covariance = np.einsum("nap,nbr,ab->apbr", rows, rows, noise.correlation)
+        covariances.append(covariance.reshape(len(freedom), -1))
+        freedoms.append(freedom)
+    return Scatter(np.array(covariances), np.array(freedoms), np.zeros(len(freedoms[0]), dtype=bool))
+
+
+def gradient_of(found: Findings, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
+    """∂`Findings.vector`/∂(means of all groups), (count, g·m·5); the repeatability does not follow from the means."""
+    g, m, p = found.means.shape
+    each = m * p
+    gradient = np.zeros((len(found.vector), g * each))
+    gradient[: g * each] = np.eye(g * each)
+    if np.isfinite(found.coefficient).all():
+        kelvin = np.array([group.kelvin for group in groups])
+        _temperature_gradients(gradient[-2 * m :], found, kelvin, reference, worst)
+    return gradient
+
+
+def whole(found: Findings, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
+    """Covariance of `Findings.vector` and degrees of freedom of its elements. gradient: as `gradient_of` gives it."""
+    g, m, p = found.means.shape
+    count, each = len(found.vector), m * p
+    blocks = np.array(
+        [gradient[:, k * each : (k + 1) * each] @ scatter.covariance[k] for k in range(g)]
+    )  # (g, count, each)
+    shares = np.array([np.einsum("ij,ij->i", blocks[k], gradient[:, k * each : (k + 1) * each]) for k in range(g)])
+    covariance = sum((blocks[k] @ gradient[:, k * each : (k + 1) * each].T for k in range(g)), np.zeros((count, count)))
+    freedom = np.full(count, np.inf)
+    freedom[: g * each] = scatter.degrees_of_freedom.ravel()
+    slopes = scatter.degrees_of_freedom.reshape(g, m, p)[..., K]
+    for row in range(2 * m):
+        own, at = slopes[:, row % m], count - 2 * m + row
+        total, squares = shares[:, at].sum(), float((shares[:, at] ** 2 / own).sum())
+        pooled = bool(scatter.pooled.reshape(m, p)[row % m, K])
+        freedom[at] = own[0] if pooled else total**2 / squares if squares > 0 else own.min()
+    # A standard deviation of q − 1 degrees of freedom is itself known to 1/√(2·(q − 1)) (JCGM 100:2008, E.4.3).
+    for k, group in enumerate(groups):
+        q = len(group.names)
+        for axis in range(m):
+            at = g * each + k * m + axis
+            covariance[at, at] = found.repeatability[k, axis] ** 2 / (2 * (q - 1)) if q > 1 else np.nan
+            freedom[at] = q - 1
+    return covariance, freedom
+
+
+def _temperature_gradients(rows: Array, found: Findings, kelvin: Array, reference: int, worst: Worst) -> None:
+    """Of coefficient and sensitivity by the scale factors, written into rows (2·m, g·m·5)."""
+    g, m, p = found.means.shape
+    weights = slope_weights(kelvin)
+    for axis in range(m):
+        at = [(k * m + axis) * p + K for k in range(g)]
+        base = found.means[reference, axis, K]
+        rows[axis, at] = weights / base
+        rows[axis, at[reference]] -= found.coefficient[axis] / base
+        other = int(worst.temperature[axis])
+        change = found.means[other, axis, K] - base
+        scale = (np.sign(change / base) or 1.0) / (base * abs(kelvin[other] - kelvin[reference]))
+        rows[m + axis, at[other]] = scale
+        rows[m + axis, at[reference]] = -scale * found.means[other, axis, K] / base
+
+
+def _correlation(products: Array) -> Array:
+    size = np.sqrt(np.diag(products))
+    outer = np.outer(size, size)
+    correlation = np.divide(products, outer, out=np.zeros_like(products), where=outer > 0)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
