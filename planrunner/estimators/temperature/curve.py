@@ -7,19 +7,22 @@
 The order is chosen by leaving out whole temperatures, never single values, because values at one temperature share what went wrong
 there. The one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same
 book, 7.10.1). No more coefficients are tried than half of the temperatures: among few, one of many curves fits by chance.
+
+Data that choose an order cannot also say how well as if it had been known: such an interval misses terms of about one standard deviation
+that were not chosen. So a chosen curve's uncertainty is that of the fullest curve tried, which the choice does not touch, and its distance
+from that one is taken for a systematic error that is not corrected (JCGM 100:2008, F.2.4.5).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
-from planrunner.estimators.least_squares import LinearFit
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -150,20 +153,25 @@ def groups_of(temperature: Array, width: float) -> Integers:
 @dataclass(frozen=True, slots=True)
 class CurveFit:
     """A fitted curve. covariance: (p, p) of its coefficients, degrees_of_freedom: of that; correlation: by how much it was widened because
-    consecutive residuals resemble each other."""
+    consecutive residuals resemble each other. fullest: of a chosen curve, the one of the highest order tried, where that is another."""
 
     curve: Curve
-    fit: LinearFit
+    coefficients: Array
     covariance: Array
     degrees_of_freedom: float
-    errors: tuple[HeldOut, ...]
+    errors: tuple[HeldOut, ...] = ()
     correlation: float = 1.0
+    fullest: CurveFit | None = None
 
     def predict(self, temperature: Array) -> tuple[Array, Array]:
         """The curve and its standard uncertainty at temperatures [degC], both (n,)."""
         columns = self.curve.columns(temperature)
-        variance = np.einsum("ni,ij,nj->n", columns, self.covariance, columns)
-        return columns @ self.fit.coefficients, np.sqrt(variance.clip(min=0.0))
+        value = columns @ self.coefficients
+        if self.fullest is None:
+            variance = np.einsum("ni,ij,nj->n", columns, self.covariance, columns)
+            return value, np.sqrt(variance.clip(min=0.0))
+        full, u = self.fullest.predict(temperature)
+        return value, np.hypot(u, value - full)
 
 
 def fit_curve(
@@ -186,35 +194,63 @@ def fit_curve(
     is of, in order, −1 for a value by itself. Raises `EstimationError`.
     """
     distinct = int(group.max()) + 1
-    errors: tuple[HeldOut, ...] = ()
-    if order is None:
-        fold = fold_of(group, folds)
-        left = distinct - max(len(np.unique(group[fold == one])) for one in np.unique(fold))
-        most = min(highest, left - 1, (distinct + 1) // 2 - 1)
-        orders = range(0 if form == "polynomial" else 1, most + 1)
-        if distinct < FEWEST or len(np.unique(fold)) < 2 or not len(orders):
+
+    def fitted(one: int) -> CurveFit:
+        if distinct < one + 1:
             raise EstimationError(
-                f"{distinct} temperatures are too few to choose an order by: give `order` or add temperatures"
+                f"{distinct} temperatures cannot tell a {form} of order {one}: lower `order` or add temperatures"
             )
-        errors = held_out(form, orders, reference, temperature, value, sigma, fold)
-        order = chosen(errors, rule).order
-    if distinct < order + 1:
+        return _fitted(curve(form, one, reference, temperature), temperature, value, sigma, scatter, series)
+
+    if order is not None:
+        return fitted(order)
+    fold = fold_of(group, folds)
+    left = distinct - max(len(np.unique(group[fold == one])) for one in np.unique(fold))
+    most = min(highest, left - 1, (distinct + 1) // 2 - 1)
+    orders = range(0 if form == "polynomial" else 1, most + 1)
+    if distinct < FEWEST or len(np.unique(fold)) < 2 or not len(orders):
         raise EstimationError(
-            f"{distinct} temperatures cannot tell a {form} of order {order}: lower `order` or add temperatures"
+            f"{distinct} temperatures are too few to choose an order by: give `order` or add temperatures"
         )
-    made = curve(form, order, reference, temperature)
+    errors = held_out(form, orders, reference, temperature, value, sigma, fold)
+    simple = replace(fitted(chosen(errors, rule).order), errors=errors)
+    return simple if simple.curve.order == most else _as_chosen(simple, fitted(most))
+
+
+def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter: bool, series: Integers) -> CurveFit:
+    """A curve through all values. Raises `EstimationError` where its uncertainty has nothing to rest on."""
     fit = least_squares.fit(made.columns(temperature), value, sigma)
-    if scatter and not fit.degrees_of_freedom:
+    if not scatter:
+        return CurveFit(made, fit.coefficients, fit.cofactor, np.inf)
+    if not fit.degrees_of_freedom:
         raise EstimationError(
-            f"{len(value)} values for {order + 1} coefficients leave no residual to take an uncertainty from: lower `order`, add "
+            f"{len(value)} values for {made.order + 1} coefficients leave no residual to take an uncertainty from: lower `order`, add "
             "temperatures or write `uncertainty: propagated`"
         )
-    if not scatter:
-        return CurveFit(made, fit, fit.cofactor, np.inf, errors)
     weighted = fit.residuals / sigma
     time = correlation_time([weighted[series == one] for one in np.unique(series[series >= 0])])
-    freedom = max(1.0, len(value) / time - (order + 1))
+    freedom = max(1.0, len(value) / time - (made.order + 1))
     factor = fit.chi_squared / fit.degrees_of_freedom * time
     return CurveFit(
-        made, fit, fit.cofactor * factor, freedom if time > 1 else float(fit.degrees_of_freedom), errors, time
+        made,
+        fit.coefficients,
+        fit.cofactor * factor,
+        freedom if time > 1 else float(fit.degrees_of_freedom),
+        correlation=time,
+    )
+
+
+def _as_chosen(simple: CurveFit, full: CurveFit) -> CurveFit:
+    """The simple curve with the uncertainty of the full one and the distance between them."""
+    if simple.curve.form == "polynomial":
+        reads = np.eye(simple.curve.order + 1, full.curve.order + 1)
+    else:
+        reads = full.curve.columns(simple.curve.knots)
+    away = simple.coefficients - reads @ full.coefficients
+    return replace(
+        simple,
+        covariance=reads @ full.covariance @ reads.T + np.outer(away, away),
+        degrees_of_freedom=full.degrees_of_freedom,
+        correlation=full.correlation,
+        fullest=full,
     )

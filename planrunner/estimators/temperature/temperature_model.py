@@ -203,7 +203,7 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
     for one in models:
         made, name, text = one.fit.curve, one.points.name, one.points.unit
         spread = np.sqrt(np.diag(one.fit.covariance))
-        for k, (value, u) in enumerate(zip(one.fit.fit.coefficients, spread, strict=True)):
+        for k, (value, u) in enumerate(zip(one.fit.coefficients, spread, strict=True)):
             if made.form == "spline":
                 label, own, words = f"{name}_knot_{k + 1}", text, f"{name} at {made.knots[k]:.6g} degC"
             else:
@@ -318,9 +318,11 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
         )
         orders = ", ".join(str(item.order) for item in fit.errors)
         found.append(f"{name}: order {fit.curve.order} was chosen of {orders} by {by}, leaving out {held}.")
-        found.append(
-            "The uncertainties are those of the chosen curve: that another might have been chosen is not in them."
-        )
+        if fit.fullest is not None:
+            found.append(
+                f"{name}: the uncertainties allow for the choice: they are those of order {fit.fullest.curve.order}, the highest tried, "
+                "with the distance to it added. Where physics says which order it is, `order` gives narrower ones."
+            )
     low, high = one.points.temperature.min(), one.points.temperature.max()
     found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond, the curve is a guess.")
     if not parameters.channels:
@@ -354,7 +356,7 @@ def _plain(one: Modelled) -> Mapping[str, object]:
         "form": made.form,
         "reference_degC": made.reference,
         "knots_degC": made.knots.tolist(),
-        "coefficients": one.fit.fit.coefficients.tolist(),
+        "coefficients": one.fit.coefficients.tolist(),
         "covariance": one.fit.covariance.tolist(),
         "unit": one.points.unit,
     }
