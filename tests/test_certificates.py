@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.archive import formats
 from planrunner.archive.run_reader import RunReader
 from planrunner.certificates import ASKED
+from planrunner.certifying import ISSUED
 from planrunner.checking import check_plan
 from planrunner.cli import main
 from planrunner.execution.stopping import StopRequest
@@ -203,7 +205,10 @@ def test_a_second_certificate_is_an_amendment(run: Path) -> None:
     analyse_run(run, Issue(PAGE, GIVEN))
     assert refused(run, GIVEN) == ["amendment"]
     amended = {**GIVEN, "certificate_number": "2026-0118", "amends": "2026-0117", "amendment_reason": "customer's name"}
-    page = page_of(analyse_run(run, Issue(PAGE, amended)))
+    again = analyse_run(run, Issue(PAGE, amended))
+    kept = formats.read_json(again.folder / ISSUED, "issued", "planrunner_issued", 1)
+    assert (kept["certificate_number"], kept["amends"]) == ("2026-0118", "2026-0117")
+    page = page_of(again)
     assert "Amendment to calibration certificate 2026-0117, which this certificate replaces" in page
     assert "customer&#39;s name" in page
     third = {**amended, "certificate_number": "2026-0119", "amends": "2026-0011"}

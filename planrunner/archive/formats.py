@@ -32,7 +32,7 @@ def to_bytes(value: Any) -> bytes:
 
 @lru_cache(maxsize=8)
 def schema(name: str) -> dict[str, Any]:
-    """A shipped JSON Schema: `run`, `journal-event`, `seal` or `digests`."""
+    """A shipped JSON Schema: `run`, `journal-event`, `seal`, `digests` or `issued`."""
     from planrunner.shipped import shipped
 
     data: dict[str, Any] = json.loads((shipped("schemas") / f"{name}.schema.json").read_text(encoding="utf-8"))

@@ -25,7 +25,7 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.shipped import shipped
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
-SINGLE_ROLES = ("table", "chamber", "sensor")
+SINGLE_ROLES = ("table", "chamber", "sensor")  # that drivers have a model for
 
 
 class MagneticFieldSpec(Record):
@@ -293,7 +293,7 @@ def _check(bench: Bench, log: Findings) -> None:
     holders: dict[str, str] = {}
     for name, entry in bench.instruments.items():
         role = driver_of(entry).role
-        if role in SINGLE_ROLES and holders.setdefault(role, name) != name:
+        if role in (*SINGLE_ROLES, "carrier") and holders.setdefault(role, name) != name:
             message = f"'{name}' is a second {role}, beside '{holders[role]}'"
             log.error("meaning-role", entry.origin.mark, message, f"a bench has at most one {role}")
         if role == "chamber":

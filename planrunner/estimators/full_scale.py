@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import DesignRequest, Remark
+from planrunner.plan.schedule import Cycle
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # relative, of a rate that is the full scale itself
 _AXES = "xyz"
+UP = (0.0, 0.0, 1.0)  # about which cycles turn
 
 
 def beyond_full_scale(request: DesignRequest, outputs: Sequence[str], shares: Array) -> list[Remark]:
@@ -24,7 +26,7 @@ def beyond_full_scale(request: DesignRequest, outputs: Sequence[str], shares: Ar
     declared scale factor K_… to be judged; one of specific force is not judged.
     """
     found = []
-    rates = np.array([segment.rate for segment in request.segments], dtype=float)
+    rates = np.array([getattr(segment.motion, "rate", 0.0) for segment in request.segments], dtype=float)
     for k, name in enumerate(outputs):
         model = request.sensor.output(name)
         if model is None or not math.isfinite(model.full_scale) or not rates.size:
@@ -52,7 +54,7 @@ def shares_by_name(request: DesignRequest, outputs: Sequence[str]) -> Array:
     shares = np.zeros((len(request.segments), len(outputs)))
     directions = [_direction(request, name.rpartition("_")[2]) for name in outputs]
     for row, segment in enumerate(request.segments):
-        about = getattr(segment.motion, "about", None)
+        about = UP if isinstance(segment.motion, Cycle) else getattr(segment.motion, "about", None)
         if about is None or segment.attitude is None:
             continue
         seen = np.asarray(segment.attitude) @ (np.asarray(about, dtype=float) / np.linalg.norm(about))

@@ -75,7 +75,7 @@ def test_reading_it(run: Path) -> None:
 
 
 def test_shipped_schemas_are_schemas() -> None:
-    for name in ("run", "journal-event", "seal", "digests"):
+    for name in ("run", "journal-event", "seal", "digests", "issued"):
         Draft202012Validator.check_schema(formats.schema(name))
 
 

@@ -23,6 +23,7 @@ TABLE = """
     driver: virtual_table
     axes: [{name: outer, direction: up, max_rate: 100 deg/s, max_acceleration: 50 deg/s^2}]
 """
+CARRIER = "\n  ship: {driver: virtual_carrier, speed: 1 m/s}"
 CHAMBER = """
   chamber: {driver: virtual_chamber, lowest: -40 degC, highest: 60 degC, ramp: 2 K/min}
 """
@@ -128,6 +129,11 @@ def test_every_finding_comes_in_one_run(tmp_path):
             HEAD + "instruments:" + TABLE + TABLE.replace("table:", "other:"),
             "meaning-role",
             "second table, beside 'table'",
+        ),
+        (
+            HEAD + "instruments:" + CARRIER + CARRIER.replace("ship:", "other:"),
+            "meaning-role",
+            "second carrier, beside 'ship'",
         ),
         (
             HEAD + "safe_order: [chamber]\ninstruments:" + TABLE + CHAMBER,

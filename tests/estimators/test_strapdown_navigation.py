@@ -319,6 +319,17 @@ def test_plans_that_cannot_work_are_refused(changes: dict[str, object], code: st
     assert [remark.code for remark in remarks if words in remark.message] == [code]
 
 
+def test_cycles_beyond_a_gyros_full_scale_are_refused() -> None:
+    """A cycle turns about the vertical, which the z axis feels and no other does."""
+    turning = planned(run={"motion": Cycle({"A": 0.0}, (Move("A", 2 * np.pi, "A"),), math.radians(12), 30.0)})
+    limits = {"gyro_x": 36_000.0, "gyro_y": 36_000.0, "gyro_z": 39_600.0}  # deg/h
+    outputs = tuple(replace(item, full_scale=limits.get(item.name, math.inf)) for item in turning.sensor.outputs)
+    design = StrapdownNavigation().design(replace(turning, sensor=replace(turning.sensor, outputs=outputs)))
+    assert [(remark.code, remark.message.split(",")[0]) for remark in design.remarks if remark.error] == [
+        ("physics-full-scale", "'gyro_z' would show 4.32e+04 deg/h in 'navigate'")
+    ]
+
+
 def test_doubtful_plans_are_remarked() -> None:
     design = planned(run={"motion": Cycle({"A": 0.0}, (Move("A", 2 * np.pi, "A"),), 1.0, 30.0)})
     short = replace(design, segments=(design.segments[0], replace(design.segments[1], dwell=1800.0)))

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
 from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark
 from planrunner.estimators.strapdown.alignment import (
     HIGHEST_LATITUDE,
@@ -55,7 +56,12 @@ def design(request: DesignRequest) -> Design:
     except EstimationError as error:
         hint = "give `segments` the stop to align in, then the segment to navigate"
         return Design((), remarks=(Remark("physics-navigation-align", str(error), hint, error=True),))
-    remarks = (*_on_alignment(request, stop), *_on_joint(request, stop, moving), *_on_navigation(request, moving))
+    remarks = (
+        *_on_alignment(request, stop),
+        *_on_joint(request, stop, moving),
+        *_on_navigation(request, moving),
+        *beyond_full_scale(request, parameters.gyros, shares_by_name(request, parameters.gyros)),
+    )
     if any(remark.error for remark in remarks):
         return Design((), remarks=remarks)
     predicted, notes = _expected(request, stop, moving)

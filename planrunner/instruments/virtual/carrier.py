@@ -15,6 +15,7 @@ from planrunner.plan.kinds import Choice, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 SPEED_UP = 60.0  # s
+FASTEST = 1000.0  # m/s
 
 
 class VirtualCarrierParameters(Record):
@@ -77,6 +78,8 @@ class VirtualCarrier:
             raise InstrumentError("the bench stands on another carrier already: keep one of them")
         if p.period is not None and p.speed_up is not None:
             raise InstrumentError("a sinusoidal velocity needs no time to speed up: remove period or speed_up")
+        if p.speed.value > FASTEST:
+            raise InstrumentError(f"{p.speed} is no carrier's speed: {FASTEST:g} m/s at most")
         site = world.site
         if abs(site.latitude) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
