@@ -25,7 +25,7 @@ def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, Moun
         elif role == "chamber" and models.chamber is not None:
             found += _chamber(models.chamber, source, day)
         elif role == "sensor" and models.sensor is not None:
-            found += _resolutions(models.sensor, source, day)
+            found += _outputs(models.sensor, source, day)
     return Inputs({item.name: item for item in found if item.standard_uncertainty > 0})
 
 
@@ -99,9 +99,17 @@ def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuan
     yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)
 
 
-def _resolutions(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Half a count either way (JCGM 100:2008, F.2.2.1), in the output's own unit."""
+def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
+    """Half a count either way (JCGM 100:2008, F.2.2.1), and flicker by its coefficient, in the output's own unit."""
     for output in sensor.outputs:
+        yield InputQuantity(
+            f"bias instability {output.name}",
+            0.0,
+            output.unit,
+            output.noise.bias_instability,
+            source=source,
+            calibrated=day,
+        )
         yield InputQuantity(
             f"resolution {output.name}",
             0.0,

@@ -81,10 +81,15 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
             warnings.append(different)
     else:
         notes.append(
-            "Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them."
+            "Uncertainties rest on the noise within the segments and on what is stated; whatever else changes from segment to segment is "
+            "not in them."
         )
+    notes += _weights(fit)
     for found in compare(fit):
-        text = f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the segments"
+        text = (
+            f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the segments and what "
+            "is stated beside it"
+        )
         if found.exceeds:
             consequence = (
                 "the within-segment uncertainties are too small"
@@ -92,12 +97,12 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
                 else "keep to the residual basis"
             )
             warnings.append(
-                f"{text} (chance of that from noise alone: {found.probability:.2g}). Something changes from segment to segment "
+                f"{text} (chance of that: {found.probability:.2g}). Something changes from segment to segment "
                 f"(positions, slow drift, or the model is incomplete): {consequence}."
             )
         else:
-            notes.append(f"{text}, which noise alone explains (probability {found.probability:.2g}).")
-    for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.sigma, strict=True):
+            notes.append(f"{text}, as chance alone makes it (probability {found.probability:.2g}).")
+    for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
             notes.append(
                 f"{output}: {width:.3g} (standard deviation, in the output's unit) is added between segments to their own noise for the "
@@ -110,3 +115,18 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
         elif noise.weighting == "individual":
             notes.append(f"{output}: the noise differs between segments, so each is weighted by its own.")
     return notes, warnings
+
+
+def _weights(fit: OutputsFit) -> list[str]:
+    """What is weighted beside the noise, and the outputs for which nobody said how large their flicker is."""
+    notes = []
+    if fit.effects:
+        names = dict.fromkeys(effect.quantity.name for effect in fit.effects)
+        notes.append(f"Weighted beside the noise: {', '.join(names)}.")
+    flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
+    silent = [name for name in fit.outputs if f"bias instability {name}" not in flickering]
+    if silent:
+        notes.append(
+            f"No bias instability is declared for {', '.join(silent)}: the intervals hold for noise that is white from segment to segment."
+        )
+    return notes

@@ -47,12 +47,13 @@ def fit(
     sigma: Array | None = None,
     magnitudes: Array | None = None,
     names: Sequence[str] = (),
+    covariance: Array | None = None,
 ) -> LinearFit:
     """Least-squares coefficients for `matrix` (n, p) and `observed` (n,).
 
     sigma: (n,) standard uncertainties, equal ones (of 1) without it. magnitudes: (p,) declared column sizes; the columns' own root mean
-    squares without them. Raises `EstimationError` for too few observations, values that are not finite, and terms that cannot be
-    identified, which are named by `names`.
+    squares without them. covariance: (n, n), positive definite, of the observations, in place of `sigma`. Raises `EstimationError` for too
+    few observations, values that are not finite, and terms that cannot be identified, which are named by `names`.
     """
     n, p = matrix.shape
     names = names or [f"coefficient {k + 1}" for k in range(p)]
@@ -66,7 +67,11 @@ def fit(
         else np.asarray(magnitudes, dtype=float)
     )
     scale = np.where(scale > 0, scale, 1.0)
-    triangle = _triangle(matrix, observed, None if sigma is None else 1.0 / _positive(sigma), 1.0 / scale)
+    if covariance is None:
+        triangle = _triangle(matrix, observed, None if sigma is None else 1.0 / _positive(sigma), 1.0 / scale)
+    else:
+        white = whitened(np.column_stack([matrix, observed]), covariance)
+        triangle = _triangle(white[:, :p], white[:, p], None, 1.0 / scale)
     if not np.isfinite(triangle).all():
         raise EstimationError(
             "an observation or a planned value is not a finite number: look for missing data in the segments"
@@ -83,6 +88,11 @@ def fit(
     return LinearFit(
         coefficients, cofactor, observed - matrix @ coefficients, chi_squared, n - p, float(singular[0] / singular[-1])
     )
+
+
+def whitened(rows: Array, covariance: Array) -> Array:
+    """Combinations of the rows (n, k) that are uncorrelated and have variance one."""
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
 
 
 _CHUNK = 256  # rows that one factorisation takes

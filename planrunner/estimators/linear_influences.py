@@ -1,9 +1,8 @@
 """All that was stated of a bench and reaches coefficients fitted from positions at rest: their influences, in one list.
 
-Site, table and orientation come from `stated_influences`; here are added the right angles between the table's axes and the outputs'
-resolution. On the residual basis the scatter of the positions about the model shows the table's position errors, as long as every
-position has an orientation of its own: repeats of one orientation share the error and agree with each other all the same. The noise within
-the segments shows none of it. Resolution is in the data on either basis (see `observations`), and listed only.
+Site and orientation come from `stated_influences`; here are added the right angles between the table's axes and the outputs' resolution,
+which is in the data on either basis (see `observations`), and listed only. What acts on each position in its own way, as the table's
+position errors do, belongs to the fit's weights (`observation_effects`) and comes from the fit.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import DesignRequest, EstimateRequest
+from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
 from planrunner.instruments.models import TableModel
@@ -37,23 +37,19 @@ def linear_influences(
     outputs: Sequence[str],
     coefficients: Array,
     gains: Array,
-    basis: str,
 ) -> tuple[Influence, ...]:
     """Influences on all coefficients, output after output, in SI columns and the outputs' units.
 
-    coefficients: (m, p) of m outputs; gains: (m, p, n), coefficients from observations; basis: of the type A uncertainties.
+    coefficients: (m, p) of m outputs; gains: (m, p, n), coefficients from observations.
     """
     segments = [one.segment if isinstance(one, RecordedSegment) else one for one in request.segments]
     inputs, table = request.setup.inputs, request.setup.table
-    apart = len({segment.orientation for segment in segments}) == len(segments)
-    shown = basis == "residual" and apart
-    found = list(stated_influences(model, segments, request.site, inputs, coefficients, gains, shown))
+    found = list(stated_influences(model, segments, request.site, inputs, coefficients, gains))
     orthogonality = inputs.get("table orthogonality")
     if orthogonality is not None and table is not None:
         found += _orthogonality(orthogonality, table, model, segments, request.site, coefficients, gains)
     if isinstance(request, EstimateRequest):
-        flat = np.einsum("mpn,mo->mpon", gains, np.eye(len(gains))).reshape(-1, len(gains), len(segments))
-        found += resolution_influences(request, outputs, flat)
+        found += resolution_influences(request, outputs, functionals_of(gains))
     return tuple(found)
 
 

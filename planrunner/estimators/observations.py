@@ -15,6 +15,7 @@ from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
 
+_LEAST = 0.01  # of the scatter within a segment that is taken for white whatever is declared
 SIGNIFICANCE = 0.01  # of the tests that choose weights and that compare the two bases of uncertainty
 
 
@@ -23,7 +24,8 @@ class Observations:
     """Means of k channels over n segments, in the channels' units.
 
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short to tell. batches: (n,)
-    from which it comes. seconds: (n,), time that was recorded. correlation: (k, k) between the channels' samples, over all segments.
+    from which it comes. start, end: (n,), of what was recorded, s on the run's clock. correlation: (k, k) between the channels' samples,
+    over all segments.
     """
 
     channels: tuple[str, ...]
@@ -32,8 +34,14 @@ class Observations:
     mean: Array
     standard_error: Array
     batches: NDArray[np.int64]
-    seconds: Array
+    start: Array
+    end: Array
     correlation: Array
+
+    @property
+    def seconds(self) -> Array:
+        """Time that was recorded, (n,)."""
+        return self.end - self.start
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,17 +95,28 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         mean,
         error,
         np.array([recorded.statistics.batches for recorded in segments]),
-        np.array([max(recorded.statistics.end - recorded.statistics.start, 1e-9) for recorded in segments]),
+        *_times(segments),
         correlation,
     )
 
 
-def within_segment_noise(observations: Observations, channel: int) -> Noise:
+def _times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
+    """Beginnings and ends [s]; beginnings as they were planned where the recorded ones are not on one clock, so that segments overlap."""
+    start = np.array([recorded.statistics.start for recorded in segments])
+    length = np.array([max(recorded.statistics.end - recorded.statistics.start, 1e-9) for recorded in segments])
+    order = np.argsort(start)
+    if np.any(start[order][1:] < (start + length)[order][:-1]):
+        start = np.array([recorded.segment.start for recorded in segments])
+    return start, start + length
+
+
+def within_segment_noise(observations: Observations, channel: int, explained: Array | float = 0.0) -> Noise:
     """The noise of one channel's means, for weights and for uncertainties.
 
     The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
     Statistical Methods, 13.10) finds that it differs between them; then each segment keeps its own. So equal noise gives weights
-    by recorded time only, and chance differences between short segments do not become weights.
+    by recorded time only, and chance differences between short segments do not become weights. explained: (n,), variance of the means' own
+    that is known to be something else, which is taken off.
     """
     error = observations.standard_error[:, channel]
     degrees = np.where(np.isfinite(error), observations.batches - 1, 0).astype(float)
@@ -108,8 +127,14 @@ def within_segment_noise(observations: Observations, channel: int) -> Noise:
     spread = error**2 * observations.seconds
     pooled = float(np.sum(degrees[usable] * spread[usable]) / np.sum(degrees[usable]))
     if usable.all() and n > 1 and variances_differ(spread, degrees, pooled):
-        return Noise(error.copy(), True, "individual", float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees)))
-    return Noise(np.sqrt(pooled / observations.seconds), True, "pooled", float(np.sum(degrees[usable])))
+        freedom = float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees))
+        return Noise(_left(error**2, explained), True, "individual", freedom)
+    return Noise(_left(pooled / observations.seconds, explained), True, "pooled", float(np.sum(degrees[usable])))
+
+
+def _left(variance: Array, explained: Array | float) -> Array:
+    """Standard uncertainties (n,) when a part of the variance is explained, but not less than a hundredth of what was seen."""
+    return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 
 def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.flicker import drift_span, flicker_effects
 from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
 from planrunner.estimators.interface import (
     Coefficient,
@@ -25,7 +26,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.planned import expected_covariance, planned_blocks
 from planrunner.estimators.rate_influences import all_rates, each_rate
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
@@ -71,6 +72,7 @@ class ScaleFactorParameters(Record):
         "residual",
         "residual",
     )
+    drift_span: Quantity = drift_span()
 
 
 class ScaleFactor:
@@ -95,10 +97,9 @@ class ScaleFactor:
             nominal = request.sensor.nominal.get(f"K_{name}", math.nan) / output_unit.factor
             if np.unique(rates).size > 1 and np.all(sigma > 0) and math.isfinite(nominal):
                 shown, factor = slope_unit(rate_unit, output_unit)
-                cofactor = least_squares.fit(matrix, np.zeros(len(rates)), sigma, magnitudes, TERMS).cofactor
-                gains = cofactor @ (matrix / sigma[:, None] ** 2).T
+                gains, covariance = expected_covariance(request, block, request.parameters.drift_span.value)
                 stated = _influences(request, gains[1:, None], np.array([nominal]), rates)
-                variance = cofactor[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
+                variance = covariance[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
                 predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
         named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
         saturated = beyond_full_scale(request, named, shares_by_name(request, named))
@@ -124,6 +125,7 @@ class ScaleFactor:
             TERMS,
             parameters.uncertainty,
             equal=parameters.weights == "equal",
+            effects=flicker_effects(observations, request.setup.inputs, parameters.drift_span.value),
         )
         require_basis(fit, parameters.uncertainty, request.name)
         return _assemble(request, observations, rates, fit)
@@ -199,7 +201,7 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
         tuple(notes),
         tuple(warnings),
         observations.labels,
-        influences=(*stated, *recorded),
+        influences=(*stated, *recorded, *fit.influences(basis, functionals)),
     )
 
 
@@ -227,14 +229,15 @@ def _metrics(
 
     Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
     at zero rate; it needs both signs and three different rates."""
-    one, sigma, matrix = fit.fits[k], fit.sigma[k], np.column_stack([np.ones(len(rates)), rates])
+    one, matrix = fit.fits[k], np.column_stack([np.ones(len(rates)), rates])
+    observed = fit.observed(k, basis)
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
     full_scale = float(np.abs(observations.mean[:, k]).max())
     freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
     found = []
     if full_scale > 0 and fit.freedom:
-        u = math.sqrt(factor) * float(sigma[worst]) / full_scale * 1e6
+        u = math.sqrt(factor * float(observed[worst, worst])) / full_scale * 1e6
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
         words = f"{name}: largest residual over the largest output"
         residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
@@ -243,17 +246,17 @@ def _metrics(
     responds = np.ptp(observations.mean[:, k]) > 0
     if responds and np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
         halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
-        half = least_squares.fit(
-            halves, observations.mean[:, k], sigma, names=("offset", "rate forward", "rate backward")
-        )
+        mixed = fit.observed(k, "residual")
+        names = ("offset", "rate forward", "rate backward")
+        half = least_squares.fit(halves, observations.mean[:, k], names=names, covariance=mixed)
         plus, minus = half.coefficients[1:]
         gradient = 4e6 / (plus + minus) ** 2 * np.array([0.0, minus, -plus])
         left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor
         own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
-        u = math.sqrt(max(0.0, gradient @ half.cofactor @ gradient * left))
+        answers = gradient @ half.cofactor @ np.linalg.solve(mixed, halves).T
+        u = math.sqrt(max(0.0, float(answers @ observed @ answers) * left))
         value = float(2e6 * (plus - minus) / (plus + minus))
         words = f"{name}: difference of forward and backward scale factors"
-        answers = gradient @ half.cofactor @ (halves / sigma[:, None] ** 2).T
         found.append((Coefficient(f"asymmetry_{name}", value, "ppm", u, own, words), answers))
     return found
 

@@ -1,4 +1,4 @@
-"""How coefficients of a linear model follow what is stated of site and table: latitude, gravity, azimuth, positions and rates.
+"""How coefficients of a linear model follow what is stated of site and table: latitude, gravity, azimuth and rates.
 
 With A the matrix at the stated site, β the coefficients and G = (AᵀWA)⁻¹·AᵀW, an input stated wrong by δ moves the coefficients by
 −G·(∂A/∂input)·β·δ, because the data were made with the right one. Only the azimuth moves the table itself, and them by +.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.rate_influences import rate_part
-from planrunner.estimators.turned_segments import DIRECTIONS, UP, turned
+from planrunner.estimators.turned_segments import UP, turned
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Stimulus, segment_means
 from planrunner.physics.terms import ErrorModel
@@ -37,13 +37,11 @@ def stated_influences(
     inputs: Inputs,
     coefficients: Array,
     gains: Array,
-    in_scatter: bool,
 ) -> tuple[Influence, ...]:
     """Influences on all coefficients, output after output, in SI columns and the outputs' units.
 
-    coefficients: (m, p) of m outputs; gains: (m, p, n), coefficients from observations. in_scatter: whether the uncertainties of the data
-    rest on the scatter of the segments, which shows the errors of positions at rest already. Those of the attitude on a turning axis it
-    does not show: misalignments follow them, and both senses of rotation share them.
+    coefficients: (m, p) of m outputs; gains: (m, p, n), coefficients from observations. The table's position acts on each observation in
+    its own way and stands in `observation_effects`.
     """
 
     def columns(changed: Sequence[Segment], where: Site) -> Array:
@@ -74,39 +72,7 @@ def stated_influences(
         rates = tuple(rate_part(one.rate) for one in segments if isinstance(one.motion, Spin))
         spun = np.array([isinstance(one.motion, Spin) for one in segments])
         found.append(_by_part(Influence(rate, each[:, spun], parts=rates)))
-    if position := inputs.get("table position"):
-        spinning = np.array([isinstance(one.motion, Spin) for one in segments])
-        parts, names = [], []
-        for word, about in DIRECTIONS.items():
-            change = slope(*(columns(turned(segments, about, step, axis_too=False), site) for step in (-_STEP, _STEP)))
-            parts.append(np.einsum("mpn,mn->mpn", gains, change).reshape(-1, len(segments)))
-            names.append([f"{one.orientation} about {word}" for one in segments])
-        for chosen, shown in ((~spinning, in_scatter), (spinning, False)):
-            if chosen.any():
-                columns_ = np.concatenate([part[:, chosen] for part in parts], axis=1)
-                of = [name for row in names for name, use in zip(row, chosen, strict=True) if use]
-                found.append(_by_part(Influence(position, columns_, shown, tuple(of))))
     return tuple(found)
-
-
-def position_scatter(
-    model: ErrorModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
-) -> Array | None:
-    """What the table's stated position uncertainty adds to each observation, (m, n), in the outputs' units; None where nothing is stated.
-
-    It acts across a vector and not along it: an accelerometer that points up feels nothing of it, one that lies level all.
-    """
-    position = inputs.get("table position")
-    if position is None:
-        return None
-    variance = np.zeros((len(coefficients), len(segments)))
-    for about in DIRECTIONS.values():
-        low, high = (
-            model.columns(mean_stimulus(turned(segments, about, step, axis_too=False), site))
-            for step in (-_STEP, _STEP)
-        )
-        variance += ((high - low) / (2 * _STEP) @ coefficients.T).T ** 2
-    return np.asarray(position.standard_uncertainty * np.sqrt(variance))
 
 
 def _by_part(influence: Influence) -> Influence:

@@ -124,13 +124,15 @@ DESCRIPTIONS = (
 )
 WARNINGS = (
     _(
-        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments (chance of that from "
-        "noise alone: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is incomplete):"
+        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and what is stated "
+        "beside it (chance of that: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is "
+        "incomplete):"
         " the within-segment uncertainties are too small."
     ),
     _(
-        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments (chance of that from "
-        "noise alone: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is incomplete):"
+        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and what is stated "
+        "beside it (chance of that: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is "
+        "incomplete):"
         " keep to the residual basis."
     ),
     _(

@@ -96,7 +96,8 @@ class Budget:
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """Stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table orthogonality`,
-    `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x`. Absent: nobody stated an uncertainty."""
+    `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x`, `bias instability gyro_x` (whose uncertainty is the
+    coefficient B itself). Absent: nobody stated an uncertainty."""
 
     quantities: Mapping[str, InputQuantity] = field(default_factory=dict)
 

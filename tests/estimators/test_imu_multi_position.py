@@ -228,18 +228,20 @@ def test_azimuth_against_a_turned_table() -> None:
 
 
 def test_positions_against_tilted_tables() -> None:
-    """Independent tilts of every orientation: the spread of many recordings is what the influence says."""
+    """Independent tilts of every orientation: the spread of many recordings is what the influence says, with the noise beside it."""
     truth, draw, segments = imu.drawn_truth(np.random.default_rng(2)), np.random.default_rng(4), imu.plan()
-    quiet = (1e-8, 1e-5)
+    quiet, keys = (1e-8, 1e-5), BOTH | {"uncertainty": "within_segment"}
     spread = [
         [
             item.value
-            for item in calibrate(imu.recorded(segments, truth, draw, quiet, tilt=1e-4), BY_POSITION).coefficients
+            for item in calibrate(
+                imu.recorded(segments, truth, draw, quiet, tilt=1e-4), BY_POSITION, **keys
+            ).coefficients
         ]
         for _ in range(200)
     ]
-    together = calibrate(imu.recorded(segments, truth, draw, quiet), BY_POSITION)
-    expected = np.sqrt(np.diag(sum(one.covariance for one in _merged(together))))
+    together = calibrate(imu.recorded(segments, truth, draw, quiet), BY_POSITION, **keys)
+    expected = np.sqrt(np.diag(together.covariance + sum(one.covariance for one in _merged(together))))
     seen = np.std(spread, axis=0, ddof=1)
     # Where tilts act in second order alone, noise and rounding rule.
     whole = np.array([{"1": 1, "mrad": 1000, "mg": 1000}.get(item.unit, 15) for item in together.coefficients])
@@ -247,8 +249,10 @@ def test_positions_against_tilted_tables() -> None:
     assert real.sum() >= 12 and (seen[~real] < 1e-4 * whole[~real]).all()
     assert (seen / expected)[real].mean() == pytest.approx(1, abs=0.06)
     assert (seen / expected)[real] == pytest.approx(np.ones(real.sum()), abs=0.3)
-    shown = [item.in_scatter for item in together.influences if item.quantity.name == "table position"]
-    assert shown == [True, False, True]  # gyros at rest, gyros turning, accelerometers at rest
+    for basis, shown in (("within_segment", False), ("residual", True)):
+        found = calibrate(imu.recorded(segments, truth, draw, quiet), BY_POSITION, **BOTH, uncertainty=basis)
+        acting = [item.in_scatter for item in found.influences if item.quantity.name == "table position"]
+        assert acting == [shown, shown]  # gyros, accelerometers
 
 
 def _merged(found: Estimate) -> tuple:  # type: ignore[type-arg]

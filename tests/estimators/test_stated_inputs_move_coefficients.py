@@ -74,6 +74,7 @@ def fitted(
     setup: Setup = NOTHING,
     basis: str = "within_segment",
     noise: NoiseModel | None = None,
+    error: float = 0.01,
     **keys: float,
 ) -> Estimate:
     """A recording made with the attitudes of `world`, fitted at the planned ones."""
@@ -82,14 +83,18 @@ def fitted(
             replace(segment(label, attitude(words)), orientation=words),
             dict(zip(CHANNELS, currents(world[label], **keys), strict=True)),
             "pulse/s",
-            0.01,
+            error,
         )
         for label, words in OPTIMAL.items()
     )
     parameters = FlexureGyroStaticParameters(uncertainty=basis)
-    outputs = tuple(OutputModel(name, "pulse/s", noise=noise or NoiseModel()) for name in CHANNELS)
-    tested = SensorModel("under-test", outputs, 10.0)
-    return FlexureGyroStatic().estimate(EstimateRequest("drift", recorded, parameters, SITE, tested, setup=setup))
+    return FlexureGyroStatic().estimate(
+        EstimateRequest("drift", recorded, parameters, SITE, under_test(noise or NoiseModel()), setup=setup)
+    )
+
+
+def under_test(noise: NoiseModel) -> SensorModel:
+    return SensorModel("under-test", tuple(OutputModel(name, "pulse/s", noise=noise) for name in CHANNELS), 10.0)
 
 
 PLANNED = {label: attitude(words) for label, words in OPTIMAL.items()}
@@ -110,9 +115,9 @@ def same_but_for_sign(found: np.ndarray, expected: np.ndarray) -> bool:
 
 def brute(world: dict[str, np.ndarray], step: float = STEP, **keys: float) -> np.ndarray:
     """Change of all coefficients per unit of the change."""
-    nominal = values(fitted(PLANNED))
+    nominal = values(fitted(PLANNED, SETUP))
     scale = np.maximum(np.abs(nominal), 1.0)
-    return (values(fitted(world, **keys)) - nominal) / step / scale
+    return (values(fitted(world, SETUP, **keys)) - nominal) / step / scale
 
 
 def relative(column: np.ndarray) -> np.ndarray:
@@ -169,7 +174,7 @@ def test_resolution_is_listed_by_the_share_that_noise_leaves_of_it() -> None:
     assert item.in_scatter
     counted = influence(fitted(PLANNED, SETUP, noise=NoiseModel(resolution=1.0, counted=True)), "resolution torquer_x")
     assert counted.sensitivities == pytest.approx(item.sensitivities / math.sqrt(1200), rel=1e-9)
-    one = fitted(PLANNED, SETUP)
+    one = fitted(PLANNED, SETUP, noise=NoiseModel(resolution=1.0))
     moved = np.zeros((len(one.coefficients), len(OPTIMAL)))
     for n, label in enumerate(OPTIMAL):
         recorded = [
@@ -181,14 +186,14 @@ def test_resolution_is_listed_by_the_share_that_noise_leaves_of_it() -> None:
             )
             for other, words in OPTIMAL.items()
         ]
-        request = EstimateRequest(
-            "d", tuple(recorded), FlexureGyroStaticParameters(uncertainty="within_segment"), SITE, sensor(*CHANNELS)
-        )
+        parameters = FlexureGyroStaticParameters(uncertainty="within_segment")
+        counting = under_test(NoiseModel(resolution=1.0))
+        request = EstimateRequest("d", tuple(recorded), parameters, SITE, counting, setup=SETUP)
         moved[:, n] = (values(FlexureGyroStatic().estimate(request)) - values(one)) / STEP
     assert item.sensitivities == pytest.approx(moved, rel=1e-3, abs=1e-6)
 
 
-def test_positions_are_in_the_scatter_unless_an_orientation_comes_twice() -> None:
+def test_positions_are_in_the_covariance_of_the_residual_basis_also_where_an_orientation_comes_twice() -> None:
     assert influence(fitted(PLANNED, SETUP, "residual"), "table position").in_scatter
     assert not influence(fitted(PLANNED, SETUP, "residual"), "latitude").in_scatter
     recorded = tuple(
@@ -205,30 +210,18 @@ def test_positions_are_in_the_scatter_unless_an_orientation_comes_twice() -> Non
         EstimateRequest("d", recorded, FlexureGyroStaticParameters(), SITE, sensor(*CHANNELS), setup=SETUP)
     )
     item = influence(twice, "table position")
-    assert not item.in_scatter
+    assert item.in_scatter  # the error that both times share is in the weights as such
     assert item.sensitivities.shape[1] == 3 * len(OPTIMAL)
-    once = influence(fitted(PLANNED, SETUP), "table position")
+    once = influence(fitted(PLANNED, SETUP, error=0.01 / math.sqrt(2)), "table position")
     assert item.covariance == pytest.approx(once.covariance, rel=1e-6)
 
 
 def test_monte_carlo_of_all_of_them_has_the_combined_covariance() -> None:
     """400 worlds with every input drawn at once, refitted; standard deviations within 4 standard errors (14 %)."""
     rng = np.random.default_rng(4)
-    budget = combined(
-        fitted(
-            PLANNED,
-            replace(
-                SETUP,
-                inputs=Inputs(
-                    {
-                        k: v
-                        for k, v in SETUP.inputs.quantities.items()
-                        if k[:5] != "resol" and k != "table orthogonality"
-                    }
-                ),
-            ),
-        )
-    )
+    drawn_here = {k: v for k, v in SETUP.inputs.quantities.items() if k[:5] != "resol" and k != "table orthogonality"}
+    setup = replace(SETUP, inputs=Inputs(drawn_here))
+    budget = combined(fitted(PLANNED, setup))
     predicted = np.sqrt(np.diag(budget.covariance - budget.data_covariance))
     drawn = []
     for _ in range(400):
@@ -237,24 +230,23 @@ def test_monte_carlo_of_all_of_them_has_the_combined_covariance() -> None:
             label: axes @ turn(np.array([0, 0, 1.0]), azimuth) @ turn(rng.normal(size=3), WIDTHS["table position"])
             for label, axes in PLANNED.items()
         }
-        drawn.append(values(fitted(world, latitude=SITE.latitude + lat, gravity=SITE.gravity + grav)))
+        drawn.append(values(fitted(world, setup, latitude=SITE.latitude + lat, gravity=SITE.gravity + grav)))
     assert np.std(drawn, axis=0, ddof=1) == pytest.approx(predicted, rel=0.15)
 
 
 def test_check_foresees_what_the_estimate_will_state() -> None:
-    """Predicted u² is that of the declared noise plus that of the stated inputs, as brute force gave them."""
+    """Predicted uncertainties are those of a recording whose segments show the declared noise, on the basis that believes it."""
     noise = NoiseModel(white=0.9)
     outputs = tuple(OutputModel(name, "pulse/s", noise=noise) for name in CHANNELS)
     nominal = {name: value * scale for (name, value), scale in zip(TRUTH.items(), SCALES, strict=True)}
     model = SensorModel("flexure-gyro", outputs, 100.0, nominal)
     segments = tuple(replace(segment(label, attitude(words)), orientation=words) for label, words in OPTIMAL.items())
     parameters = FlexureGyroStaticParameters()
-    plain = FlexureGyroStatic().design(DesignRequest("d", segments, parameters, SITE, model))
     stated = FlexureGyroStatic().design(DesignRequest("d", segments, parameters, SITE, model, setup=SETUP))
-    added = combined(fitted(PLANNED, SETUP))
-    for k, (before, after) in enumerate(zip(plain.predicted, stated.predicted, strict=True)):
-        extra = added.covariance[k, k] - added.data_covariance[k, k]
-        assert after.standard_uncertainty**2 - before.standard_uncertainty**2 == pytest.approx(extra, rel=1e-3)
+    found = combined(fitted(PLANNED, SETUP, error=0.9 / math.sqrt(120)))
+    assert len(stated.predicted) == 12
+    for item in stated.predicted:
+        assert item.standard_uncertainty == pytest.approx(found[item.name].standard_uncertainty, rel=1e-3), item.name
 
 
 DEG_H = math.pi / 180 / 3600
@@ -347,13 +339,15 @@ def test_residual_sums_follow_an_input_that_acts_on_calibration_and_verification
     inputs = {one.quantity.name: one for one in merged(made.influences)}
     assert not any(one.in_scatter for one in inputs.values())
     for name, keys in (("latitude", {"latitude": SITE.latitude + step}), ("gravity", {"gravity": SITE.gravity + step})):
-        change = (residual_sums(noise, {}, **keys)[0] - nominal) / step
+        change = (residual_sums(noise, {}, SETUP, **keys)[0] - nominal) / step
         # The calibration takes up what the verification would miss: gravity cancels, and latitude but for the scale of the residuals.
         assert inputs[name].sensitivities[:, 0] == pytest.approx(-change, rel=1e-3, abs=1e-7)
     position = inputs["table position"]
     assert len(position.parts) == 3 * len({*OPTIMAL.values(), *TRADITIONAL.values(), *VERIFY.values()})
     shared = [k for k, part in enumerate(position.parts) if part.startswith("west south up")]
-    changes = [(residual_sums(noise, {"west south up": turn(axis, step)})[0] - nominal) / step for axis in np.eye(3)]
+    changes = [
+        (residual_sums(noise, {"west south up": turn(axis, step)}, SETUP)[0] - nominal) / step for axis in np.eye(3)
+    ]
     assert np.sum(position.sensitivities[:, shared] ** 2, axis=1) == pytest.approx(
         np.sum(np.square(changes), axis=0), rel=1e-2
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.accelerometer import by_magnitude, by_orientation
+from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
@@ -22,6 +23,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.outputs_fit import BASES
 from planrunner.estimators.planned import planned_blocks
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
+from planrunner.plan.quantity import Quantity
 
 Array = NDArray[np.float64]
 
@@ -55,6 +57,7 @@ class AccelerometerMultiPositionParameters(Record):
         "residual",
         "residual",
     )
+    drift_span: Quantity = drift_span()
 
 
 class AccelerometerMultiPosition:

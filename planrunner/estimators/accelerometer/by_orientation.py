@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.error_model import error_model
+from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Table
 from planrunner.estimators.linear_influences import linear_influences
 from planrunner.estimators.observations import Observations, observe
-from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
+from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.triad import scale_and_misalignments
@@ -50,8 +51,9 @@ def estimate(request: EstimateRequest) -> Estimate:
     observations = observe(request.segments, parameters.outputs, request.sensor)
     units = _units(observations)
     model = model_of(parameters.terms)
-    matrix = matrix_of(model, [recorded.segment for recorded in request.segments], request.site)
-    fit = fit_outputs(matrix, observations, model.magnitudes, model.names, basis)
+    segments = [recorded.segment for recorded in request.segments]
+    matrix = matrix_of(model, segments, request.site)
+    fit = fit_positions(request, model, segments, observations, matrix, model.magnitudes)
     require_basis(fit, basis, request.name)
     rows: list[tuple[str, float, str, Array, str]] = []
     for axis in range(3):
@@ -64,7 +66,7 @@ def estimate(request: EstimateRequest) -> Estimate:
         Coefficient(name, value, text, float(u), float(dof), words)
         for (name, value, text, _, words), u, dof in zip(rows, spreads, freedom, strict=True)
     )
-    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
+    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains)
     notes, warnings = judge(fit, basis)
     left_out = [name for name in TERMS if name not in model.names]
     if left_out:
@@ -90,7 +92,7 @@ def estimate(request: EstimateRequest) -> Estimate:
         tuple(warnings),
         observations.labels,
         {"root_mean_square": [float(np.sqrt(np.sum(one.residuals**2) / max(1, fit.freedom))) for one in fit.fits]},
-        tuple(one.through(gradients) for one in stated),
+        tuple(one.through(gradients) for one in (*stated, *fit.influences(basis))),
     )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import physical_set
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.estimators.linear_influences import linear_influences
+from planrunner.estimators.observation_effects import functionals_of, position_effects
 from planrunner.physics import flexure_gyro
 from planrunner.uncertainty.influences import Influence
 
@@ -55,10 +56,11 @@ def compensation_influences(
 
 def _here(request: EstimateRequest, matrix: Array, coefficients: Array) -> list[Influence]:
     """On i − X·c through the verification positions: what a fit of one coefficient a position would show."""
-    each = np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix)))
-    model = flexure_gyro.static_model()
-    stated = linear_influences(request, model, (), coefficients, np.array(each), "within_segment")
-    return list(stated)
+    each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
+    model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
+    positions = position_effects(model, segments, request.site, request.setup.inputs, coefficients)
+    stated = linear_influences(request, model, (), coefficients, each)
+    return [*stated, *(one.through(functionals_of(each)) for one in positions)]
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:

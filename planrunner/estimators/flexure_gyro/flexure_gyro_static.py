@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro import tables
 from planrunner.estimators.flexure_gyro.draws import physical_draws
+from planrunner.estimators.flicker import drift_span, planned_flicker
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -24,14 +26,16 @@ from planrunner.estimators.interface import (
     EstimationError,
 )
 from planrunner.estimators.linear_influences import linear_influences
+from planrunner.estimators.observation_effects import functionals_of, position_effects
 from planrunner.estimators.observations import Observations, observe
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import matrix_at_rest, planned_blocks, planned_gains
+from planrunner.estimators.outputs_fit import BASES, OutputsFit
+from planrunner.estimators.planned import expected_fit, matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
+from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence
@@ -67,6 +71,7 @@ class FlexureGyroStaticParameters(Record):
         True,
         True,
     )
+    drift_span: Quantity = drift_span()
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,16 +175,17 @@ def _make(request: EstimateRequest) -> _Made:
     basis = parameters.uncertainty
     observations = observe(request.segments, _two(parameters.outputs), request.sensor)
     model = flexure_gyro.static_model(parameters.terms)
-    matrix = static_matrix(model, [recorded.segment for recorded in request.segments], request.site)
+    segments = [recorded.segment for recorded in request.segments]
+    matrix = static_matrix(model, segments, request.site)
     magnitudes = local_magnitudes(model, request.site)
-    fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, parameters.pool_outputs)
+    fit = fit_positions(request, model, segments, observations, matrix, magnitudes, parameters.pool_outputs)
     require_basis(fit, basis, request.name)
     try:
         found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
     except ValueError as error:
         raise EstimationError(f"{request.name}: {error}") from None
-    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains, basis)
-    return _Made(observations, model, matrix, fit, found, stated)
+    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains)
+    return _Made(observations, model, matrix, fit, found, (*stated, *fit.influences(basis)))
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -252,12 +258,17 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[C
     n, p = blocks[0].matrix.shape
     gains = np.zeros((2, p, n))
     covariance = np.zeros((2, p, 2, p))
+    parameters, inputs = request.parameters, request.setup.inputs
+    effects = (
+        *planned_flicker(request.segments, parameters.outputs, inputs, parameters.drift_span.value),
+        *position_effects(model, request.segments, request.site, inputs, outputs),
+    )
     for k, block in enumerate(blocks):
-        if np.all(block.sigma > 0):
-            gains[k] = planned_gains(block)
-            root = gains[k] * block.sigma
-            covariance[k, :, k] = root @ root.T
-    stated = linear_influences(request, model, request.parameters.outputs, outputs, gains, "within_segment")
+        gains[k], covariance[k, :, k] = expected_fit(request, block, effects, k)
+    stated = [
+        *linear_influences(request, model, parameters.outputs, outputs, gains),
+        *(one.through(functionals_of(gains)) for one in effects),
+    ]
     whole = covariance.reshape(2 * p, 2 * p) + sum((one.covariance for one in stated), np.zeros((2 * p, 2 * p)))
     variance = np.einsum("qi,ij,qj->q", found.gradients, whole, found.gradients).clip(min=0.0)
     return _coefficients(found, np.sqrt(variance), np.full(len(variance), math.inf))[: found.physical]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,9 @@ from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.error_model import error_model, term_names
+from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
+from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.imu import tables
 from planrunner.estimators.imu.coefficients import PLURAL, Framed, Reported, Response, framed, reported
 from planrunner.estimators.interface import (
@@ -32,14 +34,15 @@ from planrunner.estimators.interface import (
     Remark,
 )
 from planrunner.estimators.observations import Observations, observe
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import planned_blocks, planned_gains
+from planrunner.estimators.outputs_fit import BASES, OutputsFit
+from planrunner.estimators.planned import expected_covariance, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
-from planrunner.estimators.stated_influences import mean_stimulus, position_scatter, stated_influences
+from planrunner.estimators.stated_influences import mean_stimulus, stated_influences
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
+from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 from planrunner.uncertainty.influences import Influence
@@ -88,6 +91,7 @@ class ImuMultiPositionParameters(Record):
         "residual",
         "residual",
     )
+    drift_span: Quantity = drift_span()
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +119,7 @@ class ImuMultiPosition:
         for kind, channels, terms in _triads(parameters):
             model, chosen = error_model(terms), _usable(kind, request.segments)
             matrix = _matrix(model, chosen, request.site)
-            its_own = DesignRequest(
-                request.name, tuple(chosen), parameters, request.site, request.sensor, request.uses, request.setup
-            )
+            its_own = replace(request, segments=tuple(chosen))
             made = planned_blocks(its_own, channels, model.names, matrix, _magnitudes(model, matrix))
             blocks += made
             if kind == "gyro":
@@ -259,10 +261,7 @@ def _fit(request: EstimateRequest, kind: str, channels: Sequence[str], terms: Se
     segments = tuple(one.segment for one in recorded)
     matrix = _matrix(model, segments, request.site)
     magnitudes = _magnitudes(model, matrix)
-    fit = fit_outputs(matrix, observations, magnitudes, model.names, basis)
-    beside = position_scatter(model, segments, request.site, request.setup.inputs, fit.coefficients)
-    if beside is not None and all(noise.known for noise in fit.noises):
-        fit = fit_outputs(matrix, observations, magnitudes, model.names, basis, beside=beside)
+    fit = fit_positions(request, model, segments, observations, matrix, magnitudes)
     require_basis(fit, basis, f"{request.name}, {kind} triad")
     return Triad(kind, model, segments, observations, fit)
 
@@ -287,16 +286,12 @@ def _influences(request: EstimateRequest, triads: Sequence[Triad], found: Report
     start = 0
     for one in triads:
         end = start + one.fit.coefficients.size
+        fit = one.fit
         stated = stated_influences(
-            one.model,
-            one.segments,
-            request.site,
-            request.setup.inputs,
-            one.fit.coefficients,
-            one.fit.gains,
-            request.parameters.uncertainty == "residual",
+            one.model, one.segments, request.site, request.setup.inputs, fit.coefficients, fit.gains
         )
-        influences += [item.through(found.gradients[:, start:end]) for item in stated]
+        acting = (*stated, *fit.influences(request.parameters.uncertainty))
+        influences += [item.through(found.gradients[:, start:end]) for item in acting]
         start = end
     return tuple(influences)
 
@@ -333,11 +328,11 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[C
             if term in model.names:
                 values[axis, model.names.index(term)] = 1 / units[axis].factor
         responses.append(Response(kind, units, model, values))
+        its_own = replace(request, segments=tuple(_usable(kind, request.segments)))
         for block in blocks[3 * place : 3 * place + 3]:
             if rank.look(block.matrix / block.magnitudes).rank < len(block.terms) or not np.all(block.sigma > 0):
                 return ()
-            root = planned_gains(block) * block.sigma
-            covariances.append(root @ root.T)
+            covariances.append(expected_covariance(its_own, block, parameters.drift_span.value)[1])
     found = reported(framed(responses, parameters.misalignment == "lower_triangular"))
     variance = np.einsum("qi,ij,qj->q", found.gradients, independent(covariances), found.gradients)
     rows = zip(found.names, found.values, found.units, np.sqrt(variance), found.words, strict=True)

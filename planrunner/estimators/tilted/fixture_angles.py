@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.covariances import independent
+from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -91,11 +92,12 @@ class FixtureAnglesParameters(Record):
 
 @dataclass(frozen=True, slots=True)
 class AxisAngles:
-    """One axis. coefficients, covariance (q, q): of the data; columns: what is stated, its part's name, and (q,) per unit of it."""
+    """One axis. coefficients, covariance (q, q): of the data; influences: of what is stated on them; scale: (q,), to the results' units."""
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array
     influences: tuple[Influence, ...]
+    scale: Array
 
 
 class FixtureAngles:
@@ -151,6 +153,7 @@ class FixtureAngles:
                 model.magnitudes(basis),
                 model.terms(parameters.azimuth),
                 parameters.uncertainty,
+                effects=flicker_effects(observations, request.setup.inputs, SPAN.value),
             )
             require_basis(fit, parameters.uncertainty, request.name)
             found.append(_found(request, model, axes, k, fit, observations.units[0]))
@@ -186,7 +189,9 @@ def _found(
     how = request.parameters.uncertainty
     covariance = gradient @ fit.covariance(how) @ gradient.T
     freedom = fit.degrees_of_freedom(gradient, how)
-    return _shown(request, model, axes, k, shape, gain, gradient @ fit.gains[0], covariance, freedom, output_unit)
+    shown = _shown(request, model, axes, k, shape, gain, gradient @ fit.gains[0], covariance, freedom, output_unit)
+    scaled = np.diag(shown.scale) @ gradient
+    return replace(shown, influences=(*shown.influences, *(one.through(scaled) for one in fit.influences(how))))
 
 
 def _expected(
@@ -253,7 +258,7 @@ def _shown(
         )
         for quantity, changes in stated_changes(model, request.setup, request.site, axes, k, how, gain)
     )
-    return AxisAngles(coefficients, covariance * np.outer(scale, scale), influences)
+    return AxisAngles(coefficients, covariance * np.outer(scale, scale), influences, scale)
 
 
 def _remarks(model: GainModel, azimuth: str) -> list[Remark]:

@@ -1,0 +1,38 @@
+"""The fit that estimators from positions share, weighted by the noise within them, declared flicker and the table's positions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from planrunner.estimators.flicker import flicker_effects
+from planrunner.estimators.interface import EstimateRequest
+from planrunner.estimators.observation_effects import Array, Effect, position_effects
+from planrunner.estimators.observations import Observations
+from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
+from planrunner.physics.terms import ErrorModel
+from planrunner.plan.schedule import Segment
+
+
+def fit_positions(
+    request: EstimateRequest,
+    model: ErrorModel,
+    segments: Sequence[Segment],
+    observations: Observations,
+    matrix: Array,
+    magnitudes: Array,
+    pooled: bool = False,
+) -> OutputsFit:
+    """Outputs against a linear model. matrix: (n, p), SI; magnitudes: (p,). The request's parameters have `uncertainty` and `drift_span`.
+
+    How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
+    """
+    parameters, inputs = request.parameters, request.setup.inputs
+
+    def fitted(effects: tuple[Effect, ...]) -> OutputsFit:
+        basis = parameters.uncertainty
+        return fit_outputs(matrix, observations, magnitudes, model.names, basis, pooled, effects=effects)
+
+    flicker = flicker_effects(observations, inputs, parameters.drift_span.value)
+    found = fitted(flicker)
+    positions = position_effects(model, segments, request.site, inputs, found.coefficients)
+    return fitted((*flicker, *positions)) if positions else found

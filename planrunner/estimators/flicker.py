@@ -1,0 +1,109 @@
+"""Bias instability of an output as it reaches the means of segments: flicker noise, whose slow part ties all segments of a test together.
+
+Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). Its power has no lower
+end, so a constant has no value of its own: it is what the output drifts about over some span. Here that span is stated, and a
+constant means the average over the span around the test. Then no frequency has to be cut off: the covariance of means less the average
+over the span is finite, the kernel being −ln|t − t′|/π, whose double integrals over segments are known in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.observation_effects import Effect
+from planrunner.estimators.observations import Observations
+from planrunner.plan.kinds import QuantityOf, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.influences import Inputs
+from planrunner.uncertainty.monte_carlo import square_root
+
+Array = NDArray[np.float64]
+
+SPAN = parse_quantity("24 h")
+
+
+def drift_span() -> Quantity:
+    """The key of estimators that report constants."""
+    return key(
+        QuantityOf("time", "positive"),
+        "Span over which constants are meant to hold: with a declared bias instability, their uncertainty is that of the average "
+        "over this span around the test, or over the test where that is longer.",
+        "24 h",
+        SPAN,
+    )
+
+
+def flicker_effects(observations: Observations, inputs: Inputs, span: float) -> tuple[Effect, ...]:
+    """One for each output whose bias instability is stated. span: s."""
+    return _effects(observations.channels, observations.start, observations.end, observations.batches, inputs, span)
+
+
+def planned_flicker(
+    segments: Sequence[Segment], outputs: Sequence[str], inputs: Inputs, span: float
+) -> tuple[Effect, ...]:
+    """The same before anything is recorded. A dwell of unknown length counts as one second."""
+    start = np.array([segment.start for segment in segments])
+    end = start + [segment.dwell or 1.0 for segment in segments]
+    return _effects(outputs, start, end, np.ones(len(segments), dtype=np.int64), inputs, span)
+
+
+def _effects(
+    outputs: Sequence[str], start: Array, end: Array, batches: NDArray[np.int64], inputs: Inputs, span: float
+) -> tuple[Effect, ...]:
+    stated = {k: quantity for k, name in enumerate(outputs) if (quantity := inputs.get(f"bias instability {name}"))}
+    if not stated:
+        return ()
+    root = square_root(mean_covariance(start, end, span))
+    seen = scatter_within(batches)
+    return tuple(Effect(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
+
+
+def mean_covariance(start: Array, end: Array, span: float) -> Array:
+    """Covariance (n, n) of the means of flicker with B = 1 over n segments, less its average over `span` around them.
+
+    start, end: (n,), s. A span shorter than from the first start to the last end is taken to be that long.
+    """
+    first, last = float(start.min()), float(end.max())
+    middle, half = (first + last) / 2, max(span, last - first) / 2
+    low, high = np.append(start, middle - half), np.append(end, middle + half)
+    kernel = -_mean_logarithm(low, high) / np.pi
+    to_span = kernel[:-1, -1]
+    return np.asarray(kernel[:-1, :-1] - to_span[:, None] - to_span[None, :] + kernel[-1, -1])
+
+
+def _mean_logarithm(low: Array, high: Array) -> Array:
+    """Average of ln|t − t′| over t in one interval and t′ in another, (n, n).
+
+    From the second antiderivative x²·ln|x|/2 − 3x²/4 at the four differences of the ends; of intervals that are short beside their
+    distance d, where these differences cancel, from ln d − (a² + b²)/(24·d²), whose next term is of fourth order in a/d and b/d.
+    """
+    length = high - low
+
+    def antiderivative(x: Array) -> Array:
+        size = np.maximum(np.abs(x), np.finfo(float).tiny)
+        return size**2 * (np.log(size) / 2 - 0.75)
+
+    def between(one: Array, other: Array) -> Array:
+        return antiderivative(one[:, None] - other[None, :])
+
+    exact = between(high, low) + between(low, high) - between(high, high) - between(low, low)
+    exact /= np.outer(length, length)
+    middle = (low + high) / 2
+    apart = np.abs(middle[:, None] - middle[None, :])
+    squares = length[:, None] ** 2 + length[None, :] ** 2
+    far = apart**2 > 1e5 * squares
+    distance = np.where(far, apart, 1.0)
+    return np.where(far, np.log(distance) - squares / (24 * distance**2), exact)
+
+
+def scatter_within(batches: NDArray[np.int64]) -> Array:
+    """What flicker with B = 1 adds to the square of a mean's standard error, as it is taken from b batch means, (n,): ln b/(π·(b − 1)).
+
+    A mean over T has the variance (c − ln T + 3/2)/π, whatever c; that of a batch less that of all is ln b/π.
+    """
+    b = np.maximum(batches, 2).astype(float)
+    return np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)
