@@ -27,12 +27,8 @@ def fit_positions(
     How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
     """
     parameters, inputs = request.parameters, request.setup.inputs
-
-    def fitted(effects: tuple[Effect, ...]) -> OutputsFit:
-        basis = parameters.uncertainty
-        return fit_outputs(matrix, observations, magnitudes, model.names, basis, pooled, effects=effects)
-
-    flicker = flicker_effects(observations, inputs, parameters.drift_span.value)
-    found = fitted(flicker)
-    positions = position_effects(model, segments, request.site, inputs, found.coefficients)
-    return fitted((*flicker, *positions)) if positions else found
+    effects: tuple[Effect, ...] = flicker_effects(observations, inputs, parameters.drift_span.value)
+    if inputs.get("table position"):
+        about = fit_outputs(matrix, observations, magnitudes, model.names).coefficients
+        effects = (*effects, *position_effects(model, segments, request.site, inputs, about))
+    return fit_outputs(matrix, observations, magnitudes, model.names, parameters.uncertainty, pooled, effects=effects)

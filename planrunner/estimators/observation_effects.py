@@ -56,6 +56,12 @@ def functionals_of(gains: Array) -> Array:
     return np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
 
 
+def explained(effects: Sequence[Effect], output: int) -> Array | float:
+    """What of the variance that is seen within the segments the effects make, (n,)."""
+    shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
+    return sum(shares, 0.0)
+
+
 def mixed(spread: Array, effects: Sequence[Effect], output: int) -> Array:
     """Covariance (n, n) of an output's observations: noise of standard uncertainty `spread` (n,) and the effects."""
     covariance = np.diag(spread**2) + sum(effect.covariance(output, output) for effect in effects)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.estimators.observation_effects import Effect, functionals_of, mixed
+from planrunner.estimators.observation_effects import Effect, explained, functionals_of, mixed
 from planrunner.estimators.observations import SIGNIFICANCE, Noise, Observations, within_segment_noise
 from planrunner.uncertainty.influences import Influence
 
@@ -128,10 +128,7 @@ def fit_outputs(
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
     acting, left = (tuple(effects), ()) if all(noise.known for noise in noises) else ((), tuple(effects))
-    for effect in acting:
-        for k, seen in effect.within.items():
-            explained = effect.quantity.standard_uncertainty**2 * seen
-            noises[k] = within_segment_noise(observations, k, explained)
+    noises = [within_segment_noise(observations, k, explained(acting, k)) for k in range(m)]
     spreads = np.array([noise.sigma for noise in noises])
     fits, gains, between, ratios = [], [], np.zeros(m), np.full(m, np.nan)
     for k, noise in enumerate(noises):

@@ -14,47 +14,66 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 import simulated_imu as imu
+from coverage_experiment import flicker_in_segments
 from recorded import sensor
 
+from planrunner.estimators.analysis import combined
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import EstimateRequest, Setup
+from planrunner.estimators.outputs_fit import BASES
 from planrunner.estimators.temperature.curve import fit_curve, groups_of
-from planrunner.uncertainty.budget import Measured, combine
+from planrunner.plan.quantity import parse_quantity
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
+IMU: dict[str, dict[str, float]] = {
+    "white noise": {},
+    "tilts of 5 arcsec, stated": {"tilt": 5.0, "stated": 5.0},
+    "tilts of 5 arcsec, stated as 2.5": {"tilt": 5.0, "stated": 2.5},
+    "tilts of 5 arcsec, not stated": {"tilt": 5.0},
+    "flicker, declared": {"flicker": 1.0, "declared": 1.0},
+    "flicker, declared too small by 2": {"flicker": 1.0, "declared": 0.5},
+    "flicker, not declared": {"flicker": 1.0},
+    "flicker and tilts of 5 arcsec, both stated": {"flicker": 1.0, "declared": 1.0, "tilt": 5.0, "stated": 5.0},
+}
 ARCSEC = math.radians(1) / 3600
 CHANNELS = (*imu.GYROS, *imu.ACCELS)
 # Straight, plainly curved, and curved by little more than the scatter: the hardest for a choice of order.
 CURVES = ((3.0, 0.05), (3.0, 0.05, -1e-3), (3.0, 0.05, -2e-5), (3.0, 0.05, -4e-5))
 
 
-def imu_coverage(runs: int, seed: int, basis: str, tilt: float = 0.0, stated: float = 0.0) -> dict[str, float]:
-    """Share of runs by coefficient. tilt: of each orientation, arcsec, the same whenever it is taken; stated: what the bench says of it."""
+FLICKER = {name: size for names, size in ((imu.GYROS, imu.DEG_H), (imu.ACCELS, 2e-5)) for name in names}
+SPAN = 6 * 3600.0  # s, over which constants are to hold here
+
+
+def imu_coverage(
+    runs: int, seed: int, tilt: float = 0.0, stated: float = 0.0, flicker: float = 0.0, declared: float = 0.0
+) -> dict[str, dict[str, float]]:
+    """Share of runs by basis and coefficient. tilt: of each orientation, arcsec, the same whenever it is taken; flicker: in units of
+    `FLICKER`, 1 deg/h and 2 µg; stated, declared: what the bench says of both."""
     draw, segments = np.random.default_rng(seed), imu.plan()
-    inputs = Inputs({"table position": InputQuantity("table position", 0.0, "rad", stated * ARCSEC)} if stated else {})
-    parameters = ImuMultiPositionParameters(gyros=imu.GYROS, accelerometers=imu.ACCELS, uncertainty=basis)
-    hits: dict[str, int] = {}
+    known = [InputQuantity("table position", 0.0, "rad", stated * ARCSEC)] if stated else []
+    known += [
+        InputQuantity(f"bias instability {one}", 0.0, "", declared * FLICKER[one]) for one in CHANNELS if declared
+    ]
+    setup = Setup(inputs=Inputs({one.name: one for one in known}))
+    span = parse_quantity(f"{SPAN / 3600:g} h")
+    hits: dict[str, dict[str, int]] = {basis: {} for basis in BASES}
+    sizes = np.array([[[FLICKER[one]]] for one in CHANNELS]) * flicker
     for _ in range(runs):
         truth = imu.drawn_truth(draw)
-        recorded = imu.recorded(segments, truth, draw, tilt=tilt * ARCSEC)
-        request = EstimateRequest("imu", recorded, parameters, imu.SITE, sensor(*CHANNELS), setup=Setup(inputs=inputs))
-        found = ImuMultiPosition().estimate(request)
-        u, freedom = zip(
-            *((item.standard_uncertainty, item.degrees_of_freedom) for item in found.coefficients), strict=True
-        )
-        if stated:
-            measured = [
-                Measured(item.name, item.value, item.unit, item.standard_uncertainty, item.degrees_of_freedom)
-                for item in found.coefficients
-            ]
-            sums = combine(measured, found.covariance, found.influences)
-            u, freedom = tuple(sums.standard_uncertainties), tuple(sums.degrees_of_freedom)
+        slow = sizes * flicker_in_segments(draw, (6,), 1.0, len(segments), 60.0, 30.0, SPAN) if flicker else None
+        recorded = imu.recorded(segments, truth, draw, tilt=tilt * ARCSEC, flicker=slow)
         expected = imu.named(truth)
-        for item, own, dof in zip(found.coefficients, u, freedom, strict=True):
-            held = abs(item.value - expected[item.name]) <= expanded_uncertainty(float(own), float(dof))
-            hits[item.name] = hits.get(item.name, 0) + int(held)
-    return {name: count / runs for name, count in hits.items()}
+        for basis, counts in hits.items():
+            parameters = ImuMultiPositionParameters(
+                gyros=imu.GYROS, accelerometers=imu.ACCELS, uncertainty=basis, drift_span=span
+            )
+            request = EstimateRequest("imu", recorded, parameters, imu.SITE, sensor(*CHANNELS), setup=setup)
+            for item in combined(ImuMultiPosition().estimate(request)).coefficients:
+                width = expanded_uncertainty(item.standard_uncertainty, item.degrees_of_freedom)
+                counts[item.name] = counts.get(item.name, 0) + int(abs(item.value - expected[item.name]) <= width)
+    return {basis: {name: count / runs for name, count in counts.items()} for basis, counts in hits.items()}
 
 
 def curve_coverage(
@@ -80,19 +99,12 @@ def curve_coverage(
 def main() -> None:
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     print(f"{runs} runs each; lowest and highest coverage, in %")
-    for words, keys in (
-        ("white noise, residual basis", {"basis": "residual"}),
-        ("white noise, within-segment basis", {"basis": "within_segment"}),
-        ("and tilts of 5 arcsec, stated, residual basis", {"basis": "residual", "tilt": 5.0, "stated": 5.0}),
-        (
-            "and tilts of 5 arcsec, stated, within-segment basis",
-            {"basis": "within_segment", "tilt": 5.0, "stated": 5.0},
-        ),
-        ("and tilts of 5 arcsec, not stated, within-segment basis", {"basis": "within_segment", "tilt": 5.0}),
-    ):
-        found = imu_coverage(runs, 30, **keys)  # type: ignore[arg-type]
-        low, high = min(found, key=found.get), max(found, key=found.get)  # type: ignore[arg-type]
-        print(f"imu, {words}: {100 * found[low]:.1f} ({low}) … {100 * found[high]:.1f} ({high})", flush=True)
+    for words, keys in IMU.items():
+        for basis, found in imu_coverage(runs, 30, **keys).items():
+            low, high = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
+            print(
+                f"imu, {words}, {basis}: {100 * found[low]:.1f} ({low}) … {100 * found[high]:.1f} ({high})", flush=True
+            )
     for temperatures in (6, 11, 21):
         for truth in CURVES:
             for order in (len(truth) - 1, None):

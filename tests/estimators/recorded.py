@@ -44,13 +44,16 @@ def from_means(
     standard_error: Sequence[float] | float = 0.0,
     batches: int = 32,
     count: int = 1200,
+    start: float = 0.0,
 ) -> RecordedSegment:
-    """A segment whose statistics are given; its samples cannot be read."""
+    """A segment whose statistics are given; its samples cannot be read. start: s."""
     mean = np.array(list(means.values()))
     error = np.broadcast_to(np.asarray(standard_error, dtype=float), mean.shape).copy()
     covariance = np.diag(error**2 * count)
     seconds = planned.dwell or 1.0
-    statistics = Statistics(tuple(means), count, 0, mean, mean, mean, covariance, error, batches, 0.0, seconds, 0.1)
+    statistics = Statistics(
+        tuple(means), count, 0, mean, mean, mean, covariance, error, batches, start, start + seconds, 0.1
+    )
 
     def no_samples(channels: Sequence[str]) -> Iterator[Block]:
         raise AssertionError("this estimator must do with statistics")

@@ -113,11 +113,12 @@ def recorded(
     noise: tuple[float, float] = (0.1 * DEG_H * 60, 1e-4),
     tilt: float = 0.0,
     batches: int = 32,
+    flicker: np.ndarray | None = None,
 ) -> tuple[RecordedSegment, ...]:
-    """One recording in SI. noise: rad/√s and m/s²·√s, white; tilt: rad, of each orientation about each axis, the
-    same whenever it is taken."""
-    found, tilts = [], {}
-    for segment in segments:
+    """One recording in SI, with half a dwell between segments. noise: rad/√s and m/s²·√s, white; tilt: rad, of each orientation about each
+    axis, the same whenever it is taken; flicker: (6, segments, batches), of the batches' means."""
+    found, tilts, now = [], {}, 0.0
+    for place, segment in enumerate(segments):
         turn = None
         if tilt and draw is not None:
             a, b, c = tilts.setdefault(segment.orientation, tilt * draw.standard_normal(3))
@@ -127,10 +128,12 @@ def recorded(
         if draw is not None:
             sizes = np.repeat(noise, 3) / math.sqrt(segment.dwell / batches)
             drawn = sizes[:, None] * draw.standard_normal((6, batches))
+            drawn += 0.0 if flicker is None else flicker[:, place]
             values = values + drawn.mean(axis=1)
             error = drawn.std(axis=1, ddof=1) / math.sqrt(batches)
         means = dict(zip((*GYROS, *ACCELS), values, strict=True))
-        one = from_means(segment, means, "rad/s", error, batches)
+        one = from_means(segment, means, "rad/s", error, batches, start=now)
+        now += 1.5 * segment.dwell
         one.units.update(dict.fromkeys(ACCELS, "m/s^2"))
         found.append(one)
     return tuple(found)

@@ -64,12 +64,12 @@ def _here(request: EstimateRequest, matrix: Array, coefficients: Array) -> list[
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """On SI [U; V] of a set. What its own scatter showed of the table's errors is not in the scatter simulated here."""
+    """On SI [U; V] of a set. What its own scatter showed of the table's errors is not in the scatter simulated here; flicker is."""
     coefficients = np.array(used.extra["coefficients"])
     factors = physical_set(coefficients, units, flexure_gyro.static_model(), ()).factors[-coefficients.size :]
     rows = np.array([item.name[0] in "UV" and item.name[1:].isdigit() for item in used.coefficients])
     return [
         Influence(one.quantity, one.sensitivities[rows] * factors[:, None], False, one.parts)
         for one in used.influences
-        if not one.quantity.name.startswith("resolution ")
+        if not one.quantity.name.startswith(("resolution ", "bias instability "))
     ]

@@ -14,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.flexure_gyro.compensation_influences import compensation_influences
-from planrunner.estimators.flexure_gyro.compensation_prediction import SetDesign, expected_sum, predict_residuals
+from planrunner.estimators.flexure_gyro.compensation_prediction import (
+    expected_sums,
+    predict_residuals,
+    weighted_inverse,
+)
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import static_matrix
+from planrunner.estimators.flicker import flicker_effects, mean_covariance
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -27,7 +32,8 @@ from planrunner.estimators.interface import (
     Plot,
     Table,
 )
-from planrunner.estimators.observations import observe, within_segment_noise
+from planrunner.estimators.observation_effects import explained
+from planrunner.estimators.observations import Observations, observe, within_segment_noise
 from planrunner.physics import flexure_gyro
 from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
@@ -68,15 +74,19 @@ class CompensationResidual:
         """No coefficients are fitted; the predicted ratios stand in the notes and in `extra`. Raises `EstimationError`."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
-        sets = {}
+        sets, noise = {}, [np.ones((2, len(matrix)))]
         for name, design in request.uses.items():
             if len(design.blocks) != 2 or design.blocks[0].terms != model.names:
                 raise EstimationError(_NO_SET.format(name))
             if np.linalg.matrix_rank(design.blocks[0].matrix / design.blocks[0].magnitudes) < len(model.names):
                 return Design(())
-            sets[name] = SetDesign(*(_relative(block) for block in design.blocks))
+            relative = np.array([_relative(block) for block in design.blocks])
+            parts = zip(design.blocks, relative, strict=True)
+            sets[name] = np.array([weighted_inverse(block.matrix, sigma) for block, sigma in parts])
+            noise.append(relative)
         _several(sets)
-        expected = {name: expected_sum(matrix, design) for name, design in sets.items()}
+        variances = np.concatenate(noise, axis=1) ** 2
+        expected = expected_sums(matrix, sets, np.array([np.diag(one) for one in variances]))
         first, *others = expected
         ratios = {f"ratio_{name}_to_{first}": expected[name] / expected[first] for name in others}
         notes = [
@@ -104,9 +114,9 @@ class CompensationResidual:
             for name, used in request.uses.items()
         }
         residuals = {name: (rates - matrix[:, 1:3]) / _DEG_H for name, rates in recovered.items()}
-        sigma = np.column_stack([within_segment_noise(observations, k).sigma for k in range(2)])
-        sets = {name: SetDesign(*_parts(used, sigma)) for name, used in request.uses.items()}
-        prediction = predict_residuals(matrix, sets, request.parameters.trials, request.parameters.seed)
+        sets = {name: np.array(used.extra["gains"]) for name, used in request.uses.items()}
+        covariances = _covariances(request, observations)
+        prediction = predict_residuals(matrix, sets, covariances, request.parameters.trials, request.parameters.seed)
         stated = compensation_influences(request, observations.units, matrix, residuals, _DEG_H)
         return replace(_assemble(request, observations.labels, residuals, prediction), influences=stated)
 
@@ -118,16 +128,29 @@ def _several(sets: Mapping[str, Any]) -> None:
         )
 
 
-def _relative(block: DesignBlock) -> tuple[Array, Array]:
-    """The calibration's matrix and its noise relative to the block's own root mean square: only proportions matter."""
+def _relative(block: DesignBlock) -> Array:
+    """The calibration's noise relative to the block's own root mean square: only proportions matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
-    return block.matrix, block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
+    return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 
 
-def _parts(used: Estimate, sigma: Array) -> list[tuple[Array, Array]]:
-    """The calibration's matrix and noise relative to that of the verification positions, for each output."""
-    matrix = np.array(used.extra["matrix"])
-    return [(matrix, np.array(used.extra["sigma"][k]) / np.sqrt(np.mean(sigma[:, k] ** 2))) for k in range(2)]
+def _covariances(request: EstimateRequest, observations: Observations) -> Array:
+    """Of all observations of each output, (2, N, N), over the variance of the verification positions' noise: noise within the segments,
+    and declared flicker, which all segments of the run share."""
+    told = [used.extra for used in request.uses.values()]
+    start = np.concatenate([observations.start, *(one["start"] for one in told)])
+    end = np.concatenate([observations.end, *(one["end"] for one in told)])
+    span = max(one["drift_span"] for one in told)
+    found = []
+    for k in range(2):
+        effects = flicker_effects(observations, request.setup.inputs, span)
+        noise = within_segment_noise(observations, k, explained(effects, k))
+        variance = np.concatenate([noise.sigma, *(one["sigma"][k] for one in told)]) ** 2
+        covariance = np.diag(variance)
+        if size := told[0]["bias_instability"][k]:
+            covariance += size**2 * mean_covariance(start, end, span)
+        found.append(covariance / np.mean(noise.sigma**2))
+    return np.array(found)
 
 
 def _assemble(
@@ -161,7 +184,7 @@ def _assemble(
     ratio_columns = ("sets", "measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
-        f"The measured ratio of {pair} lies outside its expected 5 to 95 %, as noise alone makes one experiment in ten do."
+        f"The measured ratio of {pair} lies outside its expected 5 to 95 %, as chance makes one experiment in ten do."
         for pair in outside
     ]
     return Estimate(
@@ -182,8 +205,8 @@ def _assemble(
         ),
         (_residual_plot(labels, residuals),),
         (
-            "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise alone, without "
-            "correlations; what the bench states is added to first order.",
+            "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise and declared bias "
+            "instability; what the bench states is added to first order.",
             _CLAIM,
             *notes,
         ),

@@ -148,7 +148,7 @@ class FlexureGyroStatic:
             tuple(notes),
             tuple(warnings),
             observations.labels,
-            _extra(fit, matrix, made.model, request.parameters.outputs),
+            _extra(made, request.parameters),
             tuple(one.through(found.gradients) for one in made.stated),
         )
 
@@ -274,13 +274,21 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[C
     return _coefficients(found, np.sqrt(variance), np.full(len(variance), math.inf))[: found.physical]
 
 
-def _extra(fit: OutputsFit, matrix: Array, model: ErrorModel, outputs: tuple[str, ...]) -> dict[str, object]:
-    """What an estimate that compensates with these coefficients needs, in SI: coefficients, covariance on either basis, and the design."""
+def _extra(made: _Made, parameters: FlexureGyroStaticParameters) -> dict[str, object]:
+    """What an estimate that compensates with these coefficients needs, in SI: coefficients, covariance on either basis, the design, and
+    when and how noisily it was observed (bias instability: 0.0 where it is not in the weights)."""
+    fit, observations = made.fit, made.observations
+    flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
-        "outputs": list(outputs),
-        "terms": list(model.names),
+        "outputs": list(parameters.outputs),
+        "terms": list(made.model.names),
         "coefficients": fit.coefficients.tolist(),
         "covariance": {basis: fit.covariance(basis).tolist() for basis in BASES if fit.available(basis)},
-        "matrix": matrix.tolist(),
+        "matrix": made.matrix.tolist(),
+        "gains": fit.gains.tolist(),
         "sigma": [noise.sigma.tolist() for noise in fit.noises],
+        "start": observations.start.tolist(),
+        "end": observations.end.tolist(),
+        "bias_instability": [flicker.get(f"bias instability {name}", 0.0) for name in parameters.outputs],
+        "drift_span": parameters.drift_span.value,
     }
