@@ -101,7 +101,7 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
                 f"(positions, slow drift, or the model is incomplete): {consequence}."
             )
         else:
-            notes.append(f"{text}, as chance alone makes it (probability {found.probability:.2g}).")
+            notes.append(f"{text}, which chance explains (probability {found.probability:.2g}).")
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
             notes.append(

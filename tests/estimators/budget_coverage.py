@@ -2,7 +2,8 @@
 
 `python tests/estimators/budget_coverage.py [runs]` prints the figures of docs/uncertainty-budgets.md. In every run the world differs from
 what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run, the table's error at every position, the
-error of every rate and one that all rates share; with white noise and flicker on top. The generators are written apart from planrunner.
+error of every rate and one that all rates share; with white noise and flicker, which is
+declared as it is, on top. The generators are written apart from planrunner.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from coverage_experiment import BATCHES, DWELL, GYRO, flicker_series
+from coverage_experiment import BATCHES, DWELL, GYRO, PAUSE, flicker_in_segments
 from recorded import from_means, segment, sensor
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude
 from test_stated_inputs_move_coefficients import currents, turn
@@ -73,7 +74,8 @@ RATE = {
     "noise and rate errors alike, noise within": Rates("within_segment"),
     "rate errors alone matter": Rates("residual", white=0.1),
     "rate errors alone matter, noise within": Rates("within_segment", white=0.1),
-    "with flicker 0.5 pulse/s, noise within": Rates("within_segment", flicker=0.5),
+    "noise and rate errors alike, flicker 0.5 pulse/s": Rates("residual", flicker=0.5),
+    "noise and rate errors alike, flicker 0.5 pulse/s, noise within": Rates("within_segment", flicker=0.5),
 }
 
 
@@ -84,13 +86,13 @@ def static_coverage(campaign: Static, runs: int, seed: int) -> dict[str, float]:
         "gravity": campaign.gravity,
         "azimuth": campaign.azimuth * ARCSEC,
         "table position": campaign.position * ARCSEC,
-    }
+    } | {f"bias instability {name}": campaign.flicker for name in CHANNELS if campaign.flicker}
     setup = Setup(inputs=Inputs({name: InputQuantity(name, 0.0, "rad", width) for name, width in widths.items()}))
     rng = np.random.default_rng(seed)
     parameters = FlexureGyroStaticParameters(uncertainty=campaign.basis)
     hits = dict.fromkeys(GYRO, 0)
     for start in range(0, runs, 250):
-        slow = flicker_series(rng, 250, campaign.flicker) if campaign.flicker else np.zeros((250, 1, 1, 1))
+        slow = flicker_in_segments(rng, (250, 2), campaign.flicker) if campaign.flicker else np.zeros((250, 1, 1, 1))
         for n in range(min(250, runs - start)):
             north = turn(UP, widths["azimuth"] * rng.normal())
             keys = {
@@ -104,15 +106,18 @@ def static_coverage(campaign: Static, runs: int, seed: int) -> dict[str, float]:
                 means = currents(axes, truth=GYRO, **keys) + noise[:, k].mean(axis=1)
                 error = noise[:, k].std(axis=1, ddof=1) / math.sqrt(BATCHES)
                 planned = replace(segment(label, attitude(words)), orientation=words)
-                recorded.append(from_means(planned, dict(zip(CHANNELS, means, strict=True)), "pulse/s", error, BATCHES))
+                named, start = dict(zip(CHANNELS, means, strict=True)), k * (DWELL + PAUSE)
+                recorded.append(from_means(planned, named, "pulse/s", error, BATCHES, start=start))
             request = EstimateRequest("d", tuple(recorded), parameters, SITE, sensor(*CHANNELS), setup=setup)
             count(combined(FlexureGyroStatic().estimate(request)), GYRO, hits)
     return {name: found / runs for name, found in hits.items()}
 
 
 def rate_coverage(campaign: Rates, runs: int, seed: int) -> dict[str, float]:
-    held = InputQuantity("table rate", 0.0, "1", campaign.each)
-    setup = Setup(inputs=Inputs({"table rate": held}))
+    stated = {"table rate": InputQuantity("table rate", 0.0, "1", campaign.each)}
+    if campaign.flicker:
+        stated["bias instability gyro"] = InputQuantity("bias instability gyro", 0.0, "pulse/s", campaign.flicker)
+    setup = Setup(inputs=Inputs(stated))
     keys = {"uncertainty": campaign.basis, "rate_uncertainty": parse_quantity(f"{campaign.common * 1e6:g} ppm")}
     parameters = ScaleFactorParameters(outputs=("gyro",), **keys)
     rng = np.random.default_rng(seed)
@@ -121,17 +126,19 @@ def rate_coverage(campaign: Rates, runs: int, seed: int) -> dict[str, float]:
     planned = [segment(f"R{n}", motion=Spin(math.radians(rate))) for n, rate in enumerate(RATES)]
     for start in range(0, runs, 250):
         count_of = min(250, runs - start)
-        slow = flicker_series(rng, 250, campaign.flicker) if campaign.flicker else np.zeros((250, 2, 8, BATCHES))
+        slow = np.zeros((count_of, len(RATES), BATCHES))
+        if campaign.flicker:
+            slow = flicker_in_segments(rng, (count_of,), campaign.flicker, len(RATES))
         for n in range(count_of):
-            # Twelve rates in a row: the eight dwells of one output's flicker, then four of the other's.
-            drift = slow[n].reshape(16, BATCHES)[: len(RATES)]
-            noise = campaign.white * math.sqrt(BATCHES) * rng.normal(size=(len(RATES), BATCHES)) + drift
+            noise = campaign.white * math.sqrt(BATCHES) * rng.normal(size=(len(RATES), BATCHES)) + slow[n]
             really = RATES * (1 + campaign.common * rng.normal() + campaign.each * rng.normal(size=len(RATES)))
             means = OFFSET + SLOPE * really + noise.mean(axis=1)
             errors = noise.std(axis=1, ddof=1) / math.sqrt(BATCHES)
             recorded = tuple(
-                from_means(one, {"gyro": float(mean)}, "pulse/s", [float(error)], BATCHES)
-                for one, mean, error in zip(planned, means, errors, strict=True)
+                from_means(
+                    one, {"gyro": float(mean)}, "pulse/s", [float(error)], BATCHES, start=place * (DWELL + PAUSE)
+                )
+                for place, (one, mean, error) in enumerate(zip(planned, means, errors, strict=True))
             )
             request = EstimateRequest("s", recorded, parameters, SITE, sensor("gyro"), setup=setup)
             count(combined(ScaleFactor().estimate(request)), truth, hits)
