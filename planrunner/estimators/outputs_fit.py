@@ -129,48 +129,79 @@ def fit_outputs(
     noises = [within_segment_noise(observations, k) for k in range(m)]
     acting, left = (tuple(effects), ()) if all(noise.known for noise in noises) else ((), tuple(effects))
     noises = [within_segment_noise(observations, k, explained(acting, k)) for k in range(m)]
-    spreads = np.array([noise.sigma for noise in noises])
-    fits, gains, between, ratios = [], [], np.zeros(m), np.full(m, np.nan)
+    found = []
     for k, noise in enumerate(noises):
-        correlated = any(k in effect.changes for effect in acting)
-
-        def fitted(spread: Array, k: int = k, correlated: bool = correlated) -> LinearFit:
-            covariance = mixed(spread, acting, k) if correlated else None
-            return least_squares.fit(matrix, observations.mean[:, k], spread, magnitudes, names, covariance)
-
-        found = fitted(spreads[k])
-        ratios[k] = found.variance_factor
-        if not equal and basis == "residual" and (noise.unequal or correlated) and exceeds_noise(found, noise):
-            between[k] = between_segments(fitted, spreads[k])
-            spreads[k] = np.hypot(spreads[k], between[k])
-            found = fitted(spreads[k])
-        if equal:
-            spreads[k] = np.sqrt(np.mean(noise.sigma**2))
-            size = _residual_size(matrix, mixed(spreads[k], acting, k)) if correlated else spreads[k]
-            found = least_squares.fit(matrix, observations.mean[:, k], size, magnitudes, names)
-            weighted = matrix / size[:, None] ** 2
-        elif correlated:
-            weighted = np.linalg.solve(mixed(spreads[k], acting, k), matrix)
-        else:
-            weighted = matrix / spreads[k][:, None] ** 2
-        fits.append(found)
-        gains.append(found.cofactor @ weighted.T)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
-    gained = np.array(gains)
+        own = tuple(effect for effect in acting if k in effect.changes)
+        weighting = _Weighting(matrix, observations.mean[:, k], magnitudes, names, own, k)
+        found.append(weighting.equal(noise) if equal else weighting.known(noise, basis == "residual"))
+    spreads, gains = np.array([one.spread for one in found]), np.array([one.gains for one in found])
+    between, ratios = np.array([one.between for one in found]), np.array([one.ratio for one in found])
     pooled = pooled and all(noise.known for noise in noises) and not between.any()
     return OutputsFit(
         observations.channels,
-        tuple(fits),
+        tuple(one.fit for one in found),
         tuple(noises),
         spreads,
         between,
         ratios,
         acting,
         left,
-        _cofactors(gained, noises, spreads, observations.correlation, acting),
-        gained,
+        _cofactors(gains, noises, spreads, observations.correlation, acting),
+        gains,
         pooled,
-        _pooled_freedom(matrix, gained, spreads, observations.correlation, acting) if pooled else 0.0,
+        _pooled_freedom(matrix, gains, spreads, observations.correlation, acting) if pooled else 0.0,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """One output: `OutputsFit` says what these are. gains: (p, n); spread: (n,)."""
+
+    fit: LinearFit
+    gains: Array
+    spread: Array
+    ratio: float
+    between: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighting:
+    """One output's observations (n,) and what acts on them beside their noise."""
+
+    matrix: Array
+    observed: Array
+    magnitudes: Array
+    names: Sequence[str]
+    effects: tuple[Effect, ...]
+    output: int
+
+    def known(self, noise: Noise, residual: bool) -> _Fitted:
+        """By noise and effects; residual: with a part between segments where the residuals ask for it."""
+        spread, between = noise.sigma, 0.0
+        found = self._fit(spread)
+        ratio = found.variance_factor
+        if residual and (noise.unequal or self.effects) and exceeds_noise(found, noise):
+            between = between_segments(self._fit, spread)
+            spread = np.hypot(spread, between)
+            found = self._fit(spread)
+        if self.effects:
+            weighted = np.linalg.solve(mixed(spread, self.effects, self.output), self.matrix)
+        else:
+            weighted = self.matrix / spread[:, None] ** 2
+        return _Fitted(found, found.cofactor @ weighted.T, spread, ratio, between)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
+
+    def equal(self, noise: Noise) -> _Fitted:
+        """All segments alike, with the variance factor that their covariance makes of the residuals."""
+        ratio = self._fit(noise.sigma).variance_factor
+        spread = size = np.full(len(self.observed), np.sqrt(np.mean(noise.sigma**2)))
+        if self.effects:
+            size = _residual_size(self.matrix, mixed(spread, self.effects, self.output))
+        found = least_squares.fit(self.matrix, self.observed, size, self.magnitudes, self.names)
+        return _Fitted(found, found.cofactor @ (self.matrix / size[:, None] ** 2).T, spread, ratio)
+
+    def _fit(self, spread: Array) -> LinearFit:
+        covariance = mixed(spread, self.effects, self.output) if self.effects else None
+        return least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names, covariance)
 
 
 def _cofactors(

@@ -237,10 +237,14 @@ def _metrics(
     freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
     found = []
     if full_scale > 0 and fit.freedom:
-        u = math.sqrt(factor * float(observed[worst, worst])) / full_scale * 1e6
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
         words = f"{name}: largest residual over the largest output"
         residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
+        noise = fit.spreads[k] ** 2 if basis == "residual" else fit.noises[k].sigma ** 2
+        flicker = (
+            residual @ (observed - np.diag(noise)) @ residual
+        )  # but for what all rates share, which leaves no residual
+        u = math.sqrt(factor * float(noise[worst] + flicker)) / full_scale * 1e6
         answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
         found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words), answers))
     responds = np.ptp(observations.mean[:, k]) > 0
