@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from calibration_coverage import IMU, curve_coverage, imu_coverage
+from calibration_coverage import CURVES, IMU, curve_coverage, imu_coverage
 from scipy.stats import binom
 
 RUNS = 1000
@@ -37,3 +37,10 @@ def test_what_nobody_states_is_not_covered() -> None:
 def test_intervals_of_curves_of_a_given_order(temperatures: int) -> None:
     low, high = curve_coverage(4 * RUNS, 52, temperatures, (3.0, 0.05, -1e-3), 2)
     assert low > 0.95 - 2 * SCATTER and high < 0.95 + 2 * SCATTER
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", CURVES)
+def test_intervals_of_curves_of_a_chosen_order_hold_the_truth_at_least(truth: tuple[float, ...]) -> None:
+    low, _ = curve_coverage(RUNS, 53, 11, truth, None)
+    assert low >= 0.95 - 3 * SCATTER
