@@ -10,6 +10,11 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# How fast cases are drawn says how busy the machine is, not whether they pass.
+settings.register_profile("planrunner", suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("planrunner")
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
