@@ -18,8 +18,9 @@ SCATTER = math.sqrt(0.95 * 0.05 / RUNS)
     ["white noise", "tilts of 5 arcsec, stated", "flicker, declared", "flicker and tilts of 5 arcsec, both stated"],
 )
 def test_intervals_of_an_imu(name: str) -> None:
-    """33 coefficients on two bases, each within the binomial range that all keep jointly at 1 % (Šidák) if every interval covers 95 %."""
-    each = 1 - 0.99 ** (1 / 66)
+    """33 coefficients on two bases in four experiments, each within the binomial range that all keep jointly at 1 % (Šidák) if every
+    interval covers 95 %."""
+    each = 1 - 0.99 ** (1 / (33 * 2 * 4))
     low, high = binom.ppf(each / 2, RUNS, 0.95) / RUNS, binom.ppf(1 - each / 2, RUNS, 0.95) / RUNS
     for basis, found in imu_coverage(RUNS, 50, **IMU[name]).items():
         for coefficient, share in found.items():
