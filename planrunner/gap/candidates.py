@@ -15,6 +15,7 @@ from planrunner.gap.effects.interface import Column, Shaped, Variant
 from planrunner.gap.effects.nominal import PARTS
 from planrunner.gap.evidence import by_energy, log_mean_exp
 from planrunner.gap.noise_levels import counts
+from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
 from planrunner.gap.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, settings_of, walking_alike
@@ -99,11 +100,12 @@ class Weighing:
             kind: settings_of(observed, self.white, kind) for kind in ("gyro", "accel")
         }
         coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
-        self.nominal = [
+        whole = [
             part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
             for index, part in enumerate(coefficients)
         ]
-        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal)))
+        self.nominal = [independent(columns) for columns in whole]
+        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal), whole))
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
@@ -116,10 +118,11 @@ class Weighing:
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
 
-    def _fitted(self, reference: Array) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients."""
+    def _fitted(self, reference: Array, whole: Sequence[Array]) -> Array:
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients; `whole`: per channel, their
+        columns."""
         out = reference.copy()
-        for index, nominal in enumerate(self.nominal):
+        for index, nominal in enumerate(whole):
             own = [column for column in self.nominal_columns if index in column.parts]
             size = np.linalg.norm(nominal, axis=0) + 1e-300
             values = np.linalg.lstsq(nominal / size, self.spectrum.values[:, index], rcond=None)[0] / size
