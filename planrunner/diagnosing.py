@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
@@ -22,8 +24,10 @@ from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 from planrunner.plan.findings import Findings, InputError, Mark
 from planrunner.plan.schedule import Segment
+from planrunner.plan.selection import Detection, select
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.running import sound_run
 
@@ -57,45 +61,95 @@ class Diagnosed:
 
 
 def diagnose_recorded(recorded: Recorded, options: Options | None = None) -> Diagnosed:
-    """What the recording holds beyond its simulation. Raises `InputError` with everything that stands against a diagnosis."""
+    """What the recording holds beyond its simulation. options: as the plan has them without it. Raises `InputError` with everything that
+    stands against a diagnosis."""
     from planrunner.gap.diagnosis import Options, diagnose
     from planrunner.gap.observed import ObservationError
 
-    observed, findings = observe(recorded)
+    spec = recorded.sound.plan.diagnosis
+    options = options or (Options() if spec is None else Options(nominal=spec.nominal))
+    observed, findings = observe(recorded, options.nominal)
     try:
-        return Diagnosed(recorded, diagnose(observed, options or Options()), findings)
+        return Diagnosed(recorded, diagnose(observed, options), findings)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
 
 
-def observe(recorded: Recorded) -> tuple[Observed, Findings]:
-    """The samples beside their planned state, and warnings. Raises `InputError` with what stands against a diagnosis."""
+def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
+    """The samples beside their planned state, and warnings. nominal: what the simulation fits. Raises `InputError` with what stands
+    against a diagnosis."""
     from planrunner.gap.observed import ObservationError, observed
+    from planrunner.gap.poses import poses, unknown_orientations
     from planrunner.gap.recording_checks import check_observed, check_recording
 
     sound, used = recorded.sound, recorded.sound.plan.sensor.outputs
     sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
     findings = Findings()
-    check_recording(recorded.segments, sensor, recorded.where, findings)
+    segments = _chosen(recorded)
+    check_recording(segments, sensor, recorded.where, findings)
     if findings.errors:
         raise InputError(findings)
-    units = recorded.segments[0].units
+    units = segments[0].units
     try:
-        seen = observed(
-            recorded.segments,
-            sound.models.site,
-            sensor,
-            axes=_axes(used),
-            angle_channel=_only(units, "angle"),
-            temperature_channel=_only(units, "temperature"),
-            magnetic=sound.models.site.magnetic_field,
-        )
+        if unknown_orientations(segments):
+            seen = poses(segments, sound.models.site, sensor, nominal, axes=_axes(used))
+        else:
+            seen = observed(
+                segments,
+                sound.models.site,
+                sensor,
+                axes=_axes(used),
+                angle_channel=_only(units, "angle"),
+                temperature_channel=_only(units, "temperature"),
+                magnetic=sound.models.site.magnetic_field,
+            )
+        check_observed(seen, recorded.where, findings)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
-    check_observed(seen, recorded.where, findings)
     if findings.errors:
         raise InputError(findings)
     return seen, findings
+
+
+def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
+    """The segments that the plan's `diagnosis` means: by their labels, or still spans that are found in them."""
+    spec = recorded.sound.plan.diagnosis
+    if spec is None:
+        return recorded.segments
+    if not isinstance(spec.segments, Detection):
+        return tuple(
+            recorded.segments[index] for index in select([item.label for item in recorded.segments], spec.segments)
+        )
+    from planrunner.estimators.interface import EstimationError
+    from planrunner.estimators.still_detection import still_spans
+
+    within = select([item.label for item in recorded.segments], spec.segments.within)
+    found: list[RecordedSegment] = []
+    for item in (recorded.segments[index] for index in within):
+        try:
+            spans = still_spans(item, spec.segments)
+        except EstimationError as error:
+            raise InputError.at(spec.segments.origin.mark, "gap-unfit", str(error), "look at `channels`") from None
+        found += [_stretch(item, number, span.start, span.end) for number, span in enumerate(spans, start=1)]
+    if not found:
+        hint = "raise `threshold` or shorten `at_least`"
+        raise InputError.at(spec.segments.origin.mark, "gap-unfit", "no still span was found in the recording", hint)
+    return tuple(found)
+
+
+def _stretch(item: RecordedSegment, number: int, start: float, end: float) -> RecordedSegment:
+    """The samples of a segment from `start` to `end`, as a segment of its own."""
+
+    def blocks(channels: Sequence[str]) -> Iterator[Block]:
+        for block in item.blocks(channels):
+            part = slice(*np.searchsorted(block.time, [start, end + 1e-9]))
+            if part.start < part.stop:
+                yield Block(block.time[part], {name: block.channels[name][part] for name in channels})
+
+    rows = sum(len(block.time) for block in blocks(tuple(item.units)))
+    label = f"{item.label} {number}"
+    statistics = statistics_of(blocks(tuple(item.units)), tuple(item.units), rows)
+    return replace(item, segment=replace(item.segment, label=label, dwell=None), statistics=statistics, blocks=blocks)
 
 
 def _unfit(recorded: Recorded, error: Exception) -> InputError:

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--nominal",
         metavar="TERM",
         nargs="+",
-        help="what the simulation fits (default: all; see the documentation); what is left out is a candidate like any effect",
+        help="what the simulation fits (default: as the plan says, or all); what is left out is a candidate like any effect",
     )
     parser.add_argument("--jobs", metavar="N", type=_jobs, default=1, help="processors to use (default: 1)")
 
@@ -73,14 +73,15 @@ def run(args: argparse.Namespace) -> int:
     return cli.DONE
 
 
-def _options(nominal: list[str] | None) -> Options:
+def _options(nominal: list[str] | None) -> Options | None:
+    """What is asked for; None for what the plan says."""
     from planrunner.gap.candidates import FULL
     from planrunner.gap.diagnosis import Options
 
     for name in nominal or ():
         if name not in FULL:
             raise InputError.at(Mark("--nominal"), "gap-nominal", f"'{name}' is no nominal term", closest(name, FULL))
-    return Options() if nominal is None else Options(nominal=tuple(nominal))
+    return None if nominal is None else Options(nominal=tuple(nominal))
 
 
 def _recorded(args: argparse.Namespace) -> Recorded:

@@ -19,18 +19,11 @@ from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
 from planrunner.gap.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, settings_of, walking_alike
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 Array = NDArray[np.float64]
 ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
-FULL = (
-    "gyro_bias",
-    "gyro_scale_factor",
-    "gyro_misalignment",
-    "earth_rate",
-    "accel_bias",
-    "accel_scale_factor",
-    "accel_misalignment",
-)
+FULL = NOMINAL_TERMS
 _REFINE = 8.0  # log BF from which on a shape is worth refining
 
 
@@ -251,5 +244,9 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
     """What the nominal simulation gives before any parameter is fitted, (N, K), SI."""
     omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
-    felt = {"gyro": omega, "accel": observed.force}
-    return np.column_stack([felt[channel.kind][:, channel.axis] for channel in observed.channels])
+    return np.column_stack(
+        [
+            observed.seen(c, omega if channel.kind == "gyro" else observed.force)
+            for c, channel in enumerate(observed.channels)
+        ]
+    )

@@ -54,6 +54,8 @@ class Observed:
     time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature,
     temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first.
     values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN.
+    along: (S, 3), for a sensor in unknown orientations: the direction of gravity in its axes, found by itself. Its accelerometers are then
+    seen along it alone, as one channel: across it, every error is an orientation that nobody knows.
     """
 
     site: Site
@@ -73,6 +75,7 @@ class Observed:
     magnetic: Array | None = None
     rejected: int = 0
     fitted: Array | None = None
+    along: Array | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -134,7 +137,21 @@ class Observed:
         if self.fitted is not None:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}
-        return np.column_stack([felt[channel.kind][:, channel.axis] for channel in self.channels])
+        return np.column_stack([self.seen(index, felt[channel.kind]) for index, channel in enumerate(self.channels)])
+
+    def seen(self, index: int, vector: Array) -> Array:
+        """What a channel sees, (N,), of a vector in sensor axes, (N, 3)."""
+        if self.along is None:
+            return np.asarray(vector[:, self.channels[index].axis])
+        component = np.einsum("ni,ni->n", self.along[self.owner], vector)
+        rounding = 1e-12 * np.linalg.norm(vector, axis=1).max(initial=0.0)
+        return np.where(np.abs(component) > rounding, component, 0.0)
+
+    def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
+        """Input axes of a triad: axis, channel that it is seen in, and the share of it that the channel sees, (N,) or 1."""
+        if self.along is None:
+            return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
+        return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
 
     @cached_property
     def warmth(self) -> Array:
@@ -166,7 +183,7 @@ def observed(
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
-    channels = _channels(recording[0], sensor, axes)
+    channels = channels_of(recording[0], sensor, axes)
     if not channels:
         raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")
     parts = [_part(item, channels, angle_channel, temperature_channel, power_on) for item in recording]
@@ -189,7 +206,7 @@ def observed(
 _PER_SAMPLE = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
 
 
-def _channels(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
+def channels_of(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
     found = []
     for name, text in first.units.items():
         kind = {"angular rate": "gyro", "acceleration": "accel"}.get(_quantity(text))
@@ -225,7 +242,19 @@ def _part(
     if not isinstance(item.segment.motion, Rest | Spin | Rock):
         raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
     extra = [name for name in (angle, thermometer) if name is not None]
-    names = [*(channel.name for channel in channels), *extra]
+    time, table, rejected = rows_of(item, [*(channel.name for channel in channels), *extra])
+    begin = float(time[0])
+    part = motion_at(item.segment.motion, time - begin, _in_si(item, angle, table) if angle is not None else None)
+    warm = _in_si(item, thermometer, table) if thermometer is not None else None
+    part["temperature"], part["temperature_rate"] = temperature_of(item, time, warm)
+    part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
+    part["time"] = time - power_on
+    part["rejected"] = np.array([rejected], dtype=float)
+    return part
+
+
+def rows_of(item: RecordedSegment, names: Sequence[str]) -> tuple[Array, dict[str, Array], int]:
+    """Time and channels of a segment's rows without a NaN, and how many were left out. Raises `ObservationError`."""
     missing = [name for name in names if name not in item.units]
     if missing:
         raise ObservationError(
@@ -241,23 +270,15 @@ def _part(
         raise ObservationError(
             f"segment '{item.label}' holds {int(good.sum())} usable samples: leave it out or record it again"
         )
-    time = time[good]
-    begin = float(time[0]) if len(time) else 0.0
-    part = motion_at(item.segment.motion, time - begin, _in_si(item, angle, table, good) if angle is not None else None)
-    warm = _in_si(item, thermometer, table, good) if thermometer is not None else None
-    part["temperature"], part["temperature_rate"] = _temperature(item, time, warm)
-    part["values"] = np.column_stack([table[channel.name][good] * channel.factor for channel in channels])
-    part["time"] = time - power_on
-    part["rejected"] = np.array([np.count_nonzero(~good)], dtype=float)
-    return part
+    return time[good], {name: column[good] for name, column in table.items()}, int(np.count_nonzero(~good))
 
 
-def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array], good: NDArray[np.bool_]) -> Array:
+def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Array:
     scale = unit(item.units[name])
-    return np.asarray(table[name][good] * scale.factor + scale.offset)
+    return np.asarray(table[name] * scale.factor + scale.offset)
 
 
-def _temperature(item: RecordedSegment, time: Array, kelvin: Array | None) -> tuple[Array, Array]:
+def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> tuple[Array, Array]:
     """Temperature [degC] and its rate [K/s]: the thermometer smoothed by a cubic, else what was planned."""
     if kelvin is None:
         planned = item.segment.temperature

@@ -30,6 +30,10 @@ MISFIT = 0.5
 """The nominal model does not fit at all where it leaves more than this share of what the plan put in."""
 
 
+POSE_PARAMETERS = 9
+"""Three biases, scale factors and non-orthogonalities: all that |f| = g can tell."""
+
+
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
     """Segments, missing numbers, clock and ranges. where: the run or recording, for messages."""
     mark = Mark(where)
@@ -49,6 +53,9 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
     """Whether anything can be held out, and whether the nominal model fits at all, by segment means."""
     mark = Mark(where)
+    if observed.along is not None:
+        _check_poses(observed, mark, log)
+        return
     for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
         channels = observed.of_kind(kind)
         if not channels:
@@ -70,6 +77,18 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
                 hint = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
                 log.error("gap-nominal-misfit", mark, message, hint)
+
+
+def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Whether poses in unknown orientations read the magnitude of gravity, and are enough to hold some out."""
+    expected = _means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
+    ratio = float(np.median(_means(observed, observed.values)[:, 0] / expected))
+    if abs(ratio - 1) > MISFIT:
+        message = f"at rest the accelerometers read {ratio:.3g} times gravity"
+        log.error("gap-nominal-misfit", mark, message, "look at the channels' units and signs in the bench file")
+    if len(observed) <= POSE_PARAMETERS:
+        message = f"{len(observed)} poses leave nothing to hold out beside {POSE_PARAMETERS} nominal parameters"
+        log.warning("gap-no-held-out", mark, message, "add poses in other orientations: no closure can be given")
 
 
 def _means(observed: Observed, values: Array) -> Array:

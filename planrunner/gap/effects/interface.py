@@ -81,12 +81,12 @@ class Shaped:
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
-    """One column a channel of a triad: `signature` (N,) for all, or (N, 3), of which each channel takes its axis."""
+    """One column an input axis of a triad: `signature` (N,) for all, or (N, 3), of which each takes its own."""
     columns = []
-    for index in observed.of_kind(kind):
-        channel = observed.channels[index]
-        own = signature if signature.ndim == 1 else signature[:, channel.axis]
-        columns.append(Column(f"{name}_{'xyz'[channel.axis]}", unit, factor, magnitude, {index: own}))
+    for axis, index, share in observed.inputs(kind):
+        own = signature if signature.ndim == 1 else signature[:, axis]
+        part = own if isinstance(share, float) else share * own
+        columns.append(Column(f"{name}_{'xyz'[axis]}", unit, factor, magnitude, {index: part}))
     return columns
 
 
@@ -96,7 +96,7 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
         if felt is not None:
-            parts[index] = felt[:, channel.axis]
+            parts[index] = observed.seen(index, felt)
     return parts
 
 
