@@ -107,7 +107,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     names = plugins.names(EFFECTS) if options.effects is None else options.effects
     effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
     weighing = Weighing(observed, options.nominal)
-    candidates = [weighing.candidate(effect) for effect in effects if effect.stage != "covariance"]
+    candidates = weighing.candidates([effect for effect in effects if effect.stage != "covariance"])
     found = posterior(weighing, effects, candidates)
     said = verdict(weighing, found, candidates)
     by_id = {candidate.id: candidate for candidate in candidates}

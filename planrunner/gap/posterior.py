@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.effects.interface import Variant
-from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, pair_log_bayes_factor
+from planrunner.gap.evidence import best_amplitudes, from_eigen, log_mean_exp, pair_log_bayes_factor
 from planrunner.gap.noise_levels import log_densities
 from planrunner.gap.open_set import competitors, unknown
 
@@ -118,11 +118,13 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
 def _given(a: Weighed, second: Candidate) -> tuple[Weighed, float]:
     """The form of an effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
     mean, covariance = best_amplitudes(a.gram[0], a.score[0], a.trace)
-    best, value = second.variants[0], -np.inf
-    for item in second.variants:
-        cross = np.sum([x.T @ y for x, y in zip(a.by_channel, item.by_channel, strict=True)], axis=0)
-        gram = item.gram[0] - cross.T @ covariance @ cross
-        added = float(log_bayes_factors(gram[None], (item.score[0] - cross.T @ mean)[None], item.trace)[0])
-        if added > value:
-            best, value = item, added
-    return best, value
+    cross = second.across(a)
+    grams = np.array([item.gram[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
+    scores = np.array([item.score[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ mean
+    values, vectors = np.linalg.eigh(grams)
+    along = np.einsum("vji,vj->vi", vectors, scores) ** 2
+    traces = np.array([item.trace for item in second.variants])[:, None]
+    # every variant's energies are in units of its own trace
+    added = log_mean_exp(from_eigen(np.maximum(values, 0.0) / traces, along / traces, 1.0), -1)
+    best = int(np.argmax(added))
+    return second.variants[best], float(added[best])

@@ -7,7 +7,7 @@ is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,6 +141,21 @@ class ChannelWeights:
         )
         return out
 
+    def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
+        """What takes some rows (M,) of coefficients, (n,) or (n, P), to unit noise: the means jointly, the others one by one."""
+        chosen = np.flatnonzero(rows)
+        at = np.flatnonzero(np.isin(chosen, self._means))
+        owners = self._segment[chosen[at]]
+        inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
+        scale = self._scale[chosen]
+
+        def whiten(columns: Array) -> Array:
+            out = (columns.T * scale).T
+            out[at] = inverse @ columns[at]
+            return out
+
+        return whiten
+
     def whiten(self, columns: Array) -> Array:
         out = columns * self._scale[:, None]
         out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
@@ -153,23 +168,25 @@ class ChannelWeights:
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
     """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
-    unique: dict[tuple[int, tuple[int, ...]], tuple[int, Array]] = {}
-    for column in columns:
-        for part in column.parts.values():
-            unique.setdefault(_identity(part), (len(unique), part))
-    stack = np.empty((len(spectrum.segment), len(unique)))
-    arrays = [part for _, part in unique.values()]
-    for first in range(0, len(arrays), 32):
-        chunk = np.column_stack(arrays[first : first + 32])
-        stack[:, first : first + 32] = spectrum.project(observed, chunk)
+    projected: dict[tuple[int, tuple[int, ...]], Array] = {}
     out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
     for index, column in enumerate(columns):
         here = 1.0 if column.segments is None else column.segments[spectrum.segment]
         for channel, part in column.parts.items():
-            out[channel][:, index] = stack[:, unique[_identity(part)][0]] * column.magnitude * here
+            table, place = _table(part)
+            key = table.__array_interface__["data"][0], table.strides
+            if key not in projected:
+                projected[key] = spectrum.project(observed, table)
+            out[channel][:, index] = projected[key][:, place] * (column.magnitude * here)
     return out
 
 
-def _identity(array: Array) -> tuple[int, tuple[int, ...]]:
-    """The memory that an array looks at: views of the same samples are projected once."""
-    return array.__array_interface__["data"][0], array.strides
+def _table(part: Array) -> tuple[Array, int]:
+    """The table of samples that an array is a column of, and which: signatures of a triad are columns of one table and are projected
+    together, once."""
+    whole = part.base
+    if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
+        offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+        if part.strides[0] == whole.strides[0] and 0 <= offset < whole.strides[0]:
+            return whole, offset // whole.itemsize
+    return part[:, None], 0
