@@ -42,6 +42,15 @@ class Options:
 
 
 @dataclass(frozen=True)
+class Grounds:
+    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits."""
+
+    weighing: Weighing
+    candidates: tuple[Candidate, ...]
+    nominal: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that nominal parameters leave.
     pictures: numbers for drawings, as plain data."""
@@ -55,6 +64,7 @@ class Diagnosis:
     parameters: tuple[Parameter, ...]
     closure: Closure
     pictures: Mapping[str, Any] = field(repr=False)
+    grounds: Grounds = field(repr=False)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data as `schemas/diagnosis.schema.json` has it; NaN becomes null."""
@@ -128,6 +138,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         tuple(_parameters(weighing, said, found, by_id, effects)),
         closure(weighing, choices) if said.kind != "none" else NOT_RESOLVABLE,
         pictures(weighing, usable, after),
+        Grounds(weighing, tuple(candidates), options.nominal),
     )
 
 
