@@ -25,7 +25,8 @@ from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
-from planrunner.plan.findings import Findings, InputError, Mark
+from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.model import Plan
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
 from planrunner.plan.units import DIMENSIONS, unit
@@ -82,7 +83,7 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
     from planrunner.gap.poses import poses, unknown_orientations
     from planrunner.gap.recording_checks import check_observed, check_recording
 
-    sound, used = recorded.sound, recorded.sound.plan.sensor.outputs
+    sound, used = recorded.sound, _outputs(recorded.sound.plan)
     sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
     findings = Findings()
     segments = _chosen(recorded)
@@ -109,6 +110,18 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
     if findings.errors:
         raise InputError(findings)
     return seen, findings
+
+
+def _outputs(plan: Plan) -> tuple[str, ...]:
+    """The outputs that are looked at; empty for all. Raises `InputError` for one that the plan's sensor does not have."""
+    spec, known = plan.diagnosis, plan.sensor.outputs
+    if spec is None or not spec.outputs:
+        return known
+    for index, name in enumerate(spec.outputs):
+        if known and name not in known:
+            message = f"'{name}' is no output of this plan's sensor"
+            raise InputError.at(spec.at(f"outputs[{index}]"), "gap-unfit", message, closest(name, known))
+    return spec.outputs
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
@@ -175,7 +188,8 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     table = segments
     if table is None and columns is not None:
         table = recording.parent / Path(columns.table).name
-    parameters = replace(parameters, file=recording.name, segments=columns)
+    pauses = None if columns is not None else parameters.pauses
+    parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
         player.file = HeldRecording.of(player.file)

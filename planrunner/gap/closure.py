@@ -21,6 +21,7 @@ from planrunner.gap.nominal_rank import DEPENDENT
 
 Array = NDArray[np.float64]
 FOLDS = 4
+FEWEST = 6  # segments, so that three in four of them still say something
 DRAWS = 2000
 SEED = 21
 WIDEST = 0.5  # of an interval that still says something
@@ -46,7 +47,7 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 def closure(weighing: Weighing, choices: Sequence[Weighed]) -> Closure:
     """The closure by the effects and pairs among which each fold chooses anew. Segments are dealt to folds in turn."""
     segments = len(weighing.observed)
-    if segments < 2 * FOLDS or not choices:
+    if segments < FEWEST or not choices:
         return NOT_RESOLVABLE
     residual, difference = [], []
     for fold in range(FOLDS):

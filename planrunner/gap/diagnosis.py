@@ -125,9 +125,12 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
-    choices = [c.best for c in ranked[:_CHOICES]] + list(found.pairs.values())[:2]
     key = "+".join(sorted(named))
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
+    choices = [c.best for c in ranked[:_CHOICES]] + [
+        pair for pair in list(found.pairs.values())[:2] if pair is not after
+    ]
+    choices += [after] if key in found.pairs and after is not None else []
     return Diagnosis(
         gap_by_channel(weighing),
         tuple(places(weighing)[:SHOWN_PLACES]),

@@ -9,7 +9,8 @@ import numpy as np
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.confusability import ALIKE, DISCRIMINABLE, energy, fitted, reproduced
-from planrunner.gap.posterior import Posterior
+from planrunner.gap.lacking import RESIDUE, STRONG, as_probable, lacking
+from planrunner.gap.posterior import Posterior, pair_key
 
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 RIVAL = 0.02  # of the first's probability: less likely members of a class are left out, the data have excluded them
@@ -17,7 +18,6 @@ COVERED = 0.95
 SOMETHING_ELSE = (
     0.90  # the probability of unknown from which on a recording is said to hold what the catalogue does not
 )
-RESIDUE = 0.05  # share of the explained energy below which a second effect is residue of the first one's form
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,14 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
         return Verdict("none")
     top = next(iter(probability))
     by_id = {candidate.id: candidate for candidate in candidates}
+    missing = lacking(found.log_evidence, top)
+    if missing is not None:
+        best, rest = missing
+        alike = as_probable(found.log_evidence, best)
+        pair = "+" in best
+        rivals = _rival_pairs(alike, found.pairs, by_id, best) if pair else _rivals(alike, by_id, best)
+        kind = "indistinguishable" if len(rivals) > 1 else ("pair" if pair else "effect")
+        return Verdict(kind, tuple(best.split("+")), rivals if len(rivals) > 1 else (), rest)
     if top == "unknown":
         best = next(name for name in probability if name not in ("none", "unknown"))
         if probability["unknown"] >= SOMETHING_ELSE:
@@ -46,7 +54,8 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
     if "+" in top:
         first, residue = _residue(found, by_id, top)
         if residue is not None:
-            rivals = _rivals(probability, by_id, first)
+            beside = {name: probability.get(pair_key(name, residue), 0.0) for name in by_id if name != residue}
+            rivals = _rivals(beside, by_id, first)
             kind = "effect" if len(rivals) == 1 else "indistinguishable"
             return Verdict(kind, (first,), rivals if len(rivals) > 1 else (), residue)
         rivals = _rival_pairs(probability, found.pairs, by_id, top)
@@ -115,5 +124,5 @@ def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tup
     both = 2 * found.log_evidence[pair]
     other = next(name for name in pair.split("+") if name != first)
     alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
-    strong = alone > 2500.0
+    strong = alone > STRONG
     return (first, other) if strong and alone > (1 - RESIDUE) * both else (first, None)

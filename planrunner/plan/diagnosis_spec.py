@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planrunner.plan.kinds import Choice, ListOf, Record, key
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 from planrunner.plan.selection import Detection, SelectionKind
 
 NOMINAL_TERMS = (
@@ -25,6 +25,12 @@ class DiagnosisSpec(Record):
         "What the simulation fits to the recording; what is left out is a candidate like any other effect.",
         ["accel_bias"],
         NOMINAL_TERMS,
+    )
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1),
+        "Outputs that are looked at, such as those of one of two sensors in a recording; those of `sensor` without it.",
+        ["bno_accel_x", "bno_accel_y", "bno_accel_z"],
+        default_factory=tuple,
     )
     segments: tuple[str, ...] | Detection = key(
         SelectionKind(),

@@ -74,16 +74,28 @@ def verdict(found: Data) -> str:
         return f"No gap: noise alone explains the recording ({probability(posterior['none'])})."
     if kind == "unknown":
         return f"A gap by something that the catalogue does not hold ({probability(posterior['unknown'])})."
-    if kind == "indistinguishable":
-        members = list(said["class"]) or effects
-        together = sum(posterior.get(name, 0.0) for name in {*members, "+".join(sorted(effects))})
-        return f"One of {_listed(members, 'or')}: this plan cannot tell them apart (together {probability(min(1.0, together))})."
-    if kind == "pair":
-        pair = "+".join(sorted(effects))
-        return f"{_listed(effects, 'and')} together explain the gap ({probability(posterior.get(pair, 0.0))})."
+    names = list(said["class"] or effects) if kind == "indistinguishable" else ["+".join(sorted(effects))]
     residue = said.get("form_residue")
-    form = f" What {residue} would add is below 5 % and taken for its form." if residue else ""
-    return f"{effects[0]} explains the gap ({probability(posterior.get(effects[0], 0.0))}).{form}"
+    beside = ["+".join(sorted((*name.split("+"), residue))) for name in names] if residue else []
+    together = min(1.0, sum(posterior.get(name, 0.0) for name in {*names, "+".join(sorted(effects)), *beside}))
+    nearly = residue is not None and together < 0.5
+    how = "nearly all of the gap" if nearly else f"the gap ({probability(together)})"
+    if kind == "indistinguishable":
+        what = f" explains {how}" if nearly else ""
+        chance = "" if nearly else f" (together {probability(together)})"
+        said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot tell them apart{chance}."
+    else:
+        said_so = f"{_listed(effects, 'and')} {'together explain' if kind == 'pair' else 'explains'} {how}."
+    return said_so + _remainder(residue)
+
+
+def _remainder(residue: str | None) -> str:
+    """What else there is beside a named effect."""
+    if residue is None:
+        return ""
+    if residue == "unknown":
+        return " Less than 5 % of it is something that the catalogue does not hold."
+    return f" What {residue} would add is below 5 % and taken for its form."
 
 
 def closure_words(found: Data) -> str:
