@@ -17,7 +17,7 @@ import numpy as np
 
 from planrunner import plugins
 from planrunner.gap import parameters as estimates
-from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighing
+from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.closure import NOT_RESOLVABLE, Closure, closure
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.parameters import Parameter
@@ -30,6 +30,7 @@ EFFECTS = "planrunner.effects"
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _CHOICES = 6  # candidates among which a fold of the closure chooses
+_LIKELY = 1e-3  # of which each has this probability at least
 _ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
 
 
@@ -127,10 +128,8 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
     key = "+".join(sorted(named))
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
-    choices = [c.best for c in ranked[:_CHOICES]] + [
-        pair for pair in list(found.pairs.values())[:2] if pair is not after
-    ]
-    choices += [after] if key in found.pairs and after is not None else []
+    choices = _choices(found, by_id) or [c.best for c in ranked[:_CHOICES]]
+    choices += [after] if after is not None and all(after is not choice for choice in choices) else []
     return Diagnosis(
         gap_by_channel(weighing),
         tuple(places(weighing)[:SHOWN_PLACES]),
@@ -143,6 +142,14 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         pictures(weighing, usable, after),
         Grounds(weighing, tuple(candidates), options.nominal),
     )
+
+
+def _choices(found: Posterior, by_id: Mapping[str, Candidate]) -> list[Weighed]:
+    """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside."""
+    likely = [name for name, p in found.probability.items() if p >= _LIKELY]
+    keys = dict.fromkeys("+".join(part for part in name.split("+") if part in by_id) for name in likely)
+    weighed = [found.pairs.get(key) or (by_id[key].best if key in by_id else None) for key in keys]
+    return [item for item in weighed if item is not None and item.trace > 0][:_CHOICES]
 
 
 def _parameters(
