@@ -1,0 +1,34 @@
+"""Terms that a poorer nominal model lacks, beside whatever else there is."""
+
+from __future__ import annotations
+
+import pytest
+
+from planrunner.gap.lacking import as_probable, lacking
+
+TERMS = {"none": 0.0, "gyro_bias": 9000.0, "gyro_scale_factor": 400.0, "gyro_bias+gyro_scale_factor": 9600.0}
+
+
+def test_a_remainder_does_not_hide_the_term() -> None:
+    """9600 of 10 000: 96 % of the energy."""
+    assert lacking(TERMS | {"unknown": 10_000.0}, "unknown") == ("gyro_bias+gyro_scale_factor", "unknown")
+    walk = "gyro_bias_random_walk+gyro_scale_factor"
+    assert lacking(TERMS | {walk: 10_000.0}, walk) == ("gyro_bias+gyro_scale_factor", "gyro_bias_random_walk")
+
+
+@pytest.mark.parametrize(
+    ("evidence", "top"),
+    [
+        (TERMS | {"unknown": 10_200.0}, "unknown"),  # 94 %
+        ({"none": 0.0, "gyro_bias": 1200.0, "unknown": 1210.0}, "unknown"),  # 49 σ
+        ({"none": 0.0, "gyro_dead_zone": 9000.0, "unknown": 9100.0}, "unknown"),  # no term of a nominal model
+        (TERMS, "gyro_bias+gyro_scale_factor"),  # named in any case
+    ],
+)
+def test_otherwise_the_likeliest_hypothesis_stands(evidence: dict[str, float], top: str) -> None:
+    assert lacking(evidence, top) is None
+
+
+def test_what_explains_distinctly_more_is_no_other_name_for_it() -> None:
+    alike = as_probable({"a": 100.0, "b": 101.0, "c": 99.0, "d": 110.0}, "a")
+    assert alike == pytest.approx({"a": 1.0, "b": 1.0, "c": 0.36788}, rel=1e-4)
