@@ -10,7 +10,8 @@ noise, and is asked whether the data want it.
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
-covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'.
+covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
+drawn anew for every orientation; its columns are then those of the orientations in turn, numbered by the order of their first use.
 """
 
 from __future__ import annotations
