@@ -38,8 +38,24 @@ def competitors(weighing: Weighing) -> dict[str, Array]:
 
 
 def unknown(each: dict[str, Array]) -> Array:
-    """log BF (G,) of "something else": the mean over its kinds."""
-    return log_mean_exp(np.array(list(each.values())), 0)
+    """log BF (G,) of "something else": the mean over its kinds, and over several of them at once."""
+    return log_mean_exp(np.array([*each.values(), several(each)]), 0)
+
+
+def several(each: dict[str, Array]) -> Array:
+    """log BF (G,) of patterns of several sorts at once, each sort there or not with even odds.
+
+    Sorts live in coefficients that have nothing in common, so that what they say adds up: means, slow changes within segments, each harmonic
+    of the motion, and what lies outside the basis. One cause far from the catalogue often shows in more than one.
+    """
+    sorts: dict[str, list[Array]] = {}
+    for name, value in each.items():
+        word = name.split()[0]
+        sorts.setdefault(word if word in ("1", "2", "3", "rocking", "transient", "noise", "a") else "means", []).append(
+            value
+        )
+    there = [log_mean_exp(np.array(values), 0) for values in sorts.values()]
+    return np.asarray(np.sum([np.logaddexp(value, 0.0) - np.log(2.0) for value in there], axis=0))
 
 
 def _at(weighing: Weighing, setting: Setting) -> dict[str, float]:
