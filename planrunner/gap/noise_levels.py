@@ -81,7 +81,7 @@ def _normal(x: float, sigma: float) -> float:
 def _within_two(x: float) -> float:
     """Uniform in the logarithm over a factor of two either way, with edges of 10 %, and a floor for what is beyond."""
     edge = 0.1
-    top = 1 / (1 + np.exp((abs(x) - np.log(2.0)) / (edge / 4)))
+    top = 1 / (1 + np.exp(min((abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return float(top / (2 * np.log(2.0)) + 1e-9)
 
 

@@ -226,6 +226,11 @@ def channels_of(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, 
     return tuple(found)
 
 
+def measures_motion(text: str) -> bool:
+    """Whether a channel in this unit is one that is diagnosed."""
+    return bool(_quantity(text))
+
+
 def _quantity(text: str) -> str:
     dimension = unit(text).dimension
     if dimension == unit("rad/s").dimension:
