@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.bench.clock import VirtualClock
-from planrunner.bench.model import Bench, driver_of
+from planrunner.bench.model import Bench, driver_of, shipped_benches
 from planrunner.checking import Sound, check_plan
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
@@ -35,30 +36,35 @@ from planrunner.running import sound_run
 if TYPE_CHECKING:
     from planrunner.gap.diagnosis import Diagnosis, Options
     from planrunner.gap.observed import Observed
+    from planrunner.proposing import Next
 
 DIAGNOSIS_FORMAT = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording beside the plan that it was made by. where: the run folder or the file, for messages."""
+    """A recording beside the plan that it was made by. where: the run folder or the file, for messages; bench: name or file of the bench,
+    as another plan would have it."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
     where: str
+    bench: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis, what was remarked of the recording, and whose it is."""
+    """A diagnosis, what was remarked of the recording, whose it is, and what to measure next, None where nothing is left open."""
 
     recorded: Recorded
     diagnosis: Diagnosis
     findings: Findings
+    following: Next | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As `schemas/diagnosis.schema.json` has it."""
-        return {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
+        found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
+        return found | {"next": None if self.following is None else self.following.to_json()}
 
 
 def diagnose_recorded(recorded: Recorded, options: Options | None = None) -> Diagnosed:
@@ -71,9 +77,37 @@ def diagnose_recorded(recorded: Recorded, options: Options | None = None) -> Dia
     options = options or (Options() if spec is None else Options(nominal=spec.nominal))
     observed, findings = observe(recorded, options.nominal)
     try:
-        return Diagnosed(recorded, diagnose(observed, options), findings)
+        found = diagnose(observed, options)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
+    return Diagnosed(recorded, found, findings, _following(recorded, found))
+
+
+def _following(recorded: Recorded, found: Diagnosis) -> Next | None:
+    """What to measure next, for recordings whose orientations were planned."""
+    from planrunner.proposing import DEFAULT_SOAK, Frame, propose_next
+
+    segments = tuple(map(_lasting, _chosen(recorded)))
+    if recorded.sound.plan.mounting or any(item.segment.attitude is None for item in segments):
+        return None
+    planned, plan = [item.segment for item in segments], recorded.sound.plan
+    frame = Frame(
+        plan.title,
+        recorded.bench or plan.bench,
+        plan.sensor.kind,
+        plan.sensor.outputs,
+        median(segment.settle for segment in planned),
+        max(segment.soak for segment in planned) or DEFAULT_SOAK,
+        0.0 if recorded.sound.models.replays else planned[0].start,
+    )
+    return propose_next(found, segments, recorded.sound.models, frame)
+
+
+def _lasting(item: RecordedSegment) -> RecordedSegment:
+    """A segment that dwells as long as it was recorded, where the plan does not say how long."""
+    if item.segment.dwell is not None:
+        return item
+    return replace(item, segment=replace(item.segment, dwell=item.statistics.end - item.statistics.start))
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
@@ -174,7 +208,9 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 def recorded_run(run: Path) -> Recorded:
     """A run folder. Raises `InputError` and `IntegrityError`."""
     sound = sound_run(run)
-    return Recorded(sound, RunReader.open(run).recording(sound.schedule), str(run))
+    known = [name for name, path in shipped_benches().items() if path.read_bytes() == sound.bench_bytes]
+    bench = known[0] if known else str((run / "bench.yaml").resolve())
+    return Recorded(sound, RunReader.open(run).recording(sound.schedule), str(run), bench)
 
 
 def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path | None = None) -> Recorded:
@@ -198,7 +234,15 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     except InstrumentError as error:
         hint = "look at the bench file, at --segments and at the plan's labels"
         raise InputError.at(Mark(str(recording)), "recording-unfit", str(error), hint) from None
-    return Recorded(sound, played, str(recording))
+    return Recorded(
+        sound, played, str(recording), _bench_for_others(bench or sound.plan.bench, plan if bench is None else None)
+    )
+
+
+def _bench_for_others(bench: str, plan: Path | None) -> str:
+    """A bench as a plan in another folder has to name it. plan: the file that names it; the command line without it."""
+    path = Path(bench) if plan is None else plan.parent / bench
+    return bench if bench in shipped_benches() else str(path.resolve())
 
 
 def _parameters(bench: Bench, plan: str) -> RecordingParameters:

@@ -34,7 +34,7 @@ _CHANGED = 1.0  # K between segments: less is no change of temperature
 
 @dataclass(frozen=True)
 class Frame:
-    """What a proposed plan takes over from the one that was run. settle, soak: s."""
+    """What a proposed plan takes over from the one that was run. settle, soak: s; before: s, from its beginning to its first sample."""
 
     title: str
     bench: str
@@ -42,6 +42,7 @@ class Frame:
     outputs: tuple[str, ...]
     settle: float
     soak: float
+    before: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -71,16 +72,17 @@ class Next:
 
 def words(found: Proposal, planned: bool) -> str:
     """What the proposal comes to, in sentences."""
-    rivals = " or ".join(name for name, _ in found.rivals)
+    names = [name for name, _ in found.rivals]
+    rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
         said = (
-            f"{len(found.segments)} segments in {_duration(found.seconds)} would tell {rivals}: the true one is expected to have "
+            f"{len(found.segments)} segments in {_duration(found.seconds)} would tell {rivals} apart: the true one is expected to have "
             f"P = {found.probability:.2f} among them, now {found.now:.2f}."
         )
         hours, reached = found.repeating
         said += f" Repeating the recorded segments takes {_duration(hours)} for P = {reached:.2f}."
     else:
-        said = f"No segment that this bench can do separates {rivals}."
+        said = f"No segment that this bench can do tells {rivals} apart."
     if found.sensor:
         return f"{said} {found.sensor[0].upper()}{found.sensor[1:]} would."
     if not planned:
@@ -98,7 +100,13 @@ def propose_next(
 
     options, grounds = _Options(recording, models, frame), diagnosis.grounds
     found = propose(
-        grounds.weighing, diagnosis.posterior, grounds.candidates, grounds.nominal, options.segments, options.seconds
+        grounds.weighing,
+        diagnosis.posterior,
+        grounds.candidates,
+        grounds.nominal,
+        options.segments,
+        options.seconds,
+        recording[-1].statistics.end - recording[0].statistics.start + frame.before,
     )
     if found is None:
         return None

@@ -28,9 +28,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recording", metavar="FILE", type=Path, help="with a plan: CSV or Parquet file of the samples"
     )
     parser.add_argument("--segments", metavar="CSV", type=Path, help="with a plan: table of the segments by label")
+    parser.add_argument(
+        "--also",
+        metavar="RUN",
+        action="append",
+        type=Path,
+        default=[],
+        help="a later run of the same sensor, such as of a proposed plan, weighed together with it; several may be given",
+    )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
-    parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan that would settle what is left")
+    parser.add_argument(
+        "--next",
+        metavar="FILE",
+        type=Path,
+        help="write the plan that would settle what is left (default: beside the page, where there is one)",
+    )
     parser.add_argument(
         "--nominal",
         metavar="TERM",
@@ -52,6 +65,9 @@ def run(args: argparse.Namespace) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", str(args.jobs))
     recorded = _recorded(args)
     from planrunner.diagnosing import diagnose_recorded
+    from planrunner.joining import joined
+
+    recorded = joined(recorded, args.also)
 
     made = diagnose_recorded(recorded, _options(args.nominal))
     print_findings(made.findings)
@@ -104,12 +120,14 @@ def _recorded(args: argparse.Namespace) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: dict[str, Any]) -> str:
-    """The proposed plan's text, written where --next says; its place then stands in the diagnosis."""
+    """The proposed plan's text, written where --next says or beside the page; its place then stands in the diagnosis."""
     following = found["next"]
     if following is None:
         return ""
-    text = str(following.get("text", ""))
-    if args.next is not None:
+    text = str(following["text"])
+    if args.next is None and args.html is not None:
+        args.next = args.html.with_suffix(".next.yaml")
+    if args.next is not None and text:
         write_file(args.next, text)
         following["plan"] = str(args.next)
     return text

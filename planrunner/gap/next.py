@@ -56,10 +56,12 @@ def propose(
     nominal: Sequence[str],
     options: Sequence[Segment],
     seconds: Seconds,
+    lasted: float,
 ) -> Proposal | None:
     """The segments to measure next; None where one explanation stands out, or one of which nothing can be foreseen.
 
-    options: segments that the bench can do; seconds: test time of one after another (or first), moves, settling and dwell included.
+    options: segments that the bench can do; seconds: test time of one after another (or first), moves, settling and dwell included;
+    lasted: that of the recording.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed, found.probability["unknown"]):
@@ -74,7 +76,7 @@ def propose(
     lasting = _lasting([item.segment for item in chosen], seconds)
     now, then = (expected_probability(rivals, more) for more in (np.zeros_like(information), information))
     names = tuple((rival.name, rival.probability) for rival in rivals)
-    repeated = _repeating(rivals, recorded, float(observed.time[-1] - observed.time[0]), then)
+    repeated = _repeating(rivals, recorded, lasted, then)
     sensor = helpful(weighing, rivals, layout, options) if then < ENOUGH else ""
     if then < now + 0.01:
         return Proposal((), names, now, now, 0.0, repeated, sensor)

@@ -120,6 +120,8 @@ def expected_words(found: Data) -> str:
     if following is None:
         return ""
     expected = following["expected"]
+    if isinstance(expected, Mapping) and "words" in expected:
+        return str(expected["words"])
     if isinstance(expected, Mapping):
         return "; ".join(f"{name.replace('_', ' ')}: {_plain(value)}" for name, value in expected.items())
     return _plain(expected)
