@@ -142,7 +142,8 @@ def _context(made: Diagnosed, found: dict[str, Any], next_plan: str) -> Diagnosi
         "Recording": made.recorded.where,
         "Plan": sound.file,
         "Bench": sound.bench.name,
-        "Segments": str(len(made.recorded.segments)),
+        "Segments": str(len(found["pictures"]["heat"]["segments"])),
+        "Fitted by the simulation": ", ".join(made.diagnosis.grounds.nominal) or "nothing",
         **site_facts(sound.models.site),
     }
     remarks = tuple(f"{finding.message}: {finding.hint}" for finding in made.findings)

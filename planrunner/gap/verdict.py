@@ -9,8 +9,8 @@ import numpy as np
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.confusability import ALIKE, DISCRIMINABLE, energy, fitted, reproduced
-from planrunner.gap.lacking import RESIDUE, STRONG, as_probable, lacking
 from planrunner.gap.posterior import Posterior, pair_key
+from planrunner.gap.remainder import RESIDUE, STRONG, as_probable, leading
 
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 RIVAL = 0.02  # of the first's probability: less likely members of a class are left out, the data have excluded them
@@ -38,9 +38,9 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
         return Verdict("none")
     top = next(iter(probability))
     by_id = {candidate.id: candidate for candidate in candidates}
-    missing = lacking(found.log_evidence, top)
-    if missing is not None:
-        best, rest = missing
+    most = leading(found.log_evidence, top, by_id)
+    if most is not None:
+        best, rest = most
         alike = as_probable(found.log_evidence, best)
         pair = "+" in best
         rivals = _rival_pairs(alike, found.pairs, by_id, best) if pair else _rivals(alike, by_id, best)

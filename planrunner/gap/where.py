@@ -73,7 +73,7 @@ def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
     segment = spectrum.segment
     yield "channel", "all", np.ones(len(segment), dtype=bool)
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
-    orientations = [_words(attitude) for attitude in observed.attitude]
+    orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
     rates = np.degrees(observed.rate[middles])
     moving = np.array([bool(np.any(observed.acceleration[part])) for part in observed.segments()])
     motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(moving, rates, strict=True)]
@@ -100,6 +100,11 @@ def _binned(values: Array, unit: str) -> list[str]:
         return [""] * len(values)
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _LEVELS - 1)
     return [f"{edges[i]:.4g} to {edges[i + 1]:.4g} {unit}" for i in index]
+
+
+def _up(attitude: Array) -> str:
+    """Where up lies in the sensor's axes: all that is known of a pose."""
+    return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 
 def _words(attitude: Array) -> str:

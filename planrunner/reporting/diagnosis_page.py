@@ -22,6 +22,7 @@ CONSPICUOUS = 0.05
 """Places that noise alone makes as conspicuous more often than this are not shown."""
 MOST_PLACES = 12
 MOST_HYPOTHESES = 12
+MOST_PARAMETERS = 24
 FOOTER = (
     "Probabilities rest on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot tell apart are named together."
@@ -179,7 +180,10 @@ def _where(found: Data) -> Table:
 
 
 def _hypotheses(found: Data) -> Table:
-    rows = tuple((name, f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "") for name, p in ranked(found))
+    rows = tuple(
+        (name.replace("+", " + "), f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "")
+        for name, p in ranked(found)
+    )
     return Table("Which effect", ("Hypothesis", "probability", "in the 95 % set"), rows)
 
 
@@ -195,8 +199,11 @@ def ranked(found: Data) -> list[tuple[str, float]]:
 def _parameters(found: Data) -> Table:
     rows = tuple(
         (one["effect"], one["name"], _short(one["value"]), _short(one["standard_uncertainty"]), one["unit"])
-        for one in found["parameters"]
+        for one in found["parameters"][:MOST_PARAMETERS]
     )
+    left = len(found["parameters"]) - len(rows)
+    if left > 0:
+        rows = (*rows, (f"and {left} more, in the diagnosis as JSON", "", "", "", ""))
     return Table("Fitted parameters of the effect", ("Effect", "parameter", "value", "u", "Unit"), rows)
 
 
