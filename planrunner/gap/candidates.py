@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.effects.interface import Column, Shaped, Variant
 from planrunner.gap.effects.nominal import PARTS
-from planrunner.gap.evidence import by_energy, log_mean_exp
+from planrunner.gap.evidence import log_bayes_factors, log_mean_exp
 from planrunner.gap.noise_levels import counts
 from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
@@ -43,8 +43,8 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """(G,), averaged over s²."""
-        return log_mean_exp(by_energy(self.gram, self.score, self.trace), -1)
+        """(G,), averaged over λ."""
+        return log_bayes_factors(self.gram, self.score, self.trace)
 
 
 @dataclass(frozen=True)

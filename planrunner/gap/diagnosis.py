@@ -132,7 +132,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     choices += [after] if after is not None and all(after is not choice for choice in choices) else []
     return Diagnosis(
         gap_by_channel(weighing),
-        tuple(places(weighing)[:SHOWN_PLACES]),
+        tuple(places(weighing, found.by_channel)[:SHOWN_PLACES]),
         found,
         said,
         tuple(ambiguity_set(found.probability)),

@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from planrunner.gap import slow_noise
 from planrunner.gap.effects.interface import Column
+from planrunner.gap.evidence import RANGE, STRONGEST, WEAKEST
 from planrunner.gap.observed import Observed
 from planrunner.gap.spectrum import Spectrum
 
 Array = NDArray[np.float64]
 FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
-WALKS = np.geomspace(1.0, 3000.0, 12)
-"""Levels of an undeclared random walk: its standard deviation at the end of the run, in standard errors of a mean segment."""
+WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
+"""Levels of an undeclared random walk, as the energy that they let expect in the segment means of the triad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +46,31 @@ def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, .
         factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
     walks = [0.0]
     if kind == "gyro" and len(observed) > 2:
-        samples = float(np.median(np.diff(observed.bounds)))
-        span = float(observed.time[-1] - observed.time[0])
-        step = float(np.median(white[members])) / np.sqrt(samples * span)
-        walks += list(step * WALKS)
+        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, c, float(white[c])) for c in members)))
     return tuple(
-        Setting(factor, float(walk), prior * (1.0 if walk == 0 else 1.0 / len(WALKS)))
+        Setting(factor, float(walk), prior * (1.0 if walk == 0 else float(np.log(WALKS[1] / WALKS[0])) / RANGE))
         for walk in walks
         for factor, prior in zip(factors, priors, strict=True)
     )
+
+
+def _walk_energy(observed: Observed, channel: int, white: float) -> float:
+    """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
+    constant."""
+    starts, ends = lasting(observed)
+    noise = np.diag(white**2 / np.diff(observed.bounds)) + observed.channels[channel].flicker ** 2 * slow_noise.flicker(
+        starts, ends
+    )
+    inverse = np.linalg.inv(np.linalg.cholesky(noise))
+    walk = inverse @ slow_noise.random_walk(starts, ends) @ inverse.T
+    constant = inverse.sum(1)
+    return float(np.trace(walk) - constant @ walk @ constant / (constant @ constant))
+
+
+def lasting(observed: Observed) -> tuple[Array, Array]:
+    """Beginnings and ends of the segments, (S,), s."""
+    last = observed.time[observed.bounds[1:] - 1] + 1 / observed.sample_rate
+    return observed.time[observed.bounds[:-1]], last
 
 
 def rounding_variance(count: float, sigma: float) -> float:
@@ -97,9 +114,7 @@ class ChannelWeights:
         self, observed: Observed, spectrum: Spectrum, channel: int, white: float, setting: Setting, nominal: Array
     ):
         declared = observed.channels[channel]
-        slices = observed.segments()
-        starts = np.array([observed.time[part.start] for part in slices])
-        ends = np.array([observed.time[part.stop - 1] for part in slices]) + 1 / observed.sample_rate
+        starts, ends = lasting(observed)
         counts = np.diff(observed.bounds).astype(float)
         undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
         covariance = np.diag(white**2 / counts + undithered)
