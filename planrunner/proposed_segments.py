@@ -134,17 +134,17 @@ def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple
 
 
 def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[float | None]:
-    """K; the most usual first. A chamber that the plan left alone offers everyday ones."""
+    """K; the most usual first, None where the plan leaves the chamber alone. Everyday ones are offered beside a single one."""
     stated = [item.temperature for item in recorded if item.temperature is not None]
     visited = list(dict.fromkeys(round(kelvin, 2) for kelvin in stated))
     visited.sort(key=lambda kelvin: -sum(round(other, 2) == kelvin for other in stated))
     chamber = models.chamber
     if chamber is None:
         return [*visited] if visited and models.replays else [None]
-    found: list[float | None] = [*(visited or [chamber.ambient])]
+    found: list[float | None] = [*visited] or [None]
     for celsius in EVERYDAY:
         kelvin = celsius + ZERO_CELSIUS
-        near = any(abs(kelvin - (other or 0.0)) < _APART for other in found)
+        near = any(abs(kelvin - (other or chamber.ambient)) < _APART for other in found)
         if len(visited) < 2 and chamber.lowest <= kelvin <= chamber.highest and not near:
             found.append(kelvin)
     return found
@@ -154,16 +154,12 @@ def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
 ) -> Iterator[Entry]:
     """Changes of temperature that are recorded while they happen, from the most usual temperature."""
-    start = warm[0]
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
         ramps = [(kelvin, dwell or 0.0) for kelvin, dwell in done]
     else:
-        ramps = [
-            (kelvin, abs(kelvin - start) / models.chamber.ramp)
-            for kelvin in warm[1:]
-            if kelvin is not None and start is not None
-        ]
+        start = warm[0] or models.chamber.ambient
+        ramps = [(kelvin, abs(kelvin - start) / models.chamber.ramp) for kelvin in warm[1:] if kelvin is not None]
     for kelvin, dwell in sorted(ramps):
         if dwell > 0:
             yield Entry(orientation_text(place), f"{dwell:g} s", "", f"{{ramp_to: {kelvin - ZERO_CELSIUS:.6g} degC}}")

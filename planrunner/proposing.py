@@ -148,6 +148,7 @@ class _Options:
         self._of = {segment.label: by_label[segment.label] for segment in schedule.segments}
         self._known: dict[tuple[str, str], float] = {}
         self._move, self._change = _pauses(recording)
+        self._last = recording[-1].segment
 
     def entry(self, segment: Segment) -> Entry:
         return self._of[segment.label][1]
@@ -161,7 +162,8 @@ class _Options:
 
     def _following(self, before: Segment | None, segment: Segment) -> float:
         if self.models.replays:
-            warmer = before is not None and _end(before) != segment.temperature and segment.ramp_to is None
+            was, now = _end(before or self._last), segment.temperature
+            warmer = segment.ramp_to is None and was is not None and now is not None and abs(was - now) > _CHANGED
             return (segment.dwell or 0.0) + self._move + (self._change if warmer else 0.0)
         stated = [] if before is None else [self._of[before.label][0]]
         both = build_schedule([*stated, self._of[segment.label][0]], self.models, Findings()).segments

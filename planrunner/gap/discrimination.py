@@ -89,5 +89,5 @@ def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array
         d = evidence[i, others][:, None]
         log = np.clip(d + np.sqrt(2 * d) * _NODES, -700.0, 700.0)
         odds = (share[others, None] / share[i] * np.exp(-log)).sum(0)
-        total += share[i] * float(measure(odds) @ _WEIGHTS) / float(_WEIGHTS.sum())
+        total += float(share[i]) * float(measure(odds) @ _WEIGHTS) / float(_WEIGHTS.sum())
     return total

@@ -17,7 +17,7 @@ from planrunner.gap.discrimination import Rival, expected_loss, expected_probabi
 from planrunner.gap.foreseen import Foreseen, following, foresee
 from planrunner.gap.other_sensors import ENOUGH, helpful
 from planrunner.gap.posterior import Posterior
-from planrunner.gap.rivals import Explanation, Layout, explanations
+from planrunner.gap.rivals import SILENT, Explanation, Layout, explanations
 from planrunner.plan.schedule import Segment
 
 Array = NDArray[np.float64]
@@ -26,8 +26,10 @@ SETTLED = 0.95
 """Probability of an explanation from which on nothing more need be measured; that of the true one which a proposal aims at is higher."""
 AIM = 0.97
 FAINT = 0.05
-"""Probability that an effect must have to be worth looking for where noise alone is the likeliest."""
+"""Probability that an effect must have to be worth looking for where noise alone or something unknown is the likeliest."""
 LONGEST = 12 * 3600.0  # s of test time
+FEWEST = 4
+"""Segments of a proposal: fewer could as well be odd ones out."""
 _BUNDLE = 4  # segments at another temperature that are looked at together: one alone seldom pays for the way there
 _KEPT = 60  # options that stay in the running after the first round
 _REPEATS = (1, 2, 3, 5, 10, 20, 50)
@@ -58,13 +60,13 @@ def propose(
     seconds: Seconds,
     lasted: float,
 ) -> Proposal | None:
-    """The segments to measure next; None where one explanation stands out, or one of which nothing can be foreseen.
+    """The segments to measure next; None where one explanation stands out.
 
     options: segments that the bench can do; seconds: test time of one after another (or first), moves, settling and dwell included;
     lasted: that of the recording.
     """
     listed = explanations(found, candidates)
-    if not options or not _open(listed, found.probability["unknown"]):
+    if not options or not _open(listed):
         return None
     observed = weighing.observed
     whole, _ = following(observed, options, ())
@@ -83,11 +85,11 @@ def propose(
     return Proposal(tuple(item.segment for item in chosen), names, now, then, lasting, repeated, sensor)
 
 
-def _open(listed: Sequence[Explanation], unknown: float) -> bool:
+def _open(listed: Sequence[Explanation]) -> bool:
     """Whether there is a question that measuring can answer."""
-    if len(listed) < 2 or unknown >= listed[0].probability:
+    if len(listed) < 2:
         return False
-    least = FAINT if listed[0].name == "none" else 0.0
+    least = FAINT if listed[0].name in SILENT else 0.0
     return listed[0].probability < SETTLED and listed[1].probability >= least
 
 
@@ -118,7 +120,7 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
     loss, spent = expected_loss(rivals, total), 0.0
     running: list[list[Foreseen]] = [[item] for item in options]
     first = True
-    while spent < LONGEST and expected_probability(rivals, total) < AIM:
+    while spent < LONGEST and (len(chosen) < FEWEST or expected_probability(rivals, total) < AIM):
         last = chosen[-1].segment if chosen else None
         gains = []
         for move in running:
@@ -128,8 +130,12 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
         if first:
             running, gains, costs = _shortened(running, gains, costs, rivals, information, last, seconds)
             first = False
-        best = int(np.argmax(np.array(gains) / np.array(costs)))
-        if gains[best] < _HELPS * len(running[best]):
+        rate = np.array(gains) / np.array(costs)
+        if len(chosen) < FEWEST:  # others than those that are taken already
+            rate[[any(item is taken for item in move for taken in chosen) for move in running]] = -np.inf
+        best = int(np.argmax(rate))
+        enough = expected_probability(rivals, total) >= AIM
+        if gains[best] < (0.0 if enough else _HELPS * len(running[best])):
             break
         chosen += running[best]
         spent += costs[best]
@@ -182,7 +188,7 @@ def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[
     """The chosen without those that the aim, or what was reached of it, does not need."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
-    while index < len(chosen) and len(chosen) > 1:
+    while index < len(chosen) and len(chosen) > FEWEST:
         others = chosen[:index] + chosen[index + 1 :]
         if expected_probability(rivals, _sum(others, size)) >= aim:
             chosen = others

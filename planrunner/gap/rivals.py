@@ -18,6 +18,8 @@ from planrunner.gap.posterior import Posterior
 
 Array = NDArray[np.float64]
 MOST = 5  # explanations that are planned for
+SILENT = ("none", "unknown")
+"""Explanations that predict nothing."""
 LEAST = 0.01  # probability of one that is
 
 
@@ -51,16 +53,15 @@ class Explanation:
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
     """The likeliest explanations, at most `MOST`, that differ in what they predict.
 
-    What acts on the noise alone predicts nothing: with and without it, an explanation counts once. "Unknown" is left out: of it
-    nothing can be foreseen.
+    What acts on the noise alone predicts nothing: with and without it, an explanation counts once. So does "unknown", of which nothing
+    can be foreseen: it counts with none, under the name of the likelier of the two.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
+    silent = max(SILENT, key=lambda name: found.probability[name])
     total: dict[str, float] = {}
     for name, probability in found.probability.items():
-        acting = [part for part in name.split("+") if part in by_id]
-        if name != "unknown":
-            key = "+".join(acting) or "none"
-            total[key] = total.get(key, 0.0) + probability
+        key = "+".join(part for part in name.split("+") if part in by_id) or silent
+        total[key] = total.get(key, 0.0) + probability
     chosen = sorted((item for item in _simplest(total).items() if item[1] >= LEAST), key=lambda item: -item[1])[:MOST]
     return [Explanation(name, probability, _parts(name, found, by_id)) for name, probability in chosen]
 
@@ -78,7 +79,7 @@ def _simplest(total: Mapping[str, float]) -> dict[str, float]:
 
 
 def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple[Part, ...]:
-    if name == "none":
+    if name in SILENT:
         return ()
     names = name.split("+")
     pair = found.pairs.get(name)

@@ -26,7 +26,7 @@ from tests.blind.motion import Array, Fault, Schedule, Site
 from tests.blind.plans import PLANS, Segment
 
 ENOUGH = 0.95
-REPEATS = (1, 2, 4, 8)
+REPEATS = (1, 2, 4)
 MOVE, SOAK, LATER = 15.0, 1800.0, 60.0  # s: between segments, after a change of temperature, between the rounds
 SETUPS = (
     ("poor", "mems"),
@@ -41,8 +41,9 @@ WEAKEST, STRONGEST = 9.0, 400.0  # λ: weaker is not seen at all, stronger is mo
 
 @dataclass(frozen=True)
 class Outcome:
-    """One case. probability: of all hypotheses that hold the true effect, after the first round, the proposed and the repeated ones.
-    hours: of test time; expected: probability that the proposal promised. repeats: how often the plan was repeated."""
+    """One case. first, proposed, repeated: probability of all hypotheses that hold the true effect, after the first round, and when it is
+    first enough in the proposed plan and in repeating, with the hours of test time until then. expected, planned_hours: what the
+    proposal promised, and its whole time."""
 
     case: str
     plan: str
@@ -51,12 +52,12 @@ class Outcome:
     energy: float
     first: float
     rivals: tuple[str, ...]
+    expected: float
+    planned_hours: float
     proposed: float
     proposed_hours: float
-    expected: float
     repeated: float
     repeated_hours: float
-    repeats: int
 
 
 @dataclass(frozen=True)
@@ -101,23 +102,12 @@ def outcome(seed: int, number: int) -> Outcome | str:
     if not further.rows:
         return "nothing separates them"
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 4)))
-    after = _probability(_again(case, further.rows, rng), true)
-    again, repeated = _repeated(case, true, rng)
+    proposed = _reached(case, further.rows, _parts(len(further.rows)), true, rng)
+    repeated = _reached(case, *_repeats(case.rows), true, rng)
     return Outcome(
-        f"case-{number:05d}",
-        plan,
-        sensor_name,
-        true,
-        case.energy,
-        known,
-        further.rivals,
-        after,
-        _hours(case.rows, further.rows),
-        further.promised,
-        repeated,
-        _hours(case.rows, again),
-        len(again) // len(case.rows),
-    )
+        f"case-{number:05d}", plan, sensor_name, true, case.energy, known, further.rivals, further.promised,
+        _hours(case.rows, further.rows), *proposed, *repeated,
+    )  # fmt: skip
 
 
 def _probability(found: Mapping[str, float], true: str) -> float:
@@ -128,21 +118,24 @@ def _shown(sensor: Sensor, rows: Sequence[Segment], columns: dict[str, Any]) -> 
     return SimpleNamespace(sensor=sensor, segments=tuple(rows), columns=columns, bench=declared(sensor, Site()))
 
 
-def _repeated(case: Given, true: str, rng: np.random.Generator) -> tuple[list[Segment], float]:
-    """The plan repeated until the true effect is known, as far as it is tried."""
-    for times in REPEATS:
-        further: list[Segment] = []
-        for k in range(times):
-            begin = (further or case.rows)[-1].end + LATER - case.rows[0].start
-            further += [replace(row, label=f"{row.label}r{k}", start=row.start + begin) for row in case.rows]
-        reached = _probability(_again(case, further, rng), true)
-        if reached >= ENOUGH:
-            break
-    return further, reached
+def _parts(count: int) -> list[int]:
+    """Numbers of segments after which is looked whether the true effect is known: sixths of all."""
+    return sorted({max(1, round(count * part / 6)) for part in range(1, 7)})
 
 
-def _again(case: Given, further: Sequence[Segment], rng: np.random.Generator) -> dict[str, float]:
-    """The posterior over the first recording and the further segments, made with the same device."""
+def _repeats(rows: Sequence[Segment]) -> tuple[list[Segment], list[int]]:
+    """The plan again and again, and after how many segments is looked: sixths of the first time, then whole times."""
+    further: list[Segment] = []
+    for k in range(REPEATS[-1]):
+        begin = (further or rows)[-1].end + LATER - rows[0].start
+        further += [replace(row, label=f"{row.label}r{k}", start=row.start + begin) for row in rows]
+    return further, [*_parts(len(rows)), *(len(rows) * times for times in REPEATS[1:])]
+
+
+def _reached(
+    case: Given, further: Sequence[Segment], looks: Sequence[int], true: str, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Probability of the true effect, and hours, when it is first enough; at the end where it never is."""
     sensor = case.sensor
     whole, first = Schedule((*case.rows, *further), sensor.sampling), Schedule(case.rows, sensor.sampling)
     fault = _kept(case.fault, first, whole, sensor, case.device, rng)
@@ -150,8 +143,14 @@ def _again(case: Given, further: Sequence[Segment], rng: np.random.Generator) ->
     work: Any = SimpleNamespace(around=around, device=case.device, sigma=sensor.sigma())
     columns = simulate(work, [fault], case.factors, False, rng)
     seam = len(first.time)
-    both = {name: np.concatenate([case.columns[name], column[seam:]]) for name, column in columns.items()}
-    return product.posterior(_shown(sensor, whole.segments, both))
+    for count in looks:
+        rows = whole.segments[: len(case.rows) + count]
+        stop = int(np.searchsorted(whole.index, len(rows)))
+        both = {name: np.concatenate([case.columns[name], column[seam:stop]]) for name, column in columns.items()}
+        reached = _probability(product.posterior(_shown(sensor, rows, both)), true)
+        if reached >= ENOUGH:
+            break
+    return reached, _hours(case.rows, further[:count])
 
 
 def _kept(
@@ -174,12 +173,14 @@ def _hours(rows: Sequence[Segment], further: Sequence[Segment]) -> float:
 
 
 def outcomes(seed: int, numbers: Sequence[int], jobs: int = 1) -> Iterator[tuple[int, Outcome | str]]:
-    """All cases, as they end in order."""
+    """All cases, those of one set-up together: its signatures are kept."""
+    numbers = sorted(numbers, key=lambda number: (number % len(SETUPS), number))
     if jobs == 1:
         yield from ((number, outcome(seed, number)) for number in numbers)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from zip(numbers, pool.map(outcome, [seed] * len(numbers), numbers), strict=True)
+        chunk = max(1, len(numbers) // (4 * jobs))
+        yield from zip(numbers, pool.map(outcome, [seed] * len(numbers), numbers, chunksize=chunk), strict=True)
 
 
 def summary(found: Sequence[Outcome]) -> dict[str, float]:
@@ -197,6 +198,7 @@ def summary(found: Sequence[Outcome]) -> dict[str, float]:
         "repeated": float(np.mean([one.repeated for one in found])),
         "proposed_enough": len(enough) / len(found),
         "repeated_enough": sum(one.repeated >= ENOUGH for one in found) / len(found),
+        "both_enough": sum(min(one.proposed, one.repeated) >= ENOUGH for one in found) / len(found),
         "proposed_hours_median": float(np.median([one.proposed_hours for one in found])),
         "repeated_hours_median": float(np.median([one.repeated_hours for one in found])),
         "ratio_median": float(np.median(ratios)) if ratios else float("nan"),
@@ -211,13 +213,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(argv)
     found, others = [], dict[str, int]()
-    for number, one in outcomes(given.seed, range(given.count), given.jobs):
+    for done, (_, one) in enumerate(outcomes(given.seed, range(given.count), given.jobs), 1):
         if isinstance(one, Outcome):
             found.append(one)
             print(json.dumps(asdict(one)), flush=True)
         else:
             others[one] = others.get(one, 0) + 1
-        print(f"{number + 1} of {given.count}", file=sys.stderr, flush=True)
+        print(f"{done} of {given.count}", file=sys.stderr, flush=True)
     print(json.dumps({**summary(found), "left_out": others}, indent=1))
     return 0
 
