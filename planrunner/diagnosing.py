@@ -5,7 +5,7 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import partial
@@ -23,7 +23,7 @@ from planrunner.bench.model import Bench, driver_of, shipped_benches
 from planrunner.checking import Sound, check_plan
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
-from planrunner.instruments.recording_file import HeldRecording
+from planrunner.instruments.recording_file import HeldRecording, at_hand
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 from planrunner.plan.findings import Findings, InputError, Mark, closest
@@ -67,9 +67,17 @@ class Diagnosed:
         return found | {"next": None if self.following is None else self.following.to_json()}
 
 
-def diagnose_recorded(recorded: Recorded, options: Options | None = None) -> Diagnosed:
-    """What the recording holds beyond its simulation. options: as the plan has them without it. Raises `InputError` with everything that
-    stands against a diagnosis."""
+def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: int = 1) -> Diagnosed:
+    """What the recording holds beyond its simulation. options: as the plan has them without it; jobs: threads of the linear algebra, which
+    solves many small systems here: more than one mostly wait for each other. Raises `InputError` with everything that stands against a
+    diagnosis."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=jobs, user_api="blas"):
+        return _diagnosed(recorded, options)
+
+
+def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
     from planrunner.gap.diagnosis import Options, diagnose
     from planrunner.gap.observed import ObservationError
 
@@ -228,7 +236,7 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
-        player.file = HeldRecording.of(player.file)
+        player.file = at_hand(player.file)
         player.foresee(sound.schedule.segments)
         played = tuple(_play(player, segment) for segment in sound.schedule.segments)
     except InstrumentError as error:
@@ -258,14 +266,18 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
 
 
 def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
+    """A segment of the recording: its blocks where the recording is held, else read anew for every pass."""
     units = dict(player.channels())
-    whole = list(player.stream(segment))
-    rows = sum(len(block.time) for block in whole)
-    return RecordedSegment(segment, units, statistics_of(whole, tuple(units), rows), partial(_again, whole))
+    read = partial(player.stream, segment)
+    if isinstance(player.file, HeldRecording):
+        whole = list(player.stream(segment))
+        read = partial(iter, whole)
+    rows = sum(len(block.time) for block in read())
+    return RecordedSegment(segment, units, statistics_of(read(), tuple(units), rows), partial(_again, read))
 
 
-def _again(whole: Sequence[Block], channels: Sequence[str]) -> Iterator[Block]:
-    for block in whole:
+def _again(read: Callable[[], Iterator[Block]], channels: Sequence[str]) -> Iterator[Block]:
+    for block in read():
         yield Block(block.time, {name: block.channels[name] for name in channels})
 
 

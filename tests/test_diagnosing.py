@@ -10,10 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from jsonschema import Draft202012Validator
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from planrunner import diagnosing
 from planrunner.cli import DONE, WRONG_INPUT, main
 from planrunner.diagnosing import diagnose_recorded, observe, recorded_file
-from planrunner.plan.findings import InputError
+from planrunner.instruments import recording_file
+from planrunner.plan.findings import Findings, InputError
 from tests.instruments.recorded_imu import SHORT, TURNED, Row, write_recording
 
 ROOT = Path(__file__).parents[1]
@@ -325,6 +328,43 @@ def test_a_plan_alone_and_a_run_with_a_recording_are_wrong_arguments(tmp_path, c
     assert "--recording cannot be given for a run folder" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path)]) == WRONG_INPUT
     assert "this is not a run folder" in capsys.readouterr().err
+
+
+def test_a_long_recording_is_read_anew_and_is_the_same(tmp_path, monkeypatch):
+    laboratory(tmp_path)
+    given = tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    held = recorded_file(*given)
+    monkeypatch.setattr(recording_file, "HELD", 100)
+    streamed = recorded_file(*given)
+    for one, other in zip(held.segments, streamed.segments, strict=True):
+        assert one.statistics.mean == pytest.approx(other.statistics.mean, rel=1e-14)
+        assert one.statistics.count == other.statistics.count
+        for first, second in zip(one.blocks(["gyro_x"]), other.blocks(["gyro_x"]), strict=True):
+            assert np.array_equal(first.channels["gyro_x"], second.channels["gyro_x"])
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_linear_algebra_has_as_many_threads_as_jobs(tmp_path, monkeypatch, jobs):
+    """Two threads take several times as long as one: what the environment asks for does not count."""
+
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    seen = []
+    monkeypatch.setattr(diagnosing, "observe", lambda *_: seen.append(threads()) or refuse())
+    recorded = recorded_file(
+        laboratory(tmp_path) / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    )
+    with threadpool_limits(3 - jobs, user_api="blas"):
+        if threads() != {3 - jobs}:
+            pytest.skip("this linear algebra cannot be told how many threads to use")
+        with pytest.raises(InputError):
+            diagnose_recorded(recorded, jobs=jobs)
+    assert seen == [{jobs}]
+
+
+def refuse():
+    raise InputError(Findings())
 
 
 def asymmetry(sensed):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,7 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="what the simulation fits (default: as the plan says, or all); what is left out is a candidate like any effect",
     )
-    parser.add_argument("--jobs", metavar="N", type=_jobs, default=1, help="processors to use (default: 1)")
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=_jobs,
+        default=1,
+        help="threads of the linear algebra (default: 1, mostly the fastest)",
+    )
 
 
 def _jobs(text: str) -> int:
@@ -61,15 +66,13 @@ def _jobs(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    # Many small systems are solved: threads of the linear algebra would wait for each other. It reads this as it is loaded.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(args.jobs))
     recorded = _recorded(args)
     from planrunner.diagnosing import diagnose_recorded
     from planrunner.joining import joined
 
     recorded = joined(recorded, args.also)
 
-    made = diagnose_recorded(recorded, _options(args.nominal))
+    made = diagnose_recorded(recorded, _options(args.nominal), args.jobs)
     print_findings(made.findings)
     found = made.to_json()
     text = _next(args, found)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from planrunner.gap import slow_noise
 from planrunner.gap.effects.interface import Column
-from planrunner.gap.observed import Observed, motion_at
+from planrunner.gap.motion import motion_at
+from planrunner.gap.observed import Observed
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
@@ -115,6 +116,7 @@ def following(
         last_change=np.concatenate([observed.last_change, changes]),
         values=np.zeros((begin, len(observed.channels))),
         fitted=None,
+        bins=None if observed.bins is None else observed.bins.followed(len(segments)),
         **joined,
     )
     return made, places

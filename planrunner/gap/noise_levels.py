@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence import STRONGEST, WEAKEST, log_mean_exp
+from planrunner.gap.lattice import COARSER, coarsening, levels_of
 from planrunner.gap.observed import Observed
 
 Array = NDArray[np.float64]
@@ -17,9 +18,7 @@ HOLDS = 0.02  # standard deviation of the logarithm of a declaration that holds
 WRONG = 0.2  # chance that it is off by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
-COARSER = 1.2  # of the declared count: a larger common step is another resolution
 CERTAIN = 60.0  # log of the odds that a lattice of counts is, or is not, there
-_DISTINCT = 20  # different values needed to tell a lattice
 
 
 def counts(observed: Observed) -> Array:
@@ -28,11 +27,8 @@ def counts(observed: Observed) -> Array:
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
         if step > 0:
-            levels = np.unique(np.round(observed.values[:, index] / step, 2))
-            if len(levels) >= _DISTINCT:
-                gaps = np.diff(levels)
-                smallest = float(gaps.min())
-                step *= smallest if smallest > COARSER else 1.0
+            whole = observed.bins
+            step *= coarsening(levels_of(observed.values[:, index], step) if whole is None else whole.levels[index])
         found.append(step)
     return np.array(found)
 

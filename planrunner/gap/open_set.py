@@ -104,7 +104,7 @@ def _designs(weighing: Weighing) -> Iterator[tuple[str, list[Array]]]:
     """Name, and per channel raw columns (M, P)."""
     observed, spectrum = weighing.observed, weighing.spectrum
     everywhere = len(observed.channels)
-    counts = np.sqrt(np.diff(observed.bounds))
+    counts = np.sqrt(observed.counts)
     starts = observed.bounds[:-1]
     kinds = {name: _smooth(values) for name, values in _coordinates(weighing).items()}
     kinds["time, in many turns"] = _smooth(_coordinates(weighing)["time"], TIME_ORDERS, 0.0)
@@ -216,7 +216,7 @@ def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
     first = np.r_[True, np.diff(owners) != 0]
     rate = observed.rate[observed.bounds[:-1]][owners]
     rate = rate / np.abs(rate).max()
-    size = np.sqrt(np.diff(observed.bounds))[owners]
+    size = np.sqrt(observed.counts)[owners]
     out = np.zeros((len(rows), 6))
     for part, phase in enumerate((first, ~first)):
         for power in range(3):
@@ -229,7 +229,7 @@ def _factors(weighing: Weighing) -> Iterator[tuple[str, list[Array]]]:
     observed, spectrum = weighing.observed, weighing.spectrum
     levels = _levels([_upward(observed, s) for s in range(len(observed))])
     table = np.zeros((len(spectrum.segment), levels.shape[1]))
-    table[spectrum.means] = levels * np.sqrt(np.diff(observed.bounds))[:, None]
+    table[spectrum.means] = levels * np.sqrt(observed.counts)[:, None]
     yield "offset by orientation", [table] * len(observed.channels)
     turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
     if not turning.any():
@@ -268,7 +268,8 @@ def _one_segment(weighing: Weighing, setting: Setting) -> float:
 
 
 def _bands(weighing: Weighing) -> list[float]:
-    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white."""
+    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white, unless they are
+    those of bins."""
     observed, spectrum = weighing.observed, weighing.spectrum
     chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
     found = []
@@ -277,7 +278,7 @@ def _bands(weighing: Weighing) -> list[float]:
         if observed.channels[index].flicker > 0 or not chosen.any():
             found.append(-np.inf)
             continue
-        for band in range(BANDS - 2):
+        for band in range(BANDS - 2 if observed.bins is None else BANDS):
             energy, count = float(spectrum.energy[chosen, band, index].sum()), float(spectrum.count[chosen, band].sum())
             if count < 8:
                 continue
@@ -292,16 +293,23 @@ def _bands(weighing: Weighing) -> list[float]:
 def _line(weighing: Weighing, index: int) -> Array:
     """Periodogram, in units of the white noise, of what the basis leaves, segments at rest and turning; empty where the run is too long."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    step = 1 / observed.sample_rate
+    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    step = (float(observed.bin_size[chosen].max()) if chosen.any() else 1.0) / observed.sample_rate
     slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
-    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
+    chosen = chosen[observed.owner]
     if slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
         return np.empty(0)
     from scipy.fft import next_fast_len, rfft
 
     grid = np.zeros(next_fast_len(int(slot[-1]) + 1, real=True))
-    grid[slot[chosen]] = spectrum.remainder[chosen, index]
-    return np.asarray(np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * float(chosen.sum())))
+    if observed.bins is None:
+        grid[slot[chosen]] = spectrum.remainder[chosen, index]
+        samples = float(chosen.sum())
+    else:
+        size = observed.bin_size[observed.owner][chosen]
+        grid += np.bincount(slot[chosen], spectrum.remainder[chosen, index] * np.sqrt(size), len(grid))
+        samples = float(size.sum())
+    return np.asarray(np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * samples))
 
 
 def _tone(powers: list[Array]) -> float:
@@ -361,7 +369,7 @@ def within(weighing: Weighing, function: Callable[[Array], Array]) -> Array:
         * np.where(np.arange(order.max() + 1) == 0, 1.0, np.sqrt(2.0))[:, None]
     )
     values = function(starts[:, None] - starts[0] + (ends - starts)[:, None] * middles)
-    parts = np.einsum("kn,snp->skp", waves / NODES, values) * np.sqrt(np.diff(observed.bounds))[:, None, None]
+    parts = np.einsum("kn,snp->skp", waves / NODES, values) * np.sqrt(observed.counts)[:, None, None]
     out = np.zeros((len(spectrum.segment), values.shape[-1]), dtype=values.dtype)
     out[slow] = parts[spectrum.segment[slow], order]
     return out

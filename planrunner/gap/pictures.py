@@ -42,7 +42,7 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
     for index, channel in enumerate(observed.channels):
         weight = weighing.weights[index][0]
         heat.append((np.bincount(spectrum.segment, weight.residual**2, segments) / degrees).tolist())
-        root = np.sqrt(np.diff(observed.bounds))
+        root = np.sqrt(observed.counts)
         sigma = np.sqrt(np.diag(weight.covariance(spectrum.frequency == 0))) / root / channel.factor
         rest = (
             weight.residual
@@ -66,19 +66,21 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> dict[str, Any]:
     """One-sided density by band, root of power, before and after the effect, beside the white level. Segment means are left out: they have
-    no frequency within a segment."""
+    no frequency within a segment. Of a long recording, the segments that have the largest bins, up to half the rate of these."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    edges = band_edges(1 << 12) / (1 << 12) * observed.sample_rate / 2
+    size = observed.bin_size.max()
+    shown = observed.bin_size == size
+    edges = band_edges(1 << 12) / (1 << 12) * observed.sample_rate / 2 / size
     middle = (edges[:-1] + edges[1:]) / 2
-    within = spectrum.frequency > 0
+    within = (spectrum.frequency > 0) & shown[spectrum.segment]
     band = np.clip(np.searchsorted(edges, spectrum.frequency[within], side="right") - 1, 0, len(middle) - 1)
-    count = np.maximum(spectrum.count.sum(0), 0.0) + np.bincount(band, minlength=len(middle))
+    count = np.maximum(spectrum.count[shown].sum(0), 0.0) + np.bincount(band, minlength=len(middle))
     found = {}
     for index, channel in enumerate(observed.channels):
         scale = np.sqrt(2 / observed.sample_rate) / channel.factor
         level, residual = float(weighing.white[index]), weighing.weights[index][0].residual
         rest = residual if after is None or amplitudes is None else residual - after.by_channel[index] @ amplitudes
-        outside = spectrum.energy[:, :, index].sum(0)
+        outside = spectrum.energy[shown][:, :, index].sum(0)
         curves = [
             outside + np.bincount(band, (level * values[within]) ** 2, len(middle)) for values in (residual, rest)
         ]

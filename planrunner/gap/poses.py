@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.gap.bins import bins_of, seen_along, sizes
 from planrunner.gap.observed import Channel, ObservationError, Observed, channels_of, rows_of, temperature_of
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
@@ -65,13 +66,14 @@ def poses(
         raise ObservationError(f"{message}: a pose says something by |f| = g alone, which takes all of x, y and z")
     names = [triad[axis].name for axis in range(3)]
     factors = np.array([triad[axis].factor for axis in range(3)])
-    time, samples, warm, rejected = [], [], [], 0
-    for item in recording:
-        at, table, left_out = rows_of(item, names)
-        time.append(at - power_on)
-        samples.append(np.column_stack([table[name] for name in names]) * factors)
-        warm.append(temperature_of(item, at, None))
-        rejected += left_out
+    size = sizes(recording)
+    rows = [
+        rows_of(item, [triad[axis] for axis in range(3)], size=None if size is None else int(size[index]))
+        for index, item in enumerate(recording)
+    ]
+    time = [part.time - power_on for part in rows]
+    samples = [np.column_stack([part.table[name] for name in names]) * factors for part in rows]
+    warm = [temperature_of(item, part.time, None) for item, part in zip(recording, rows, strict=True)]
     directions = directions_of(np.array([part.mean(axis=0) for part in samples]), site.gravity, nominal)
     white = np.array([triad[axis].white for axis in range(3)])
     noise = np.sqrt(directions**2 @ white**2)
@@ -94,8 +96,9 @@ def poses(
         np.concatenate([part[1] for part in warm]),
         np.zeros(len(recording)),
         np.concatenate([part @ weight for part, weight in zip(samples, along, strict=True)])[:, None],
-        rejected=rejected,
+        rejected=sum(part.rejected for part in rows),
         along=along,
+        bins=None if size is None else seen_along(bins_of(size, rows), along),
     )
 
 

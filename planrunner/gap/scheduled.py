@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planrunner.gap.observed import REFERENCE_TEMPERATURE, Channel, Observed, motion_at
+from planrunner.gap.motion import motion_at
+from planrunner.gap.observed import REFERENCE_TEMPERATURE, Channel, Observed
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin

@@ -58,7 +58,7 @@ def _walk_energy(observed: Observed, channel: int, white: float) -> float:
     """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
     constant."""
     starts, ends = lasting(observed)
-    noise = np.diag(white**2 / np.diff(observed.bounds)) + observed.channels[channel].flicker ** 2 * slow_noise.flicker(
+    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow_noise.flicker(
         starts, ends
     )
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
@@ -69,8 +69,9 @@ def _walk_energy(observed: Observed, channel: int, white: float) -> float:
 
 def lasting(observed: Observed) -> tuple[Array, Array]:
     """Beginnings and ends of the segments, (S,), s."""
-    last = observed.time[observed.bounds[1:] - 1] + 1 / observed.sample_rate
-    return observed.time[observed.bounds[:-1]], last
+    size, twice = observed.bin_size, 2 * observed.sample_rate
+    last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
+    return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
 
 
 def rounding_variance(count: float, sigma: float) -> float:
@@ -115,7 +116,7 @@ class ChannelWeights:
     ):
         declared = observed.channels[channel]
         starts, ends = lasting(observed)
-        counts = np.diff(observed.bounds).astype(float)
+        counts = observed.counts.astype(float)
         undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
         covariance = np.diag(white**2 / counts + undithered)
         level = setting.flicker * declared.flicker

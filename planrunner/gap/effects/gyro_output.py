@@ -28,11 +28,12 @@ class GyroBandwidth(Shaped):
 def lagged(observed: Observed, tau: float) -> Array:
     """The nominal rate (N, 3) behind a first-order lag: the exact response to a ramp from sample to sample, in all moving segments at
     once."""
-    step = 1 / observed.sample_rate
+    out = observed.omega.copy()
+    which = [index for index, part in enumerate(observed.segments()) if observed.acceleration[part].any()]
+    moving = [observed.segments()[index] for index in which]
+    step = (observed.bin_size[which] / observed.sample_rate)[:, None]
     decay = np.exp(-step / tau)
     share = tau / step * (1 - decay)
-    out = observed.omega.copy()
-    moving = [part for part in observed.segments() if observed.acceleration[part].any()]
     longest = max(part.stop - part.start for part in moving)
     rate = np.zeros((longest, len(moving), 3))
     for place, part in enumerate(moving):
