@@ -59,7 +59,7 @@ def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[C
     together, weighed = _pairs(weighing, candidates)
     found |= {key: value + levels["declared"] - start for key, value in together.items()}
     kinds = competitors(weighing)
-    found["unknown"] = weighing.evidence(unknown(kinds.log_bayes)) + levels["declared"] - start
+    found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
     plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.log_bayes.items()}
     return Posterior(_normalised(found, len(effects)), found, weighed, plainly, kinds.by_channel)
 
