@@ -22,6 +22,7 @@ NAMES = (
     "strapdown",
     "navigation_72h",
     "tilted_scale_factor",
+    "diagnosis",
 )
 START, END = "<!-- figures -->", "<!-- end of figures -->"
 

@@ -5,97 +5,206 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.bench.clock import VirtualClock
-from planrunner.bench.model import Bench, driver_of
+from planrunner.bench.model import Bench, driver_of, shipped_benches
 from planrunner.checking import Sound, check_plan
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
-from planrunner.instruments.recording_file import HeldRecording
+from planrunner.instruments.recording_file import HeldRecording, at_hand
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
-from planrunner.plan.findings import Findings, InputError, Mark
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
+from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.model import Plan
 from planrunner.plan.schedule import Segment
+from planrunner.plan.selection import Detection, select
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.running import sound_run
 
 if TYPE_CHECKING:
     from planrunner.gap.diagnosis import Diagnosis, Options
     from planrunner.gap.observed import Observed
+    from planrunner.proposing import Next
 
 DIAGNOSIS_FORMAT = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording beside the plan that it was made by. where: the run folder or the file, for messages."""
+    """A recording beside the plan that it was made by. where: the run folder or the file, for messages; bench: name or file of the bench,
+    as another plan would have it."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
     where: str
+    bench: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis, what was remarked of the recording, and whose it is."""
+    """A diagnosis, what was remarked of the recording, whose it is, and what to measure next, None where nothing is left open."""
 
     recorded: Recorded
     diagnosis: Diagnosis
     findings: Findings
+    following: Next | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As `schemas/diagnosis.schema.json` has it."""
-        return {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
+        found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
+        return found | {"next": None if self.following is None else self.following.to_json()}
 
 
-def diagnose_recorded(recorded: Recorded, options: Options | None = None) -> Diagnosed:
-    """What the recording holds beyond its simulation. Raises `InputError` with everything that stands against a diagnosis."""
+def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: int = 1) -> Diagnosed:
+    """What the recording holds beyond its simulation. options: as the plan has them without it; jobs: threads of the linear algebra, which
+    solves many small systems here: more than one mostly wait for each other. Raises `InputError` with everything that stands against a
+    diagnosis."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=jobs, user_api="blas"):
+        return _diagnosed(recorded, options)
+
+
+def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
     from planrunner.gap.diagnosis import Options, diagnose
     from planrunner.gap.observed import ObservationError
 
-    observed, findings = observe(recorded)
+    spec = recorded.sound.plan.diagnosis
+    options = options or (Options() if spec is None else Options(nominal=spec.nominal))
+    observed, findings = observe(recorded, options.nominal)
     try:
-        return Diagnosed(recorded, diagnose(observed, options or Options()), findings)
+        found = diagnose(observed, options)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
+    return Diagnosed(recorded, found, findings, _following(recorded, found))
 
 
-def observe(recorded: Recorded) -> tuple[Observed, Findings]:
-    """The samples beside their planned state, and warnings. Raises `InputError` with what stands against a diagnosis."""
+def _following(recorded: Recorded, found: Diagnosis) -> Next | None:
+    """What to measure next, for recordings whose orientations were planned."""
+    from planrunner.proposing import DEFAULT_SOAK, Frame, propose_next
+
+    segments = tuple(map(_lasting, _chosen(recorded)))
+    if recorded.sound.plan.mounting or any(item.segment.attitude is None for item in segments):
+        return None
+    planned, plan = [item.segment for item in segments], recorded.sound.plan
+    frame = Frame(
+        plan.title,
+        recorded.bench or plan.bench,
+        plan.sensor.kind,
+        plan.sensor.outputs,
+        median(segment.settle for segment in planned),
+        max(segment.soak for segment in planned) or DEFAULT_SOAK,
+        0.0 if recorded.sound.models.replays else planned[0].start,
+    )
+    return propose_next(found, segments, recorded.sound.models, frame)
+
+
+def _lasting(item: RecordedSegment) -> RecordedSegment:
+    """A segment that dwells as long as it was recorded, where the plan does not say how long."""
+    if item.segment.dwell is not None:
+        return item
+    return replace(item, segment=replace(item.segment, dwell=item.statistics.end - item.statistics.start))
+
+
+def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
+    """The samples beside their planned state, and warnings. nominal: what the simulation fits. Raises `InputError` with what stands
+    against a diagnosis."""
     from planrunner.gap.observed import ObservationError, observed
+    from planrunner.gap.poses import poses, unknown_orientations
     from planrunner.gap.recording_checks import check_observed, check_recording
 
-    sound, used = recorded.sound, recorded.sound.plan.sensor.outputs
+    sound, used = recorded.sound, _outputs(recorded.sound.plan)
     sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
     findings = Findings()
-    check_recording(recorded.segments, sensor, recorded.where, findings)
+    segments = _chosen(recorded)
+    check_recording(segments, sensor, recorded.where, findings)
     if findings.errors:
         raise InputError(findings)
-    units = recorded.segments[0].units
+    units = segments[0].units
     try:
-        seen = observed(
-            recorded.segments,
-            sound.models.site,
-            sensor,
-            axes=_axes(used),
-            angle_channel=_only(units, "angle"),
-            temperature_channel=_only(units, "temperature"),
-            magnetic=sound.models.site.magnetic_field,
-        )
+        if unknown_orientations(segments):
+            seen = poses(segments, sound.models.site, sensor, nominal, axes=_axes(used))
+        else:
+            seen = observed(
+                segments,
+                sound.models.site,
+                sensor,
+                axes=_axes(used),
+                angle_channel=_only(units, "angle"),
+                temperature_channel=_only(units, "temperature"),
+                magnetic=sound.models.site.magnetic_field,
+            )
+        check_observed(seen, recorded.where, findings)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
-    check_observed(seen, recorded.where, findings)
     if findings.errors:
         raise InputError(findings)
     return seen, findings
+
+
+def _outputs(plan: Plan) -> tuple[str, ...]:
+    """The outputs that are looked at; empty for all. Raises `InputError` for one that the plan's sensor does not have."""
+    spec, known = plan.diagnosis, plan.sensor.outputs
+    if spec is None or not spec.outputs:
+        return known
+    for index, name in enumerate(spec.outputs):
+        if known and name not in known:
+            message = f"'{name}' is no output of this plan's sensor"
+            raise InputError.at(spec.at(f"outputs[{index}]"), "gap-unfit", message, closest(name, known))
+    return spec.outputs
+
+
+def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
+    """The segments that the plan's `diagnosis` means: by their labels, or still spans that are found in them."""
+    spec = recorded.sound.plan.diagnosis
+    if spec is None:
+        return recorded.segments
+    if not isinstance(spec.segments, Detection):
+        return tuple(
+            recorded.segments[index] for index in select([item.label for item in recorded.segments], spec.segments)
+        )
+    from planrunner.estimators.interface import EstimationError
+    from planrunner.estimators.still_detection import still_spans
+
+    within = select([item.label for item in recorded.segments], spec.segments.within)
+    found: list[RecordedSegment] = []
+    for item in (recorded.segments[index] for index in within):
+        try:
+            spans = still_spans(item, spec.segments)
+        except EstimationError as error:
+            raise InputError.at(spec.segments.origin.mark, "gap-unfit", str(error), "look at `channels`") from None
+        found += [_stretch(item, number, span.start, span.end) for number, span in enumerate(spans, start=1)]
+    if not found:
+        hint = "raise `threshold` or shorten `at_least`"
+        raise InputError.at(spec.segments.origin.mark, "gap-unfit", "no still span was found in the recording", hint)
+    return tuple(found)
+
+
+def _stretch(item: RecordedSegment, number: int, start: float, end: float) -> RecordedSegment:
+    """The samples of a segment from `start` to `end`, as a segment of its own."""
+
+    def blocks(channels: Sequence[str]) -> Iterator[Block]:
+        for block in item.blocks(channels):
+            part = slice(*np.searchsorted(block.time, [start, end + 1e-9]))
+            if part.start < part.stop:
+                yield Block(block.time[part], {name: block.channels[name][part] for name in channels})
+
+    rows = sum(len(block.time) for block in blocks(tuple(item.units)))
+    label = f"{item.label} {number}"
+    statistics = statistics_of(blocks(tuple(item.units)), tuple(item.units), rows)
+    return replace(item, segment=replace(item.segment, label=label, dwell=None), statistics=statistics, blocks=blocks)
 
 
 def _unfit(recorded: Recorded, error: Exception) -> InputError:
@@ -107,7 +216,9 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 def recorded_run(run: Path) -> Recorded:
     """A run folder. Raises `InputError` and `IntegrityError`."""
     sound = sound_run(run)
-    return Recorded(sound, RunReader.open(run).recording(sound.schedule), str(run))
+    known = [name for name, path in shipped_benches().items() if path.read_bytes() == sound.bench_bytes]
+    bench = known[0] if known else str((run / "bench.yaml").resolve())
+    return Recorded(sound, RunReader.open(run).recording(sound.schedule), str(run), bench)
 
 
 def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path | None = None) -> Recorded:
@@ -121,16 +232,25 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     table = segments
     if table is None and columns is not None:
         table = recording.parent / Path(columns.table).name
-    parameters = replace(parameters, file=recording.name, segments=columns)
+    pauses = None if columns is not None else parameters.pauses
+    parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
-        player.file = HeldRecording.of(player.file)
+        player.file = at_hand(player.file)
         player.foresee(sound.schedule.segments)
         played = tuple(_play(player, segment) for segment in sound.schedule.segments)
     except InstrumentError as error:
         hint = "look at the bench file, at --segments and at the plan's labels"
         raise InputError.at(Mark(str(recording)), "recording-unfit", str(error), hint) from None
-    return Recorded(sound, played, str(recording))
+    return Recorded(
+        sound, played, str(recording), _bench_for_others(bench or sound.plan.bench, plan if bench is None else None)
+    )
+
+
+def _bench_for_others(bench: str, plan: Path | None) -> str:
+    """A bench as a plan in another folder has to name it. plan: the file that names it; the command line without it."""
+    path = Path(bench) if plan is None else plan.parent / bench
+    return bench if bench in shipped_benches() else str(path.resolve())
 
 
 def _parameters(bench: Bench, plan: str) -> RecordingParameters:
@@ -146,14 +266,18 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
 
 
 def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
+    """A segment of the recording: its blocks where the recording is held, else read anew for every pass."""
     units = dict(player.channels())
-    whole = list(player.stream(segment))
-    rows = sum(len(block.time) for block in whole)
-    return RecordedSegment(segment, units, statistics_of(whole, tuple(units), rows), partial(_again, whole))
+    read = partial(player.stream, segment)
+    if isinstance(player.file, HeldRecording):
+        whole = list(player.stream(segment))
+        read = partial(iter, whole)
+    rows = sum(len(block.time) for block in read())
+    return RecordedSegment(segment, units, statistics_of(read(), tuple(units), rows), partial(_again, read))
 
 
-def _again(whole: Sequence[Block], channels: Sequence[str]) -> Iterator[Block]:
-    for block in whole:
+def _again(read: Callable[[], Iterator[Block]], channels: Sequence[str]) -> Iterator[Block]:
+    for block in read():
         yield Block(block.time, {name: block.channels[name] for name in channels})
 
 

@@ -10,10 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from jsonschema import Draft202012Validator
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from planrunner import diagnosing
 from planrunner.cli import DONE, WRONG_INPUT, main
-from planrunner.diagnosing import observe, recorded_file
-from planrunner.plan.findings import InputError
+from planrunner.diagnosing import diagnose_recorded, observe, recorded_file
+from planrunner.instruments import recording_file
+from planrunner.plan.findings import Findings, InputError
 from tests.instruments.recorded_imu import SHORT, TURNED, Row, write_recording
 
 ROOT = Path(__file__).parents[1]
@@ -180,6 +183,79 @@ def test_a_channel_that_stands_still_is_refused(tmp_path):
     assert "error[gap-dead-channel]: 'accel_y' stands at 1.5 m/s^2 in every segment" in refused(tmp_path)
 
 
+def test_a_channel_stuck_in_some_segments_is_remarked(tmp_path):
+    """Clipped without a declared full scale, or a logger that hangs."""
+    laboratory(tmp_path)
+    change(tmp_path, gyro_x_deg_per_s=lambda values: np.clip(values, -30, 30))
+    (said,) = look(tmp_path)
+    assert "warning[gap-saturated]: 'gyro_x' stands at one value throughout 'Rx+60', 'Rx-60'" in said
+
+
+def test_means_in_place_of_samples_are_refused(tmp_path):
+    laboratory(tmp_path)
+    change(tmp_path, gyro_x_deg_per_s=lambda values: np.repeat(values.reshape(12, -1).mean(axis=1), values.size // 12))
+    assert "error[gap-no-noise]: 'gyro_x' has one value a segment and no noise" in refused(tmp_path)
+
+
+def diagnosed_with(folder: Path, keys: str) -> None:
+    """`diagnosis` in the plan."""
+    text = (folder / "plan.yaml").read_text(encoding="utf-8")
+    (folder / "plan.yaml").write_text(
+        text.replace("segments:\n", f"diagnosis: {keys}\nsegments:\n", 1), encoding="utf-8"
+    )
+
+
+def test_the_plan_says_what_is_looked_at(tmp_path):
+    laboratory(tmp_path)
+    diagnosed_with(tmp_path, "{outputs: [gyro_x, gyro_y], segments: [R*, P1], nominal: [earth_rate]}")
+    recorded = recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv")
+    seen, _ = observe(recorded)
+    assert [channel.name for channel in seen.channels] == ["gyro_x", "gyro_y"]
+    assert sorted(seen.labels) == ["P1", "Rx+60", "Rx-60", "Ry+60", "Ry-60", "Rz+60", "Rz-60"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("{outputs: [gyro_q]}", "error[gap-unfit]: 'gyro_q' is no output of this plan's sensor"),
+        ("{segments: Q*}", "error[meaning-undefined-label]: no segment is labelled 'Q*'"),
+        ("{nominal: [gyro_scale]}", "error[form-choice]: 'gyro_scale' is not known here"),
+        (
+            "{segments: {detect: still, window: 0.5 s, threshold: 0.0001 m/s^2, at_least: 1 s}}",
+            "error[gap-unfit]: no still span was found in the recording",
+        ),
+        (
+            "{segments: {detect: still, window: 0.5 s, threshold: 0.1 m/s^2, at_least: 1 s, channels: [gyro_x]}}",
+            "stillness is judged on accelerations",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_plans_diagnosis_is_said_with_its_place(tmp_path, keys, words):
+    laboratory(tmp_path)
+    diagnosed_with(tmp_path, keys)
+    said = refused(tmp_path)
+    assert words in said and "plan.yaml:6:" in said
+
+
+def test_some_orientations_unknown_and_others_not_is_refused(tmp_path):
+    laboratory(tmp_path)
+    replace(
+        tmp_path / "plan.yaml",
+        "{label: P1, orientation: {x: up, y: north, z: west}}",
+        "{label: P1, orientation: unknown}",
+    )
+    assert "the orientation of segment 'P1' is unknown, that of others is known" in refused(tmp_path)
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7])
+def test_few_segments_give_an_answer_or_an_error(tmp_path, count):
+    laboratory(tmp_path, listed()[:count])
+    recorded = recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv")
+    found = diagnose_recorded(recorded).to_json()
+    Draft202012Validator(SCHEMA).validate(found)
+    assert found["verdict"]["kind"] == "none"
+
+
 def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, accel_y_m_per_s2=lambda values: 0 * values + 1.5)
@@ -252,6 +328,43 @@ def test_a_plan_alone_and_a_run_with_a_recording_are_wrong_arguments(tmp_path, c
     assert "--recording cannot be given for a run folder" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path)]) == WRONG_INPUT
     assert "this is not a run folder" in capsys.readouterr().err
+
+
+def test_a_long_recording_is_read_anew_and_is_the_same(tmp_path, monkeypatch):
+    laboratory(tmp_path)
+    given = tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    held = recorded_file(*given)
+    monkeypatch.setattr(recording_file, "HELD", 100)
+    streamed = recorded_file(*given)
+    for one, other in zip(held.segments, streamed.segments, strict=True):
+        assert one.statistics.mean == pytest.approx(other.statistics.mean, rel=1e-14)
+        assert one.statistics.count == other.statistics.count
+        for first, second in zip(one.blocks(["gyro_x"]), other.blocks(["gyro_x"]), strict=True):
+            assert np.array_equal(first.channels["gyro_x"], second.channels["gyro_x"])
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_linear_algebra_has_as_many_threads_as_jobs(tmp_path, monkeypatch, jobs):
+    """Two threads take several times as long as one: what the environment asks for does not count."""
+
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    seen = []
+    monkeypatch.setattr(diagnosing, "observe", lambda *_: seen.append(threads()) or refuse())
+    recorded = recorded_file(
+        laboratory(tmp_path) / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    )
+    with threadpool_limits(3 - jobs, user_api="blas"):
+        if threads() != {3 - jobs}:
+            pytest.skip("this linear algebra cannot be told how many threads to use")
+        with pytest.raises(InputError):
+            diagnose_recorded(recorded, jobs=jobs)
+    assert seen == [{jobs}]
+
+
+def refuse():
+    raise InputError(Findings())
 
 
 def asymmetry(sensed):

@@ -24,6 +24,7 @@ COMMANDS = {
     "show": "show a plan's timeline, positions, total time and predicted uncertainties",
     "design": "find better positions for a plan, and what no positions can pass",
     "run": "run a plan on a bench, then estimate and report",
+    "simulate": "run a plan on a virtual bench with effects of the catalogue added",
     "resume": "go on with a run that was cut short",
     "estimate": "estimate again from a recording, as a new analysis",
     "report": "write the reports of an analysis again",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,16 +27,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recording", metavar="FILE", type=Path, help="with a plan: CSV or Parquet file of the samples"
     )
     parser.add_argument("--segments", metavar="CSV", type=Path, help="with a plan: table of the segments by label")
+    parser.add_argument(
+        "--also",
+        metavar="RUN",
+        action="append",
+        type=Path,
+        default=[],
+        help="a later run of the same sensor, such as of a proposed plan, weighed together with it; several may be given",
+    )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
-    parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan that would settle what is left")
+    parser.add_argument(
+        "--next",
+        metavar="FILE",
+        type=Path,
+        help="write the plan that would settle what is left (default: beside the page, where there is one)",
+    )
     parser.add_argument(
         "--nominal",
         metavar="TERM",
         nargs="+",
-        help="what the simulation fits (default: all; see the documentation); what is left out is a candidate like any effect",
+        help="what the simulation fits (default: as the plan says, or all); what is left out is a candidate like any effect",
     )
-    parser.add_argument("--jobs", metavar="N", type=_jobs, default=1, help="processors to use (default: 1)")
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=_jobs,
+        default=1,
+        help="threads of the linear algebra (default: 1, mostly the fastest)",
+    )
 
 
 def _jobs(text: str) -> int:
@@ -48,12 +66,13 @@ def _jobs(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    # Many small systems are solved: threads of the linear algebra would wait for each other. It reads this as it is loaded.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(args.jobs))
     recorded = _recorded(args)
     from planrunner.diagnosing import diagnose_recorded
+    from planrunner.joining import joined
 
-    made = diagnose_recorded(recorded, _options(args.nominal))
+    recorded = joined(recorded, args.also)
+
+    made = diagnose_recorded(recorded, _options(args.nominal), args.jobs)
     print_findings(made.findings)
     found = made.to_json()
     text = _next(args, found)
@@ -73,14 +92,15 @@ def run(args: argparse.Namespace) -> int:
     return cli.DONE
 
 
-def _options(nominal: list[str] | None) -> Options:
+def _options(nominal: list[str] | None) -> Options | None:
+    """What is asked for; None for what the plan says."""
     from planrunner.gap.candidates import FULL
     from planrunner.gap.diagnosis import Options
 
     for name in nominal or ():
         if name not in FULL:
             raise InputError.at(Mark("--nominal"), "gap-nominal", f"'{name}' is no nominal term", closest(name, FULL))
-    return Options() if nominal is None else Options(nominal=tuple(nominal))
+    return None if nominal is None else Options(nominal=tuple(nominal))
 
 
 def _recorded(args: argparse.Namespace) -> Recorded:
@@ -103,12 +123,14 @@ def _recorded(args: argparse.Namespace) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: dict[str, Any]) -> str:
-    """The proposed plan's text, written where --next says; its place then stands in the diagnosis."""
+    """The proposed plan's text, written where --next says or beside the page; its place then stands in the diagnosis."""
     following = found["next"]
     if following is None:
         return ""
-    text = str(following.get("text", ""))
-    if args.next is not None:
+    text = str(following["text"])
+    if args.next is None and args.html is not None:
+        args.next = args.html.with_suffix(".next.yaml")
+    if args.next is not None and text:
         write_file(args.next, text)
         following["plan"] = str(args.next)
     return text
@@ -123,7 +145,8 @@ def _context(made: Diagnosed, found: dict[str, Any], next_plan: str) -> Diagnosi
         "Recording": made.recorded.where,
         "Plan": sound.file,
         "Bench": sound.bench.name,
-        "Segments": str(len(made.recorded.segments)),
+        "Segments": str(len(found["pictures"]["heat"]["segments"])),
+        "Fitted by the simulation": ", ".join(made.diagnosis.grounds.nominal) or "nothing",
         **site_facts(sound.models.site),
     }
     remarks = tuple(f"{finding.message}: {finding.hint}" for finding in made.findings)

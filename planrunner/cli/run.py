@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of name: value")
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that recordings to play back lie beneath")
-    parser.add_argument("--seed", type=_seed, help="seed of a simulated bench (default: the bench's own)")
+    parser.add_argument("--seed", type=seed, help="seed of a simulated bench (default: the bench's own)")
     parser.add_argument(
         "--flushed", action="store_true", help="do not wait for the disk after every event: faster, less durable"
     )
@@ -35,7 +35,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
-def _seed(text: str) -> int:
+def seed(text: str) -> int:
     try:
         value = int(text)
     except ValueError:

@@ -13,23 +13,17 @@ from numpy.typing import NDArray
 
 from planrunner.gap.effects.interface import Column, Shaped, Variant
 from planrunner.gap.effects.nominal import PARTS
-from planrunner.gap.evidence import by_energy, log_mean_exp
+from planrunner.gap.evidence import log_bayes_factors, log_mean_exp
 from planrunner.gap.noise_levels import counts
+from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
 from planrunner.gap.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, settings_of, walking_alike
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 Array = NDArray[np.float64]
 ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
-FULL = (
-    "gyro_bias",
-    "gyro_scale_factor",
-    "gyro_misalignment",
-    "earth_rate",
-    "accel_bias",
-    "accel_scale_factor",
-    "accel_misalignment",
-)
+FULL = NOMINAL_TERMS
 _REFINE = 8.0  # log BF from which on a shape is worth refining
 
 
@@ -49,8 +43,8 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """(G,), averaged over s²."""
-        return log_mean_exp(by_energy(self.gram, self.score, self.trace), -1)
+        """(G,), averaged over λ."""
+        return log_bayes_factors(self.gram, self.score, self.trace)
 
 
 @dataclass(frozen=True)
@@ -68,6 +62,16 @@ class Candidate:
     @property
     def best(self) -> Weighed:
         return max(self.variants, key=lambda weighed: float(weighed.log_bayes.max()))
+
+    @cached_property
+    def stacked(self) -> tuple[Array, ...]:
+        """Whitened, projected columns of all variants side by side, (M, V·p) by channel."""
+        return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
+
+    def across(self, other: Weighed) -> Array:
+        """Inner products (V, q, p) of another variant's q columns with those of every variant, at the first setting."""
+        products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
+        return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
 
     @property
     def shape_cost(self) -> float:
@@ -99,11 +103,12 @@ class Weighing:
             kind: settings_of(observed, self.white, kind) for kind in ("gyro", "accel")
         }
         coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
-        self.nominal = [
+        whole = [
             part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
             for index, part in enumerate(coefficients)
         ]
-        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal)))
+        self.nominal = [independent(columns) for columns in whole]
+        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal), whole))
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
@@ -116,10 +121,11 @@ class Weighing:
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
 
-    def _fitted(self, reference: Array) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients."""
+    def _fitted(self, reference: Array, whole: Sequence[Array]) -> Array:
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients; `whole`: per channel, their
+        columns."""
         out = reference.copy()
-        for index, nominal in enumerate(self.nominal):
+        for index, nominal in enumerate(whole):
             own = [column for column in self.nominal_columns if index in column.parts]
             size = np.linalg.norm(nominal, axis=0) + 1e-300
             values = np.linalg.lstsq(nominal / size, self.spectrum.values[:, index], rcond=None)[0] / size
@@ -156,51 +162,73 @@ class Weighing:
     def weigh(self, variants: Sequence[Variant]) -> list[Weighed]:
         """Variants whitened and weighed under every setting."""
         columns = [column for variant in variants for column in variant.columns]
-        bounds = np.concatenate(([0], np.cumsum([len(variant.columns) for variant in variants]))).astype(int)
+        widths = [len(variant.columns) for variant in variants]
+        bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
         raw = coefficients_of(self.observed, self.spectrum, columns)
         sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
-        widths = [len(variant.columns) for variant in variants]
         grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
-        scores = [{kind: np.zeros((n, p)) for kind, n in sizes.items()} for p in widths]
+        scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}
         before = np.zeros(len(columns))
         first: list[Array] = []
         for index, channel in enumerate(self.observed.channels):
             used = np.flatnonzero([index in column.parts for column in columns])
             whole = np.zeros_like(raw[index])
-            done: dict[int, tuple[Array, Array]] = {}
-            for g, weight in enumerate(self.weights[index]):
-                if not len(used):
-                    break
-                if id(weight) not in done:
-                    own = weight.project(raw[index][:, used])
-                    done[id(weight)] = own, own.T @ weight.residual
-                own, score = done[id(weight)]
-                if g == 0:
-                    whole[:, used] = own
-                    before[used] += (weight.whiten(raw[index][:, used]) ** 2).sum(0)
-                for v in range(len(variants)):
-                    inside = np.flatnonzero((used >= bounds[v]) & (used < bounds[v + 1]))
-                    if len(inside):
-                        at = used[inside] - bounds[v]
-                        grams[v][channel.kind][np.ix_([g], at, at)] += own[:, inside].T @ own[:, inside]
-                        scores[v][channel.kind][g, at] += score[inside]
             first.append(whole)
-        found = []
-        for v, variant in enumerate(variants):
-            gram = (grams[v]["gyro"][:, None] + grams[v]["accel"][None]).reshape(
-                -1, len(variant.columns), len(variant.columns)
+            if not len(used):
+                continue
+            own = raw[index][:, used]
+            distinct = {id(weight): weight for weight in self.weights[index]}
+            order = {key: number for number, key in enumerate(distinct)}
+            which = [order[id(weight)] for weight in self.weights[index]]
+            projected = np.array([weight.project(own) for weight in distinct.values()])
+            whole[:, used] = projected[which[0]]
+            before[used] += (self.weights[index][0].whiten(own) ** 2).sum(0)
+            score = [block.T @ weight.residual for block, weight in zip(projected, distinct.values(), strict=True)]
+            scores[channel.kind][:, used] += np.array(score)[which]
+            for v, (low, high) in enumerate(pairwise(np.searchsorted(used, bounds))):
+                if high > low:
+                    block, at = projected[:, :, low:high], used[low:high] - bounds[v]
+                    grams[v][channel.kind][:, at[:, None], at] += (np.swapaxes(block, 1, 2) @ block)[which]
+        return [
+            self._weighed(
+                variant,
+                grams[v],
+                scores,
+                slice(bounds[v], bounds[v + 1]),
+                float(before[bounds[v] : bounds[v + 1]].sum()),
+                first,
+                raw,
             )
-            score = (scores[v]["gyro"][:, None] + scores[v]["accel"][None]).reshape(-1, len(variant.columns))
-            part = slice(bounds[v], bounds[v + 1])
-            trace = float(np.trace(gram[0]))
-            kept = trace / max(float(before[part].sum()), 1e-300)
-            blocks = tuple(block[:, part] for block in first)
-            found.append(Weighed(variant, gram, score, trace, kept, blocks, tuple(block[:, part] for block in raw)))
-        return found
+            for v, variant in enumerate(variants)
+        ]
 
-    def candidate(self, effect: Any) -> Candidate:
-        """An effect weighed: its shape on the effect's grid, refined where the evidence is sharp."""
-        weighed = self.weigh(effect.variants(self.observed))
+    @staticmethod
+    def _weighed(
+        variant: Variant,
+        grams: dict[str, Array],
+        scores: dict[str, Array],
+        part: slice,
+        before: float,
+        first: Sequence[Array],
+        raw: Sequence[Array],
+    ) -> Weighed:
+        """One variant, its columns being a `part` of all: settings of both triads combined."""
+        p = len(variant.columns)
+        gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
+        score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)
+        trace = float(np.trace(gram[0]))
+        blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
+        return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
+
+    def candidates(self, effects: Sequence[Any]) -> list[Candidate]:
+        """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
+        forms = [effect.variants(self.observed) for effect in effects]
+        weighed = iter(self.weigh([variant for form in forms for variant in form]))
+        return [
+            self._candidate(effect, [next(weighed) for _ in form]) for effect, form in zip(effects, forms, strict=True)
+        ]
+
+    def _candidate(self, effect: Any, weighed: list[Weighed]) -> Candidate:
         usable = [item for item in weighed if item.kept > ABSORBED and item.trace > 0]
         if not usable:
             return Candidate(effect, tuple(weighed), np.full(len(self.base), -np.inf))
@@ -248,5 +276,9 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
     """What the nominal simulation gives before any parameter is fitted, (N, K), SI."""
     omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
-    felt = {"gyro": omega, "accel": observed.force}
-    return np.column_stack([felt[channel.kind][:, channel.axis] for channel in observed.channels])
+    return np.column_stack(
+        [
+            observed.seen(c, omega if channel.kind == "gyro" else observed.force)
+            for c, channel in enumerate(observed.channels)
+        ]
+    )

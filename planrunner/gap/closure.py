@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Weighed, Weighing
 from planrunner.gap.evidence import best_amplitudes, log_bayes_factors
+from planrunner.gap.nominal_rank import DEPENDENT
 
 Array = NDArray[np.float64]
 FOLDS = 4
+FEWEST = 6  # segments, so that three in four of them still say something
 DRAWS = 2000
 SEED = 21
 WIDEST = 0.5  # of an interval that still says something
@@ -45,7 +47,7 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 def closure(weighing: Weighing, choices: Sequence[Weighed]) -> Closure:
     """The closure by the effects and pairs among which each fold chooses anew. Segments are dealt to folds in turn."""
     segments = len(weighing.observed)
-    if segments < 2 * FOLDS or not choices:
+    if segments < FEWEST or not choices:
         return NOT_RESOLVABLE
     residual, difference = [], []
     for fold in range(FOLDS):
@@ -58,7 +60,7 @@ def closure(weighing: Weighing, choices: Sequence[Weighed]) -> Closure:
 
 def measured(residual: Array, difference: Array) -> Closure:
     """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,)."""
-    from scipy.stats import ncx2
+    from scipy.special import chndtr
 
     size = float(np.linalg.norm(difference))
     m = len(residual)
@@ -70,7 +72,7 @@ def measured(residual: Array, difference: Array) -> Closure:
     parallel = along + draw.standard_normal(DRAWS)
     top = max(rest - m, 0.0) + 8 * np.sqrt(2 * m + 4 * max(rest - m, 0.0)) + 10
     grid = np.concatenate(([0.0], np.geomspace(1e-3, top, 400)))
-    chance = 1 - ncx2.cdf(rest, m - 1, np.maximum(grid, 1e-12))
+    chance = 1 - chndtr(rest, m - 1, grid)
     across = np.interp(draw.uniform(size=DRAWS), np.maximum.accumulate(chance), grid)
     before = np.sqrt(parallel**2 + across)
     after = np.sqrt((parallel - size) ** 2 + across)
@@ -110,33 +112,37 @@ class _Rows:
     """One channel's chosen coefficients, whitened and freed of the nominal parameters."""
 
     def __init__(self, weighing: Weighing, channel: int, chosen: NDArray[np.bool_]):
-        self.weighing, self.channel = weighing, channel
         self.weight = weighing.weights[channel][0]
         self.values = weighing.spectrum.values[:, channel]
         self.nominal = weighing.nominal[channel]
         self.chosen = chosen
-        self.inverse = self._inverse(chosen)
-        self.basis, self.upper = np.linalg.qr(self.inverse @ self.nominal[chosen])
+        self.whiten = self.weight.whitening(chosen)
+        size = np.linalg.norm(self.nominal, axis=0)
+        left, values, right = np.linalg.svd(self.whiten(self.nominal[chosen] / size), full_matrices=False)
+        told = values > DEPENDENT * values.max(initial=0.0)
+        self.basis = left[:, told]
+        self.parameters = right[told].T / values[told] / size[:, None]
+        self.untold = right[~told].T / size[:, None]
         self.residual = self.project(self.values[chosen])
 
-    def _inverse(self, rows: NDArray[np.bool_], extra: Array | None = None) -> Array:
-        """The inverse Cholesky factor of the covariance of some rows."""
-        covariance = self.weight.covariance(rows)
-        if extra is not None:
-            covariance = covariance + extra
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
     def project(self, columns: Array) -> Array:
-        whitened = self.inverse @ columns
+        whitened = self.whiten(columns)
         return whitened - self.basis @ (self.basis.T @ whitened)
 
     def predict(self, signature: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Held-out residual without the effect, and what the effect changes in the prediction, both whitened.
 
-        The nominal parameters are fitted to the chosen rows without and with the effect; their covariance adds to the held-out noise.
+        The nominal parameters are fitted to the chosen rows without and with the effect; their covariance adds to the held-out noise: with
+        U its whitened root, (I + UUᵀ)^−½ acts in the span of U alone. What of them the chosen rows do not tell is projected out.
         """
-        spread = self.nominal[held] @ np.linalg.inv(self.upper)
-        plain = self.basis.T @ (self.inverse @ self.values[self.chosen])
-        moved = self.basis.T @ (self.inverse @ signature[self.chosen])
-        inverse = self._inverse(held, spread @ spread.T)
-        return inverse @ (self.values[held] - spread @ plain), inverse @ (signature[held] - spread @ moved)
+        both = np.column_stack([self.values, signature])
+        fitted = self.parameters @ (self.basis.T @ self.whiten(both[self.chosen]))
+        whiten, nominal = self.weight.whitening(held), self.nominal[held]
+        left = whiten(both[held] - nominal @ fitted)
+        spread = whiten(nominal @ self.parameters)
+        if self.untold.shape[1]:
+            open_, _ = np.linalg.qr(whiten(nominal @ self.untold))
+            left, spread = (part - open_ @ (open_.T @ part) for part in (left, spread))
+        along, size, _ = np.linalg.svd(spread, full_matrices=False)
+        left -= along @ ((1 - 1 / np.sqrt(1 + size**2))[:, None] * (along.T @ left))
+        return left[:, 0], left[:, 1]

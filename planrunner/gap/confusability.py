@@ -7,6 +7,7 @@ energy λ, λ(1 − ρ) is what is left to tell it from B: the non-centrality of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,15 +44,21 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
     return min(1.0, max(shares, default=0.0))
 
 
-def expected(a: Weighed, b: Weighed) -> float:
-    """ρ(A|B) before data: over amplitudes from A's prior, tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
-    cross = np.sum([x.T @ y for x, y in zip(a.by_channel, b.by_channel, strict=True)], axis=0)
-    gram = b.gram[0] + _RIDGE * b.trace / len(b.gram[0]) * np.eye(len(b.gram[0]))
-    return float(np.clip(np.trace(cross @ np.linalg.solve(gram, cross.T)) / a.trace, 0.0, 1.0))
+def shared(best: Sequence[Weighed]) -> Array:
+    """ρ(A|B), rows A, before data: over amplitudes from A's prior, tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
+    bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
+    parts = [slice(low, high) for low, high in pairwise(bounds)]
+    blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
+    gram = np.sum([block.T @ block for block in blocks], axis=0)
+    shares = np.empty((len(best), len(best)))
+    for column, (b, part) in enumerate(zip(best, parts, strict=True)):
+        own = b.gram[0] + _RIDGE * b.trace / len(b.gram[0]) * np.eye(len(b.gram[0]))
+        taken = (np.linalg.solve(own, gram[part]) * gram[part]).sum(0)
+        shares[:, column] = [taken[rows].sum() / a.trace for a, rows in zip(best, parts, strict=True)]
+    return np.clip(shares, 0.0, 1.0)
 
 
 def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
     """Names and ρ(A|B), rows A, of all candidates that leave a signature, each at its likeliest shape."""
     present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
-    best = [candidate.best for candidate in present]
-    return [c.id for c in present], np.array([[expected(a, b) for b in best] for a in best])
+    return [c.id for c in present], shared([candidate.best for candidate in present])

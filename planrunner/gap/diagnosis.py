@@ -17,7 +17,7 @@ import numpy as np
 
 from planrunner import plugins
 from planrunner.gap import parameters as estimates
-from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighing
+from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.closure import NOT_RESOLVABLE, Closure, closure
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.parameters import Parameter
@@ -30,6 +30,7 @@ EFFECTS = "planrunner.effects"
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _CHOICES = 6  # candidates among which a fold of the closure chooses
+_LIKELY = 1e-3  # of which each has this probability at least
 _ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
 
 
@@ -39,6 +40,15 @@ class Options:
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits."""
+
+    weighing: Weighing
+    candidates: tuple[Candidate, ...]
+    nominal: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,7 @@ class Diagnosis:
     parameters: tuple[Parameter, ...]
     closure: Closure
     pictures: Mapping[str, Any] = field(repr=False)
+    grounds: Grounds = field(repr=False)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data as `schemas/diagnosis.schema.json` has it; NaN becomes null."""
@@ -107,7 +118,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     names = plugins.names(EFFECTS) if options.effects is None else options.effects
     effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
     weighing = Weighing(observed, options.nominal)
-    candidates = [weighing.candidate(effect) for effect in effects if effect.stage != "covariance"]
+    candidates = weighing.candidates([effect for effect in effects if effect.stage != "covariance"])
     found = posterior(weighing, effects, candidates)
     said = verdict(weighing, found, candidates)
     by_id = {candidate.id: candidate for candidate in candidates}
@@ -115,12 +126,13 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
-    choices = [c.best for c in ranked[:_CHOICES]] + list(found.pairs.values())[:2]
     key = "+".join(sorted(named))
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
+    choices = _choices(found, by_id) or [c.best for c in ranked[:_CHOICES]]
+    choices += [after] if after is not None and all(after is not choice for choice in choices) else []
     return Diagnosis(
         gap_by_channel(weighing),
-        tuple(places(weighing)[:SHOWN_PLACES]),
+        tuple(places(weighing, found.by_channel)[:SHOWN_PLACES]),
         found,
         said,
         tuple(ambiguity_set(found.probability)),
@@ -128,7 +140,16 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         tuple(_parameters(weighing, said, found, by_id, effects)),
         closure(weighing, choices) if said.kind != "none" else NOT_RESOLVABLE,
         pictures(weighing, usable, after),
+        Grounds(weighing, tuple(candidates), options.nominal),
     )
+
+
+def _choices(found: Posterior, by_id: Mapping[str, Candidate]) -> list[Weighed]:
+    """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside."""
+    likely = [name for name, p in found.probability.items() if p >= _LIKELY]
+    keys = dict.fromkeys("+".join(part for part in name.split("+") if part in by_id) for name in likely)
+    weighed = [found.pairs.get(key) or (by_id[key].best if key in by_id else None) for key in keys]
+    return [item for item in weighed if item is not None and item.trace > 0][:_CHOICES]
 
 
 def _parameters(

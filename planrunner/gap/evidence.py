@@ -1,9 +1,12 @@
 """Evidence: how much better the data are predicted with some amplitudes than without.
 
-Amplitudes θ ~ N(0, s²·D) on whitened signatures that are free of the nominal parameters: with G the signatures' Gram matrix and c
-their product
-with the data, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c. s² is log-uniform: s²·tr(DG), the energy that the
-effect is expected to have in units of the noise, runs from `WEAKEST` to `STRONGEST`.
+An effect's strength is its energy λ: that of its signature, free of the nominal parameters, in units of the noise. Directions of the
+amplitudes are those of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be told from none and are none.
+Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ, so the evidence is that of the Gaussian model,
+log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c their product with the data, times
+the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of scaled non-central χ²; its
+distribution is taken as that of a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density
+goes on: a stronger effect than was foreseen is still that effect.
 """
 
 from __future__ import annotations
@@ -12,53 +15,90 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-WEAKEST, STRONGEST = 2.0, 4e4
-ENERGIES = np.geomspace(WEAKEST, STRONGEST, 21)
+WEAKEST, STRONGEST = 4.0, 1e4
+RANGE = float(np.log(STRONGEST / WEAKEST))
+ENERGIES = np.geomspace(0.5, 1e6, 25)  # of s², as the energy that it lets expect
 
 
-def log_bayes_factors(gram: Array, score: Array, trace: float | None = None, energies: Array = ENERGIES) -> Array:
-    """log BF averaged over s², for stacks: gram (…, p, p), score (…, p), in units of the prior magnitudes (D = I).
+def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
+    """log BF averaged over λ, for stacks: gram (…, p, p), score (…, p), in units of the prior magnitudes (D = I).
 
     trace: the energy of a unit amplitude that the grid of s² is scaled by; tr(gram) of the first without it.
     """
-    return log_mean_exp(by_energy(gram, score, trace, energies), -1)
+    return averaged(by_energy(gram, score, trace))
 
 
-def by_energy(gram: Array, score: Array, trace: float | None = None, energies: Array = ENERGIES) -> Array:
-    """log BF (…, E) at each expected energy."""
+def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
+    """log of the mean over the prior of λ of terms (…, E) on the grid of s²."""
+    step = float(np.log(energies[1] / energies[0]))
+    return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
+
+
+def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
+    """log BF (…, E) at each s²."""
     values, vectors = np.linalg.eigh(gram)
-    values = np.maximum(values, 0.0)
     along = np.einsum("...ji,...j->...i", vectors, score) ** 2
-    return from_eigen(values, along, trace, energies)
+    return from_eigen(np.maximum(values, 0.0), along, trace)
 
 
-def from_eigen(values: Array, along: Array, trace: float | None = None, energies: Array = ENERGIES) -> Array:
+def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
     """The same from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
-    s2 = energies / max(trace, 1e-300)
+    s2 = ENERGIES / max(trace, 1e-300)
+    terms = gaussian(values, along, s2)
+    size, along = values[..., None, :], along[..., None, :]
+    shrunk = s2[:, None] * size / (1 + s2[:, None] * size)
+    found = np.divide(along, size, out=np.zeros_like(along), where=size > 0) * shrunk**2
+    strong = strong_enough((shrunk + found).sum(-1), 2 * (shrunk**2 + 2 * shrunk * found).sum(-1))
+    return np.asarray(terms + strong)
+
+
+def gaussian(values: Array, along: Array, s2: Array) -> Array:
+    """log BF (…, E) of amplitudes θ ~ N(0, s²·D) of any energy."""
     grown = 1 + s2[:, None] * values[..., None, :]
-    terms = -0.5 * np.log(grown) + 0.5 * s2[:, None] * along[..., None, :] / grown
-    return np.asarray(terms.sum(-1))
+    return np.asarray((-0.5 * np.log(grown) + 0.5 * s2[:, None] * along[..., None, :] / grown).sum(-1))
 
 
-def best_amplitudes(gram: Array, score: Array, trace: float, energies: Array = ENERGIES) -> tuple[Array, Array]:
+def strong_enough(mean: Array, variance: Array) -> Array:
+    """log of the probability that an energy of this mean and variance is `WEAKEST` or more."""
+    from scipy.special import gammaincc
+
+    variance = np.maximum(variance, 1e-300)
+    shape = mean**2 / variance
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(gammaincc(np.maximum(shape, 1e-12), WEAKEST * mean / variance)))
+
+
+def best_amplitudes(gram: Array, score: Array, trace: float) -> tuple[Array, Array]:
     """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes."""
-    s2 = energies[int(np.argmax(by_energy(gram, score, trace, energies)))] / trace
+    s2 = ENERGIES[int(np.argmax(by_energy(gram, score, trace)))] / trace
     covariance = np.linalg.inv(gram + np.eye(len(gram)) / s2)
     return covariance @ score, covariance
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
-    """log BF of two effects together: columns 0 … first − 1 and the rest, each with its own s² on the grid `energies`."""
+    """log BF of two effects together: columns 0 … first − 1 and the rest, each with its own s² on the grid `energies`; both are as
+    strong as `WEAKEST` or more."""
     p = len(score)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     root = np.sqrt(np.where(np.arange(p) < first, one.ravel()[:, None], two.ravel()[:, None]))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]
     lower = np.linalg.cholesky(inner)
-    scaled = np.linalg.solve(lower, (root * score)[:, :, None])[:, :, 0]
-    each = -np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1) + 0.5 * (scaled**2).sum(1)
-    return float(log_mean_exp(each, 0))
+    each = -np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1)
+    covariance = root[:, :, None] * np.linalg.inv(inner) * root[:, None, :]
+    amplitudes = covariance @ score
+    each += 0.5 * amplitudes @ score
+    for part in (slice(0, first), slice(first, p)):
+        own, spread, size = gram[part, part], covariance[:, part, part], amplitudes[:, part]
+        product = own @ spread
+        at = size @ own
+        mean = np.trace(product, axis1=1, axis2=2) + (at * size).sum(1)
+        variance = 2 * (product * np.swapaxes(product, 1, 2)).sum((1, 2)) + 4 * np.einsum(
+            "ei,eij,ej->e", at, spread, at
+        )
+        each += strong_enough(mean, variance)
+    return float(averaged(averaged(each.reshape(len(energies), -1), energies), energies))
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:

@@ -9,15 +9,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.gap.evidence import STRONGEST, WEAKEST, log_mean_exp
+from planrunner.gap.lattice import COARSER, coarsening, levels_of
 from planrunner.gap.observed import Observed
 
 Array = NDArray[np.float64]
-HOLDS = 0.05  # standard deviation of the logarithm of a declaration that holds
+HOLDS = 0.02  # standard deviation of the logarithm of a declaration that holds
 WRONG = 0.2  # chance that it is off by up to a factor of two
-LARGEST_EXCESS = np.log(10.0)
-COARSER = 1.2  # of the declared count: a larger common step is another resolution
+EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
+"""ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
 CERTAIN = 60.0  # log of the odds that a lattice of counts is, or is not, there
-_DISTINCT = 20  # different values needed to tell a lattice
 
 
 def counts(observed: Observed) -> Array:
@@ -26,11 +27,8 @@ def counts(observed: Observed) -> Array:
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
         if step > 0:
-            levels = np.unique(np.round(observed.values[:, index] / step, 2))
-            if len(levels) >= _DISTINCT:
-                gaps = np.diff(levels)
-                smallest = float(gaps.min())
-                step *= smallest if smallest > COARSER else 1.0
+            whole = observed.bins
+            step *= coarsening(levels_of(observed.values[:, index], step) if whole is None else whole.levels[index])
         found.append(step)
     return np.array(found)
 
@@ -74,6 +72,19 @@ def _excess(observed: Observed, white: Array, degrees: Array, steps: Array | Non
     return found, sigma
 
 
+def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
+    """log BF (K,) of more white noise than declared in one channel, against a declaration that is right or wrong."""
+    found = np.full(len(observed.channels), -np.inf)
+    for index, channel in enumerate(observed.channels):
+        if channel.white > 0:
+            level = white[index] ** 2 / (channel.white**2 * observed.sample_rate + channel.resolution**2 / 12)
+            sigma = float(np.sqrt(1 / (2 * degrees[index]) + 1e-6))
+            found[index] = _larger({"gyro": float(np.log(level)) / 2}, sigma) - _declared(
+                {"gyro": float(np.log(level)) / 2}, sigma
+            )
+    return found
+
+
 def _normal(x: float, sigma: float) -> float:
     return float(np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)))
 
@@ -81,7 +92,7 @@ def _normal(x: float, sigma: float) -> float:
 def _within_two(x: float) -> float:
     """Uniform in the logarithm over a factor of two either way, with edges of 10 %, and a floor for what is beyond."""
     edge = 0.1
-    top = 1 / (1 + np.exp((abs(x) - np.log(2.0)) / (edge / 4)))
+    top = 1 / (1 + np.exp(min((abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return float(top / (2 * np.log(2.0)) + 1e-9)
 
 
@@ -96,7 +107,6 @@ def _declared(excess: dict[str, float], sigma: float) -> float:
 
 
 def _larger(excess: dict[str, float], sigma: float) -> float:
-    x = excess["gyro"]
-    uniform = (1 / LARGEST_EXCESS) if 0 < x < LARGEST_EXCESS else 1e-9
-    others = {kind: value for kind, value in excess.items() if kind != "gyro"}
-    return float(np.log(uniform)) + _declared(others, sigma)
+    """The gyros' level is the declared one, right or wrong, times any excess."""
+    each = [_declared(excess | {"gyro": excess["gyro"] - larger}, sigma) for larger in EXCESS]
+    return float(log_mean_exp(np.array(each), 0))

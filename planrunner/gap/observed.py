@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.gap.bins import Averaged, Bins, averaged, bins_of, sizes
+from planrunner.gap.motion import fading, motion_at
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.findings import closest
@@ -54,6 +56,9 @@ class Observed:
     time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature,
     temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first.
     values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN.
+    along: (S, 3), for a sensor in unknown orientations: the direction of gravity in its axes, found by itself. Its accelerometers are then
+    seen along it alone, as one channel: across it, every error is an orientation that nobody knows.
+    bins: of a long recording, whose "samples" are means over consecutive ones; None where they are the samples themselves.
     """
 
     site: Site
@@ -73,6 +78,8 @@ class Observed:
     magnetic: Array | None = None
     rejected: int = 0
     fitted: Array | None = None
+    along: Array | None = None
+    bins: Bins | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -87,6 +94,16 @@ class Observed:
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))
 
     @cached_property
+    def bin_size(self) -> NDArray[np.int64]:
+        """How many samples each of a segment's values is the mean of, (S,)."""
+        return np.ones(len(self), dtype=np.int64) if self.bins is None else self.bins.size
+
+    @cached_property
+    def counts(self) -> NDArray[np.int64]:
+        """Samples of every segment, (S,), those in its bins."""
+        return np.diff(self.bounds) * self.bin_size
+
+    @cached_property
     def turning(self) -> Array:
         """The site direction about which the table turns, (S, 3)."""
         return np.array([m.about if isinstance(m, Spin) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float)
@@ -94,17 +111,27 @@ class Observed:
     @cached_property
     def sample_rate(self) -> float:
         """Samples per second, the median over the run."""
+        if self.bins is not None:
+            return self.bins.rate
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
         """A vector in site axes, (3,) or (N, 3), as the sensor's axes see it at every sample, (N, 3).
 
-        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis.
+        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis. Over a bin, cosine and sine are means to the
+        second order in its length.
         """
         axis = self.turning[self.owner]
         vector = np.broadcast_to(np.asarray(site_vector, dtype=float), axis.shape)
         along = np.einsum("ni,ni->n", axis, vector)[:, None] * axis
         cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+        if self.bins is not None:
+            spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner, None]
+            squared, change = self.rate[:, None] ** 2, self.acceleration[:, None]
+            cosine, sine = (
+                cosine - (squared * cosine + change * sine) * spread,
+                sine - (squared * sine - change * cosine) * spread,
+            )
         turned = along + (vector - along) * cosine - np.cross(axis, vector) * sine
         return np.einsum("nij,nj->ni", self.attitude[self.owner], turned)
 
@@ -134,7 +161,21 @@ class Observed:
         if self.fitted is not None:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}
-        return np.column_stack([felt[channel.kind][:, channel.axis] for channel in self.channels])
+        return np.column_stack([self.seen(index, felt[channel.kind]) for index, channel in enumerate(self.channels)])
+
+    def seen(self, index: int, vector: Array) -> Array:
+        """What a channel sees, (N,), of a vector in sensor axes, (N, 3)."""
+        if self.along is None:
+            return np.asarray(vector[:, self.channels[index].axis])
+        component = np.einsum("ni,ni->n", self.along[self.owner], vector)
+        rounding = 1e-12 * np.linalg.norm(vector, axis=1).max(initial=0.0)
+        return np.where(np.abs(component) > rounding, component, 0.0)
+
+    def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
+        """Input axes of a triad: axis, channel that it is seen in, and the share of it that the channel sees, (N,) or 1."""
+        if self.along is None:
+            return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
+        return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
 
     @cached_property
     def warmth(self) -> Array:
@@ -166,10 +207,15 @@ def observed(
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
-    channels = _channels(recording[0], sensor, axes)
+    channels = channels_of(recording[0], sensor, axes)
     if not channels:
         raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")
-    parts = [_part(item, channels, angle_channel, temperature_channel, power_on) for item in recording]
+    size = sizes(recording)
+    made = [
+        _part(item, channels, angle_channel, temperature_channel, power_on, None if size is None else int(size[index]))
+        for index, item in enumerate(recording)
+    ]
+    parts = [part for part, _ in made]
     means = [float(np.mean(part["temperature"])) for part in parts]
     stacked = {name: np.concatenate([part[name] for part in parts]) for name in _PER_SAMPLE}
     return Observed(
@@ -181,7 +227,8 @@ def observed(
         np.concatenate(([0], np.cumsum([len(part["time"]) for part in parts]))).astype(np.int64),
         last_change=changes(recording, means),
         magnetic=None if magnetic is None else np.asarray(magnetic, dtype=float),
-        rejected=sum(int(part["rejected"][0]) for part in parts),
+        rejected=sum(rows.rejected for _, rows in made),
+        bins=None if size is None else bins_of(size, [rows for _, rows in made]),
         **stacked,
     )
 
@@ -189,7 +236,7 @@ def observed(
 _PER_SAMPLE = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
 
 
-def _channels(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
+def channels_of(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
     found = []
     for name, text in first.units.items():
         kind = {"angular rate": "gyro", "acceleration": "accel"}.get(_quantity(text))
@@ -209,6 +256,11 @@ def _channels(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, st
     return tuple(found)
 
 
+def measures_motion(text: str) -> bool:
+    """Whether a channel in this unit is one that is diagnosed."""
+    return bool(_quantity(text))
+
+
 def _quantity(text: str) -> str:
     dimension = unit(text).dimension
     if dimension == unit("rad/s").dimension:
@@ -217,47 +269,84 @@ def _quantity(text: str) -> str:
 
 
 def _part(
-    item: RecordedSegment, channels: tuple[Channel, ...], angle: str | None, thermometer: str | None, power_on: float
-) -> dict[str, Array]:
-    """One segment's samples, rows with a NaN left out."""
+    item: RecordedSegment,
+    channels: tuple[Channel, ...],
+    angle: str | None,
+    thermometer: str | None,
+    power_on: float,
+    size: int | None,
+) -> tuple[dict[str, Array], Averaged]:
+    """One segment's samples, or means over `size` of them, rows with a NaN left out; and what they were made of."""
     if item.segment.attitude is None:
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
     if not isinstance(item.segment.motion, Rest | Spin | Rock):
         raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
     extra = [name for name in (angle, thermometer) if name is not None]
+    rows = rows_of(item, channels, extra, size, angle)
+    time, table, motion = rows.time, rows.table, item.segment.motion
+    left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
+    part = motion_at(motion, time - rows.begin, _in_si(item, angle, table) if angle is not None else None, left)
+    warm = _in_si(item, thermometer, table) if thermometer is not None else None
+    part["temperature"], part["temperature_rate"] = temperature_of(item, time, warm)
+    part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
+    part["time"] = time - power_on
+    return part, rows
+
+
+def rows_of(
+    item: RecordedSegment,
+    channels: Sequence[Channel],
+    extra: Sequence[str] = (),
+    size: int | None = None,
+    encoder: str | None = None,
+) -> Averaged:
+    """A segment's rows without a NaN, or, with `size`, means over so many. extra: further channels, of which `encoder` wraps. Raises
+    `ObservationError`."""
     names = [*(channel.name for channel in channels), *extra]
     missing = [name for name in names if name not in item.units]
     if missing:
         raise ObservationError(
             f"segment '{item.label}' has no channel '{missing[0]}'; {closest(missing[0], item.units)}"
         )
+    rows = _held(item, names) if size is None else _averaged(item, channels, names, size, encoder)
+    if len(rows.time) < 8:
+        raise ObservationError(
+            f"segment '{item.label}' holds {len(rows.time)} usable samples: leave it out or record it again"
+        )
+    return rows
+
+
+def _held(item: RecordedSegment, names: Sequence[str]) -> Averaged:
     blocks = list(item.blocks(names))
     time = np.concatenate([block.time for block in blocks]) if blocks else np.empty(0)
     table = {name: np.concatenate([np.asarray(block.channels[name]) for block in blocks]) for name in names if blocks}
     good = np.isfinite(time)
     for column in table.values():
         good &= np.isfinite(column)
-    if int(good.sum()) < 8:
-        raise ObservationError(
-            f"segment '{item.label}' holds {int(good.sum())} usable samples: leave it out or record it again"
-        )
-    time = time[good]
-    begin = float(time[0]) if len(time) else 0.0
-    part = motion_at(item.segment.motion, time - begin, _in_si(item, angle, table, good) if angle is not None else None)
-    warm = _in_si(item, thermometer, table, good) if thermometer is not None else None
-    part["temperature"], part["temperature_rate"] = _temperature(item, time, warm)
-    part["values"] = np.column_stack([table[channel.name][good] * channel.factor for channel in channels])
-    part["time"] = time - power_on
-    part["rejected"] = np.array([np.count_nonzero(~good)], dtype=float)
-    return part
+    time, table = time[good], {name: column[good] for name, column in table.items()}
+    return Averaged(
+        float(time[0]) if len(time) else np.nan, time=time, table=table, rejected=int(np.count_nonzero(~good))
+    )
 
 
-def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array], good: NDArray[np.bool_]) -> Array:
+def _averaged(
+    item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int, encoder: str | None
+) -> Averaged:
+    known = item.statistics
+    rate = (known.count - 1) / (known.end - known.start)
+    factors = np.array([channel.factor for channel in channels])
+    counts = np.array([channel.resolution for channel in channels])
+    smallest = np.maximum(counts / 2, np.array([channel.white for channel in channels]) * np.sqrt(rate) / 4)
+    wraps = None if encoder is None else (encoder, 2 * np.pi / unit(item.units[encoder]).factor)
+    return averaged(item, names, factors, counts, smallest, size, wraps)
+
+
+def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Array:
     scale = unit(item.units[name])
-    return np.asarray(table[name][good] * scale.factor + scale.offset)
+    return np.asarray(table[name] * scale.factor + scale.offset)
 
 
-def _temperature(item: RecordedSegment, time: Array, kelvin: Array | None) -> tuple[Array, Array]:
+def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> tuple[Array, Array]:
     """Temperature [degC] and its rate [K/s]: the thermometer smoothed by a cubic, else what was planned."""
     if kelvin is None:
         planned = item.segment.temperature
@@ -275,32 +364,6 @@ def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
     series = np.polynomial.chebyshev.Chebyshev.fit((time - middle) / half, values, order, domain=[-1, 1])
     scaled = (time - middle) / half
     return np.asarray(series(scaled)), np.asarray(series.deriv()(scaled)) / half
-
-
-def motion_at(motion: Motion, since: Array, encoder: Array | None) -> dict[str, Array]:
-    """Angle, rate and acceleration of the table `since` s after a segment's first sample.
-
-    With an encoder the planned form (a constant rate; a sine) is fitted to its angle, so that phases are those of the table that turned.
-    """
-    zero = np.zeros(len(since))
-    if isinstance(motion, Spin):
-        start = 0.0 if encoder is None else float(np.angle(np.mean(np.exp(1j * (encoder - motion.rate * since)))))
-        return {"angle": start + motion.rate * since, "rate": zero + motion.rate, "acceleration": zero}
-    if isinstance(motion, Rock):
-        pulse = 2 * np.pi * motion.frequency
-        sine, cosine = np.sin(pulse * since + motion.phases[0]), np.cos(pulse * since + motion.phases[0])
-        a, b, c = motion.amplitude, 0.0, 0.0
-        if encoder is not None:
-            a, b, c = np.linalg.lstsq(np.column_stack([sine, cosine, zero + 1]), np.unwrap(encoder), rcond=None)[0]
-        swing = a * sine + b * cosine
-        rate = pulse * (a * cosine - b * sine)
-        if since[-1] > motion.duration:
-            still = since > motion.duration
-            swing, rate = np.where(still, a * np.sin(motion.phases[0]), swing), np.where(still, 0.0, rate)
-            return {"angle": swing + c, "rate": rate, "acceleration": np.where(still, 0.0, -(pulse**2) * swing)}
-        return {"angle": swing + c, "rate": rate, "acceleration": -(pulse**2) * swing}
-    level = zero if encoder is None else zero + float(np.angle(np.mean(np.exp(1j * encoder))))
-    return {"angle": level, "rate": zero, "acceleration": zero}
 
 
 def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:

@@ -2,208 +2,260 @@
 
 Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
 at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
-segment; more noise in one band; and a tone that keeps its phase over the whole run. They are weighed like effects.
+segment; more noise in one band; and a tone that keeps its phase over the whole run. They are weighed like effects, one by one and several
+at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Weighing
-from planrunner.gap.evidence import ENERGIES, from_eigen, log_mean_exp
+from planrunner.gap.evidence import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
+from planrunner.gap.patterns import WAVEFORM, WHOLE, Design, factors
+from planrunner.gap.patterns import designs as designs_of
+from planrunner.gap.patterns import waves as waves_of
 from planrunner.gap.spectrum import BANDS
-from planrunner.plan.schedule import Rest, Rock, Spin
+from planrunner.gap.weighing import ChannelWeights
+from planrunner.plan.schedule import Rest, Spin
 
 Array = NDArray[np.float64]
-Setting = dict[str, int]  # triad → index of its noise
-SMOOTH_ORDERS = 6
-TIME_ORDERS = 40  # of a drift over the run
+PLAIN = 8.0  # nats of one sort from which on the others are weighed on what it leaves
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
+_NOTHING = 1e-6  # of a design's largest singular value: directions that the nominal parameters take whole
 
 
-def competitors(weighing: Weighing) -> dict[str, Array]:
-    """log BF (G,) of each competitor against none over the settings of the noise, −∞ where the gyros' bias walks; under names such as
-    'offset smooth in time'."""
+@dataclass(frozen=True)
+class Kinds:
+    """Competitors, under names such as 'offset smooth in time'. log_bayes: (G,) of each against none over the settings of the noise, −∞
+    where the gyros' bias walks; several: (G,), of several sorts at once. by_channel: (K,) of each in one channel alone, at the first
+    setting."""
+
+    log_bayes: dict[str, Array]
+    several: Array
+    by_channel: dict[str, Array]
+
+
+def competitors(weighing: Weighing) -> Kinds:
+    """All competitors weighed."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
-    accels = weighing.shape[1]
-    each = {g: _at(weighing, {"gyro": int(g) // accels, "accel": int(g) % accels}) for g in settings}
+    designs, waves = list(designs_of(weighing)), waves_of(weighing)
+    several = np.full(len(weighing.base), -np.inf)
+    each = {}
+    for g in settings:
+        weights = _weights(weighing, int(g))
+        each[g] = _patterns(weighing, designs, waves, weights) | _outside(weighing)
+        several[g] = _several(weighing, designs, waves, weights, each[g])
     found = {name: np.full(len(weighing.base), -np.inf) for name in each[settings[0]]}
     for g, values in each.items():
         for name, value in values.items():
-            found[name][g] = value
-    return found
+            found[name][g] = float(log_mean_exp(value, 0))
+    channels = len(weighing.observed.channels)
+    alone = {name: value[:channels] for name, value in each[settings[0]].items() if len(value) >= channels}
+    for name, per_channel in factors(weighing):
+        spectra = [_eigen(weight, design) for weight, design in zip(_weights(weighing, 0), per_channel, strict=True)]
+        alone[name] = np.array([float(averaged(from_eigen(*one))) if one[0].sum() > 0 else -np.inf for one in spectra])
+    return Kinds(found, several, alone)
 
 
-def unknown(each: dict[str, Array]) -> Array:
-    """log BF (G,) of "something else": the mean over its kinds."""
-    return log_mean_exp(np.array(list(each.values())), 0)
+def unknown(kinds: Kinds) -> Array:
+    """log BF (G,) of "something else": the mean over its kinds, and over several of them at once."""
+    return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
-def _at(weighing: Weighing, setting: Setting) -> dict[str, float]:
+class _Left:
+    """A channel's weights with all that a design can hold taken out beside the nominal parameters."""
+
+    def __init__(self, weight: Weights, design: Array):
+        self._weight = weight
+        left, size, _ = np.linalg.svd(weight.project(design), full_matrices=False)
+        self._held = left[:, size > _NOTHING * size.max(initial=0.0)]
+        self.residual: Array = self._less(weight.residual)
+
+    def project(self, columns: Array) -> Array:
+        return self._less(self._weight.project(columns))
+
+    def _less(self, columns: Array) -> Array:
+        return columns - self._held @ (self._held.T @ columns)
+
+
+Weights = ChannelWeights | _Left
+
+
+def _weights(weighing: Weighing, g: int) -> list[Weights]:
+    """The channels' weights under one setting of the noise."""
+    at = dict(zip(("gyro", "accel"), divmod(g, weighing.shape[1]), strict=True))
+    return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
+
+
+def _several(
+    weighing: Weighing, designs: list[Design], waves: Array, weights: list[Weights], found: dict[str, Array]
+) -> float:
+    """log BF of patterns of several sorts at once, each sort there or not with even odds. One cause far from the catalogue often shows in
+    more than one.
+
+    Sorts live in coefficients that have nothing in common but the nominal parameters: what a strong sort does to those is seen in all
+    others. So the strongest is weighed first and the others on what they say without its coefficients, until what is left is weak.
+    """
+    left, total = _by_sort(found), 0.0
+    while True:
+        top = max((sort for sort in left if sort in WHOLE), key=lambda sort: left[sort], default="")
+        if not top or left[top] < PLAIN:
+            return total + sum(map(_maybe, left.values()))
+        total += _maybe(left.pop(top))
+        whole = dict(designs)[WHOLE[top]]
+        weights = [_Left(weight, design) for weight, design in zip(weights, whole, strict=True)]
+        designs = [design for design in designs if _sort(design[0]) in left or design[0] in WHOLE.values()]
+        left |= {s: v for s, v in _by_sort(_patterns(weighing, designs, waves, weights)).items() if s in left}
+
+
+def _sort(name: str) -> str:
+    word = name.split()[0]
+    return word if word in WHOLE or word in ("noise", "a") else "means"
+
+
+def _by_sort(found: dict[str, Array]) -> dict[str, float]:
+    sorts: dict[str, list[float]] = {}
+    for name, value in found.items():
+        sorts.setdefault(_sort(name), []).append(float(log_mean_exp(value, 0)))
+    return {sort: float(log_mean_exp(np.array(values), 0)) for sort, values in sorts.items()}
+
+
+def _maybe(log_bayes: float) -> float:
+    """log BF of what is there with even odds."""
+    return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
+
+
+def _scopes(weighing: Weighing) -> list[list[int]]:
+    """Every channel alone, then triads."""
+    triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
+    return [[index] for index in range(len(weighing.observed.channels))] + triads
+
+
+def _patterns(weighing: Weighing, designs: list[Design], waves: Array, weights: list[Weights]) -> dict[str, Array]:
+    """log BF of each pattern of the coefficients by scope; of one odd segment in any."""
     found: dict[str, list[float]] = {}
-    channels = weighing.observed.channels
-    designs = list(_designs(weighing))
+    scopes = _scopes(weighing)
     for name, per_channel in designs:
-        spectra = [_eigen(weighing, index, design, setting) for index, design in enumerate(per_channel)]
-        scopes = [[index] for index in range(len(channels))]
-        scopes += [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
+        spectra = [_eigen(weight, design) for weight, design in zip(weights, per_channel, strict=True)]
         for scope in scopes:
             values = np.concatenate([spectra[index][0] for index in scope])
             along = np.concatenate([spectra[index][1] for index in scope])
-            if values.sum() > 0:
-                found.setdefault(name, []).append(float(log_mean_exp(from_eigen(values, along), -1)))
-    found["one odd segment"] = [_one_segment(weighing, setting)]
-    found["noise of one band"] = _bands(weighing)
-    found["a tone"] = [_line(weighing, index) for index in range(len(channels))]
-    return {name: float(log_mean_exp(np.array(each), 0)) for name, each in found.items() if each}
+            if any(spectrum[0].sum() > 0 for spectrum in spectra):
+                found.setdefault(name, []).append(
+                    float(averaged(from_eigen(values, along))) if values.sum() > 0 else -np.inf
+                )
+    found["one odd segment"] = [_one_segment(weighing, weights)]
+    found["offset periodic in time"] = _periodic(waves, scopes, weights)
+    return {name: np.array(each) for name, each in found.items() if each}
 
 
-def _designs(weighing: Weighing) -> Iterator[tuple[str, list[Array]]]:
-    """Name, and per channel raw columns (M, P)."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    everywhere = len(observed.channels)
-    counts = np.sqrt(np.diff(observed.bounds))
-    starts = observed.bounds[:-1]
-    kinds = {name: _smooth(values) for name, values in _coordinates(weighing).items()}
-    kinds["time, in many turns"] = _smooth(_coordinates(weighing)["time"], TIME_ORDERS, 0.0)
-    kinds["gravity"] = _monomials(observed.force[starts] / observed.site.gravity)
-
-    def at_means(table: Array) -> Array:
-        out = np.zeros((len(spectrum.segment), table.shape[1]))
-        out[spectrum.means] = table * counts[:, None]
-        return out
-
-    yield "offset per segment", [at_means(np.eye(len(observed)))] * everywhere
-    for name, basis in kinds.items():
-        yield f"offset smooth in {name}", [at_means(basis)] * everywhere
-    rates = np.column_stack([observed.rate[starts] * observed.table_axis[starts, axis] for axis in range(3)])
-    for name, basis in {"segment": np.eye(len(observed)), **{k: kinds[k] for k in ("temperature", "time")}}.items():
-        word = "per" if name == "segment" else "smooth in"
-        yield (
-            f"scale factor {word} {name}",
-            [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
-        )
-    low = (spectrum.harmonic == 0) & (spectrum.frequency > 0)
-    yield "transient per segment", [np.eye(len(low))[:, low]] * everywhere
-    spin = np.array([isinstance(motion, Spin) for motion in observed.motions])[spectrum.segment]
-    rock = np.array([isinstance(motion, Rock) for motion in observed.motions])[spectrum.segment]
-    for h in (1, 2, 3):
-        rows = spin & (spectrum.harmonic == h)
-        yield f"{h} per turn, per segment", [np.eye(len(rows))[:, rows]] * everywhere
-        yield f"{h} per turn, alike", [_alike(weighing, rows)] * everywhere
-    rows = rock & (spectrum.harmonic > 0)
-    yield "rocking waveform", [np.eye(len(rows))[:, rows]] * everywhere
+def _outside(weighing: Weighing) -> dict[str, Array]:
+    """log BF by scope of what lies outside the basis."""
+    powers = [_line(weighing, index) for index in range(len(weighing.observed.channels))]
+    tones = [_tone([powers[index] for index in scope]) for scope in _scopes(weighing)]
+    return {"noise of one band": np.array(_bands(weighing)), "a tone": np.array(tones)}
 
 
-def _coordinates(weighing: Weighing) -> dict[str, Array]:
-    observed = weighing.observed
-    middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
-    return {
-        "rate": observed.rate[observed.bounds[:-1]],
-        "temperature": observed.temperature[middles],
-        "time": observed.time[middles],
-    }
-
-
-def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
-    """Cosines of a coordinate's position in its range, orders 1 to `most`, each weaker as 1/order^fading; (S, ≤ orders)."""
-    span = float(np.ptp(values))
-    if span <= 0:
-        return np.zeros((len(values), 0))
-    orders = np.arange(1, min(most, len(np.unique(np.round(values / span, 6)))) + 1)
-    return np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
-
-
-def _monomials(direction: Array) -> Array:
-    """Monomials of degrees 2 to 4 of the direction of gravity."""
-    columns = [
-        direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
-        for d in (2, 3, 4)
-        for a in range(d + 1)
-        for b in range(d + 1 - a)
-    ]
-    return np.column_stack(columns)
-
-
-def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
-    """Cosine and sine of a harmonic with the same amplitude in all segments, or in proportion to rate and its square."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    if not rows.any():
-        return np.zeros((len(rows), 0))
-    owners = spectrum.segment[rows]
-    first = np.r_[True, np.diff(owners) != 0]
-    rate = observed.rate[observed.bounds[:-1]][owners]
-    rate = rate / np.abs(rate).max()
-    size = np.sqrt(np.diff(observed.bounds))[owners]
-    out = np.zeros((len(rows), 6))
-    for part, phase in enumerate((first, ~first)):
-        for power in range(3):
-            out[rows, 3 * part + power] = np.where(phase, size * rate**power, 0.0)
-    return out
-
-
-def _eigen(weighing: Weighing, index: int, design: Array, setting: Setting) -> tuple[Array, Array]:
+def _eigen(weight: Weights, design: Array) -> tuple[Array, Array]:
     """Eigenvalues of a design's whitened Gram matrix and the squared scores along its eigenvectors."""
     if not design.shape[1] or not design.any():
         return np.zeros(0), np.zeros(0)
-    weight = weighing.weights[index][setting[weighing.observed.channels[index].kind]]
     columns = weight.project(design)
     values, vectors = np.linalg.eigh(columns.T @ columns)
     return np.maximum(values, 0.0), ((columns @ vectors).T @ weight.residual) ** 2
 
 
-def _one_segment(weighing: Weighing, setting: Setting) -> float:
+def _one_segment(weighing: Weighing, weights: list[Weights]) -> float:
     """One segment's means of all channels stand off, whichever it is."""
     observed, spectrum = weighing.observed, weighing.spectrum
     design = np.zeros((len(spectrum.segment), len(observed)))
     design[spectrum.means, np.arange(len(observed))] = 1.0
     each = []
-    for index in range(len(observed.channels)):
-        weight = weighing.weights[index][setting[weighing.observed.channels[index].kind]]
+    for weight in weights:
         columns = weight.project(design)
         size = (columns**2).sum(0)
         score = (columns.T @ weight.residual) ** 2
-        each.append(log_mean_exp(from_eigen(size[:, None], score[:, None], float(size.max())), -1))
+        each.append(averaged(from_eigen(size[:, None], score[:, None], float(size.max()))))
     return float(log_mean_exp(np.concatenate(each), 0))
 
 
 def _bands(weighing: Weighing) -> list[float]:
-    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white."""
+    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white, unless they are
+    those of bins."""
     observed, spectrum = weighing.observed, weighing.spectrum
     chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
     found = []
     for index in range(len(observed.channels)):
-        declared = observed.channels[index].flicker
-        if declared > 0 or not chosen.any():
+        each = [-np.inf]
+        if observed.channels[index].flicker > 0 or not chosen.any():
+            found.append(-np.inf)
             continue
-        for band in range(BANDS - 2):
+        for band in range(BANDS - 2 if observed.bins is None else BANDS):
             energy, count = float(spectrum.energy[chosen, band, index].sum()), float(spectrum.count[chosen, band].sum())
             if count < 8:
                 continue
             excess = np.log(max(energy, 1e-300) / count / weighing.white[index] ** 2)
             sigma = np.hypot(np.sqrt(2 / count), 0.01)
             grid = np.linspace(0.0, np.log(10.0), 400)
-            found.append(float(log_mean_exp(-0.5 * ((excess - grid) / sigma) ** 2, 0) + 0.5 * (excess / sigma) ** 2))
+            each.append(float(log_mean_exp(-0.5 * ((excess - grid) / sigma) ** 2, 0) + 0.5 * (excess / sigma) ** 2))
+        found.append(float(log_mean_exp(np.array(each), 0)))
     return found
 
 
-def _line(weighing: Weighing, index: int) -> float:
-    """log BF of a tone of any frequency that keeps its phase, from the periodogram of what the basis leaves, segments at rest and
-    turning."""
+def _line(weighing: Weighing, index: int) -> Array:
+    """Periodogram, in units of the white noise, of what the basis leaves, segments at rest and turning; empty where the run is too long."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    step = 1 / observed.sample_rate
+    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    step = (float(observed.bin_size[chosen].max()) if chosen.any() else 1.0) / observed.sample_rate
     slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
-    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]
+    chosen = chosen[observed.owner]
     if slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
-        return -np.inf
+        return np.empty(0)
     from scipy.fft import next_fast_len, rfft
 
     grid = np.zeros(next_fast_len(int(slot[-1]) + 1, real=True))
-    grid[slot[chosen]] = spectrum.remainder[chosen, index]
-    power = np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * float(chosen.sum()))
-    s2 = np.geomspace(1.0, ENERGIES[-1], 12)
-    each = [float(log_mean_exp(power * s / (1 + s), 0)) - np.log1p(s) for s in s2]
+    if observed.bins is None:
+        grid[slot[chosen]] = spectrum.remainder[chosen, index]
+        samples = float(chosen.sum())
+    else:
+        size = observed.bin_size[observed.owner][chosen]
+        grid += np.bincount(slot[chosen], spectrum.remainder[chosen, index] * np.sqrt(size), len(grid))
+        samples = float(size.sum())
+    return np.asarray(np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * samples))
+
+
+def _tone(powers: list[Array]) -> float:
+    """log BF of a tone of any frequency that keeps its phase, in all of some channels alike, from their periodograms."""
+    power = np.sum(powers, axis=0)
+    if not len(power):
+        return -np.inf
+    s2 = np.geomspace(WEAKEST, STRONGEST, 12) / len(powers)
+    each = [float(log_mean_exp(power * s / (1 + s), 0)) - len(powers) * np.log1p(s) for s in s2]
     return float(log_mean_exp(np.array(each), 0))
+
+
+def _periodic(waves: Array, scopes: list[list[int]], weights: list[Weights]) -> list[float]:
+    """log BF of such a bias in each scope: a sine, or a waveform."""
+    rows, periods = waves.shape[:2]
+    parts: list[list[tuple[Array, Array]]] = []
+    for weight in weights:
+        columns = weight.project(waves.reshape(rows, -1)).reshape(waves.shape)
+        parts.append([])
+        for harmonics in (1, WAVEFORM):
+            own = columns[:, :, :harmonics].reshape(rows, periods, -1).transpose(1, 0, 2)
+            size, vectors = np.linalg.eigh(np.swapaxes(own, 1, 2) @ own)
+            score = np.swapaxes(own, 1, 2) @ weight.residual
+            parts[-1].append((np.maximum(size, 0.0), np.einsum("fji,fj->fi", vectors, score) ** 2))
+    found = []
+    for scope in scopes:
+        each = []
+        for form in (0, 1):
+            size, along = (np.concatenate([parts[index][form][k] for index in scope], axis=1) for k in (0, 1))
+            unit = size.sum(1, keepdims=True)
+            each.append(averaged(from_eigen(size / unit, along / unit, 1.0)))
+        found.append(float(log_mean_exp(np.concatenate(each), 0)))
+    return found

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.confusability import matrix
 from planrunner.gap.evidence import best_amplitudes
 from planrunner.gap.spectrum import band_edges
+
+Array = NDArray[np.float64]
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, dict[str, Any]]:
@@ -39,7 +42,7 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
     for index, channel in enumerate(observed.channels):
         weight = weighing.weights[index][0]
         heat.append((np.bincount(spectrum.segment, weight.residual**2, segments) / degrees).tolist())
-        root = np.sqrt(np.diff(observed.bounds))
+        root = np.sqrt(observed.counts)
         sigma = np.sqrt(np.diag(weight.covariance(spectrum.frequency == 0))) / root / channel.factor
         rest = (
             weight.residual
@@ -57,26 +60,36 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
         "heat": {"channels": [c.name for c in observed.channels], "segments": list(observed.labels), "values": heat},
         "confusability": {"effects": names, "shares": shares.tolist()},
         "means": {"segments": list(observed.labels), "channels": means},
-        "spectrum": _spectra(weighing),
+        "spectrum": _spectra(weighing, after, amplitudes),
     }
 
 
-def _spectra(weighing: Weighing) -> dict[str, Any]:
-    """One-sided density by band of what the basis leaves, root of power, beside the white level. An effect's columns lie in the basis,
-    so that
-    what is left after it is the same."""
+def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> dict[str, Any]:
+    """One-sided density by band, root of power, before and after the effect, beside the white level. Segment means are left out: they have
+    no frequency within a segment. Of a long recording, the segments that have the largest bins, up to half the rate of these."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    edges = band_edges(1 << 12) / (1 << 12) * observed.sample_rate / 2
+    size = observed.bin_size.max()
+    shown = observed.bin_size == size
+    edges = band_edges(1 << 12) / (1 << 12) * observed.sample_rate / 2 / size
     middle = (edges[:-1] + edges[1:]) / 2
+    within = (spectrum.frequency > 0) & shown[spectrum.segment]
+    band = np.clip(np.searchsorted(edges, spectrum.frequency[within], side="right") - 1, 0, len(middle) - 1)
+    count = np.maximum(spectrum.count[shown].sum(0), 0.0) + np.bincount(band, minlength=len(middle))
     found = {}
     for index, channel in enumerate(observed.channels):
         scale = np.sqrt(2 / observed.sample_rate) / channel.factor
-        power = spectrum.energy[:, :, index].sum(0) / np.maximum(spectrum.count.sum(0), 1.0)
+        level, residual = float(weighing.white[index]), weighing.weights[index][0].residual
+        rest = residual if after is None or amplitudes is None else residual - after.by_channel[index] @ amplitudes
+        outside = spectrum.energy[shown][:, :, index].sum(0)
+        curves = [
+            outside + np.bincount(band, (level * values[within]) ** 2, len(middle)) for values in (residual, rest)
+        ]
+        before, afterwards = (np.sqrt(power / np.maximum(count, 1.0)) * scale for power in curves)
         found[channel.name] = {
             "frequency_hz": middle.tolist(),
-            "before": (np.sqrt(power) * scale).tolist(),
-            "after": (np.sqrt(power) * scale).tolist(),
-            "noise": [float(weighing.white[index] * scale)] * len(middle),
+            "before": before.tolist(),
+            "after": afterwards.tolist(),
+            "noise": [float(level * scale)] * len(middle),
             "unit": f"{channel.unit}/sqrt(Hz)",
         }
     return found

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.effects.interface import Variant
-from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, pair_log_bayes_factor
+from planrunner.gap.evidence import averaged, best_amplitudes, from_eigen, pair_log_bayes_factor
 from planrunner.gap.noise_levels import log_densities
 from planrunner.gap.open_set import competitors, unknown
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
 FIRST = 6  # effects that pairs are built on: the likeliest alone
 WEIGHED = 10  # pairs, of those that a quick look finds best, that are weighed in full
-PAIR_ENERGIES = np.geomspace(2.0, 4e4, 9)
+PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,13 @@ class Posterior:
     """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none. pairs: the
     weighed variant
     of pairs of two deterministic effects. kinds: log evidence, relative to none, of what
-    "unknown" could be."""
+    "unknown" could be. by_channel: log BF (K,) of each of those in one channel alone."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
     pairs: dict[str, Weighed] = field(repr=False)
     kinds: dict[str, float]
+    by_channel: dict[str, Array] = field(repr=False)
 
 
 def pair_key(first: str, second: str) -> str:
@@ -59,8 +60,8 @@ def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[C
     found |= {key: value + levels["declared"] - start for key, value in together.items()}
     kinds = competitors(weighing)
     found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
-    plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.items()}
-    return Posterior(_normalised(found, len(effects)), found, weighed, plainly)
+    plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.log_bayes.items()}
+    return Posterior(_normalised(found, len(effects)), found, weighed, plainly, kinds.by_channel)
 
 
 def _put(found: dict[str, float], names: tuple[str, ...], value: float) -> None:
@@ -118,11 +119,13 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
 def _given(a: Weighed, second: Candidate) -> tuple[Weighed, float]:
     """The form of an effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
     mean, covariance = best_amplitudes(a.gram[0], a.score[0], a.trace)
-    best, value = second.variants[0], -np.inf
-    for item in second.variants:
-        cross = np.sum([x.T @ y for x, y in zip(a.by_channel, item.by_channel, strict=True)], axis=0)
-        gram = item.gram[0] - cross.T @ covariance @ cross
-        added = float(log_bayes_factors(gram[None], (item.score[0] - cross.T @ mean)[None], item.trace)[0])
-        if added > value:
-            best, value = item, added
-    return best, value
+    cross = second.across(a)
+    grams = np.array([item.gram[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
+    scores = np.array([item.score[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ mean
+    values, vectors = np.linalg.eigh(grams)
+    along = np.einsum("vji,vj->vi", vectors, scores) ** 2
+    traces = np.array([item.trace for item in second.variants])[:, None]
+    # every variant's energies are in units of its own trace
+    added = averaged(from_eigen(np.maximum(values, 0.0) / traces, along / traces, 1.0))
+    best = int(np.argmax(added))
+    return second.variants[best], float(added[best])

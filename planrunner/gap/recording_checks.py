@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.gap.observed import Observed
+from planrunner.gap.observed import Observed, measures_motion
 from planrunner.instruments.models import SensorModel
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.units import STANDARD_GRAVITY
@@ -28,6 +28,10 @@ STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
 """A plan moves a channel when its stimulus scatters by more than this over the segments (rad/s, m/s²): only there can a misfit be seen."""
 MISFIT = 0.5
 """The nominal model does not fit at all where it leaves more than this share of what the plan put in."""
+
+
+POSE_PARAMETERS = 9
+"""Three biases, scale factors and non-orthogonalities: all that |f| = g can tell."""
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
@@ -49,6 +53,9 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
     """Whether anything can be held out, and whether the nominal model fits at all, by segment means."""
     mark = Mark(where)
+    if observed.along is not None:
+        _check_poses(observed, mark, log)
+        return
     for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
         channels = observed.of_kind(kind)
         if not channels:
@@ -70,6 +77,18 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
                 hint = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
                 log.error("gap-nominal-misfit", mark, message, hint)
+
+
+def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Whether poses in unknown orientations read the magnitude of gravity, and are enough to hold some out."""
+    expected = _means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
+    ratio = float(np.median(_means(observed, observed.values)[:, 0] / expected))
+    if abs(ratio - 1) > MISFIT:
+        message = f"at rest the accelerometers read {ratio:.3g} times gravity"
+        log.error("gap-nominal-misfit", mark, message, "look at the channels' units and signs in the bench file")
+    if len(observed) <= POSE_PARAMETERS:
+        message = f"{len(observed)} poses leave nothing to hold out beside {POSE_PARAMETERS} nominal parameters"
+        log.warning("gap-no-held-out", mark, message, "add poses in other orientations: no closure can be given")
 
 
 def _means(observed: Observed, values: Array) -> Array:
@@ -126,31 +145,35 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
 
 
 def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
+    """Channels of the sensor that stand still, have no noise, or reach their full scale."""
     for name, text in recording[0].units.items():
-        known = [item.statistics for item in recording if name in item.statistics.channels]
-        if not known:
-            continue
-        lowest = min(float(one.minimum[one.of(name)]) for one in known)
-        highest = max(float(one.maximum[one.of(name)]) for one in known)
+        known = [item for item in recording if name in item.statistics.channels and item.statistics.count > 1]
         output = sensor.output(name)
-        if lowest == highest and output is not None and output.noise.white > 0:
-            message = f"'{name}' stands at {lowest:g} {text} in every segment"
+        if not known or output is None or not measures_motion(text):
+            continue
+        lowest = [float(item.statistics.minimum[item.statistics.of(name)]) for item in known]
+        highest = [float(item.statistics.maximum[item.statistics.of(name)]) for item in known]
+        standing = [low == high for low, high in zip(lowest, highest, strict=True)]
+        if min(lowest) == max(highest):
+            message = f"'{name}' stands at {lowest[0]:g} {text} in every segment"
             log.error("gap-dead-channel", mark, message, "look at the sensor and at the column in the bench file")
-        elif output is not None and max(-lowest, highest) >= output.full_scale * (1 - 1e-9):
-            reached = [
-                item.label
-                for item in recording
-                if name in item.statistics.channels
-                and max(
-                    -item.statistics.minimum[item.statistics.of(name)],
-                    item.statistics.maximum[item.statistics.of(name)],
-                )
-                >= output.full_scale * (1 - 1e-9)
-            ]
-            message = f"'{name}' reaches its full scale of {output.full_scale:g} {text} in {_named(reached)}"
-            log.warning(
-                "gap-saturated", mark, message, "clipped samples look like an effect of their own: lower the rates"
-            )
+            continue
+        if all(standing):
+            message = f"'{name}' has one value a segment and no noise, against which a gap would be weighed"
+            log.error("gap-no-noise", mark, message, "give the samples as they were recorded, not their means")
+            continue
+        reached = [max(-low, high) >= output.full_scale * (1 - 1e-9) for low, high in zip(lowest, highest, strict=True)]
+        labels = [item.label for item in known]
+        if any(reached):
+            where = _named([label for label, one in zip(labels, reached, strict=True) if one])
+            message = f"'{name}' reaches its full scale of {output.full_scale:g} {text} in {where}"
+            hint = "clipped samples look like an effect of their own: lower the rates"
+            log.warning("gap-saturated", mark, message, hint)
+        elif any(standing):
+            where = _named([label for label, one in zip(labels, standing, strict=True) if one])
+            message = f"'{name}' stands at one value throughout {where}"
+            hint = "it is stuck or clipped there, which looks like an effect of its own: look at the sensor, or leave the segment out"
+            log.warning("gap-saturated", mark, message, hint)
 
 
 def _named(labels: Sequence[str]) -> str:

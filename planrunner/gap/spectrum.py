@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.gap.bins import SPIKE
 from planrunner.gap.observed import Observed
 from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
 LOW_ORDERS = 5
 BANDS = 6
-SPIKE = 6.5  # robust standard deviations: about one normal sample in 10^10
 _DEPENDENT = 0.05  # of its length that a harmonic must keep beside the lower orders
 
 
@@ -38,7 +38,8 @@ class Basis:
 class Spectrum:
     """M coefficients of all segments and what is left. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
     values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands, with `count` (S, B) coefficients.
-    remainder: (N, K), samples less what the basis holds. spikes: (K,), samples replaced."""
+    remainder: (N, K), samples less what the basis holds. spikes: (K,), samples replaced. Means over bins of k samples count √k-fold in
+    all of these, so that their white noise is that of a sample."""
 
     bases: tuple[Basis, ...]
     segment: NDArray[np.int64]
@@ -54,6 +55,11 @@ class Spectrum:
     def project(self, observed: Observed, columns: Array) -> Array:
         """The coefficients (M, P) of columns of samples (N, P)."""
         parts = zip(self.bases, observed.segments(), strict=True)
+        roots = _roots(observed)
+        if roots is not None:
+            return np.concatenate(
+                [basis.vectors.T @ columns[part] * r for (basis, part), r in zip(parts, roots, strict=True)]
+            )
         return np.concatenate([basis.vectors.T @ columns[part] for basis, part in parts])
 
 
@@ -61,7 +67,7 @@ def basis_of(observed: Observed, index: int) -> Basis:
     """The basis of one segment."""
     part = observed.segments()[index]
     n = part.stop - part.start
-    rate = observed.sample_rate
+    rate = observed.sample_rate / int(observed.bin_size[index])
     order = np.arange(min(LOW_ORDERS, n))
     columns = [np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k in order]
     frequency, harmonic = list(order * rate / (2 * n)), [0] * len(order)
@@ -79,12 +85,12 @@ def basis_of(observed: Observed, index: int) -> Basis:
     return Basis(q[:, keep], np.array(frequency)[keep], np.array(harmonic)[keep])
 
 
-def _shared(known: dict[tuple[int, object], Basis], observed: Observed, index: int) -> Basis:
+def _shared(known: dict[tuple[int, int, object], Basis], observed: Observed, index: int) -> Basis:
     """The basis of a segment, made once for all that last as long and stand still."""
     motion = observed.motions[index]
     if not isinstance(motion, Rest):
         return basis_of(observed, index)
-    key = int(observed.bounds[index + 1] - observed.bounds[index]), motion
+    key = int(observed.counts[index]), int(observed.bin_size[index]), motion
     if key not in known:
         known[key] = basis_of(observed, index)
     return known[key]
@@ -105,16 +111,22 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
     """The spectrum of what is left of the samples after `reference`, (N, K), the nominal simulation."""
     from scipy.fft import dct
 
-    known: dict[tuple[int, object], Basis] = {}
+    known: dict[tuple[int, int, object], Basis] = {}
     bases = tuple(_shared(known, observed, index) for index in range(len(observed)))
     sizes = [len(basis.frequency) for basis in bases]
     values, energy = [], np.zeros((len(bases), BANDS, len(observed.channels)))
     count = np.zeros((len(bases), BANDS))
     remainder = np.empty_like(observed.values)
     spikes = np.zeros(len(observed.channels), dtype=np.int64)
+    roots = _roots(observed)
+    if observed.bins is not None:
+        spikes += observed.bins.spikes
     smallest = np.array([max(c.resolution / 2, c.white * np.sqrt(observed.sample_rate) / 4) for c in observed.channels])
     for index, (basis, part) in enumerate(zip(bases, observed.segments(), strict=True)):
-        coefficients, rest, replaced = _robust(basis.vectors, observed.values[part] - reference[part], smallest)
+        left = observed.values[part] - reference[part]
+        if roots is not None:
+            left *= roots[index]
+        coefficients, rest, replaced = _robust(basis.vectors, left, smallest)
         spikes += replaced
         values.append(coefficients)
         remainder[part] = rest
@@ -136,6 +148,11 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
         remainder,
         spikes,
     )
+
+
+def _roots(observed: Observed) -> Array | None:
+    """By how much the mean over a bin counts, (S,): as √size times a sample, which has the same noise. None where samples are held."""
+    return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
 def band_edges(n: int) -> NDArray[np.int64]:
@@ -168,6 +185,10 @@ def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
     """
     still = np.array([not isinstance(motion, Spin | Rock) for motion in observed.motions])
     chosen = still if still.any() else np.ones(len(observed), dtype=bool)
+    if observed.bins is not None:
+        total = float(observed.bins.count[chosen].sum())
+        whole = observed.bins.energy[chosen].sum(axis=0)
+        return np.sqrt(np.diag(whole) / total), np.full(len(observed.channels), total)
     energy = spectrum_.energy[chosen][:, -2:].sum(axis=(0, 1))
     count = float(spectrum_.count[chosen][:, -2:].sum())
     return np.sqrt(energy / count), np.full(len(observed.channels), count)

@@ -9,7 +9,9 @@ import numpy as np
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.confusability import ALIKE, DISCRIMINABLE, energy, fitted, reproduced
-from planrunner.gap.posterior import Posterior
+from planrunner.gap.posterior import Posterior, pair_key
+from planrunner.gap.remainder import RESIDUE, STRONG, as_probable, leading
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 RIVAL = 0.02  # of the first's probability: less likely members of a class are left out, the data have excluded them
@@ -17,13 +19,12 @@ COVERED = 0.95
 SOMETHING_ELSE = (
     0.90  # the probability of unknown from which on a recording is said to hold what the catalogue does not
 )
-RESIDUE = 0.05  # share of the explained energy below which a second effect is residue of the first one's form
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: what cannot be told from them, themselves
-    included; pairs as 'a+b'. residue: an effect that only takes up what the named one's idealised form leaves."""
+    included; pairs as 'a+b'. residue: an effect, or "unknown", that only takes up what the named one's idealised form leaves."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -38,22 +39,29 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
         return Verdict("none")
     top = next(iter(probability))
     by_id = {candidate.id: candidate for candidate in candidates}
+    top, remainder = leading(found.log_evidence, top, by_id) or (top, None)
     if top == "unknown":
         best = next(name for name in probability if name not in ("none", "unknown"))
         if probability["unknown"] >= SOMETHING_ELSE:
             return Verdict("unknown")
         return Verdict("indistinguishable", tuple(best.split("+")), (best, "unknown"))
-    if "+" in top:
-        first, residue = _residue(found, by_id, top)
-        if residue is not None:
-            rivals = _rivals(probability, by_id, first)
-            kind = "effect" if len(rivals) == 1 else "indistinguishable"
-            return Verdict(kind, (first,), rivals if len(rivals) > 1 else (), residue)
-        rivals = _rival_pairs(probability, found.pairs, by_id, top)
-        kind = "pair" if len(rivals) == 1 else "indistinguishable"
-        return Verdict(kind, tuple(top.split("+")), rivals if len(rivals) > 1 else ())
-    rivals = _rivals(probability, by_id, top)
-    return Verdict("effect", (top,)) if len(rivals) == 1 else Verdict("indistinguishable", (top,), rivals)
+    likely = probability if remainder is None else as_probable(found.log_evidence, top)
+    if "+" not in top:
+        return _named("effect", (top,), _rivals(likely, by_id, top), remainder)
+    first, residue = _residue(found, by_id, top)
+    if residue is None:
+        return _named("pair", tuple(top.split("+")), _rival_pairs(likely, found.pairs, by_id, top), remainder)
+    beside = {name: likely.get(pair_key(name, residue), 0.0) for name in by_id if name != residue}
+    return _named("effect", (first,), _rivals(beside, by_id, first), remainder or residue)
+
+
+def _named(kind: str, effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None) -> Verdict:
+    """Effects of a kind, or, where they have rivals, the class that these make."""
+    return (
+        Verdict("indistinguishable", effects, rivals, residue)
+        if len(rivals) > 1
+        else Verdict(kind, effects, (), residue)
+    )
 
 
 def ambiguity_set(probability: Mapping[str, float]) -> list[str]:
@@ -106,14 +114,14 @@ def _rival_pairs(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
-    """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ."""
-    leading = [name for name in pair.split("+") if name in by_id]
-    if not leading:
+    """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ; terms of a
+    nominal model are exact and leave no residue."""
+    energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
+    first = max(energies, key=lambda name: energies[name], default="")
+    if not first or first in NOMINAL_TERMS:
         return pair, None
-    energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in leading}
-    first = max(energies, key=lambda name: energies[name])
     both = 2 * found.log_evidence[pair]
     other = next(name for name in pair.split("+") if name != first)
     alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
-    strong = alone > 2500.0
+    strong = alone > STRONG
     return (first, other) if strong and alone > (1 - RESIDUE) * both else (first, None)

@@ -7,7 +7,7 @@ is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from planrunner.gap import slow_noise
 from planrunner.gap.effects.interface import Column
+from planrunner.gap.evidence import RANGE, STRONGEST, WEAKEST
 from planrunner.gap.observed import Observed
 from planrunner.gap.spectrum import Spectrum
 
 Array = NDArray[np.float64]
 FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
-WALKS = np.geomspace(1.0, 3000.0, 12)
-"""Levels of an undeclared random walk: its standard deviation at the end of the run, in standard errors of a mean segment."""
+WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
+"""Levels of an undeclared random walk, as the energy that they let expect in the segment means of the triad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +46,32 @@ def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, .
         factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
     walks = [0.0]
     if kind == "gyro" and len(observed) > 2:
-        samples = float(np.median(np.diff(observed.bounds)))
-        span = float(observed.time[-1] - observed.time[0])
-        step = float(np.median(white[members])) / np.sqrt(samples * span)
-        walks += list(step * WALKS)
+        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, c, float(white[c])) for c in members)))
     return tuple(
-        Setting(factor, float(walk), prior * (1.0 if walk == 0 else 1.0 / len(WALKS)))
+        Setting(factor, float(walk), prior * (1.0 if walk == 0 else float(np.log(WALKS[1] / WALKS[0])) / RANGE))
         for walk in walks
         for factor, prior in zip(factors, priors, strict=True)
     )
+
+
+def _walk_energy(observed: Observed, channel: int, white: float) -> float:
+    """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
+    constant."""
+    starts, ends = lasting(observed)
+    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow_noise.flicker(
+        starts, ends
+    )
+    inverse = np.linalg.inv(np.linalg.cholesky(noise))
+    walk = inverse @ slow_noise.random_walk(starts, ends) @ inverse.T
+    constant = inverse.sum(1)
+    return float(np.trace(walk) - constant @ walk @ constant / (constant @ constant))
+
+
+def lasting(observed: Observed) -> tuple[Array, Array]:
+    """Beginnings and ends of the segments, (S,), s."""
+    size, twice = observed.bin_size, 2 * observed.sample_rate
+    last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
+    return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
 
 
 def rounding_variance(count: float, sigma: float) -> float:
@@ -97,10 +115,8 @@ class ChannelWeights:
         self, observed: Observed, spectrum: Spectrum, channel: int, white: float, setting: Setting, nominal: Array
     ):
         declared = observed.channels[channel]
-        slices = observed.segments()
-        starts = np.array([observed.time[part.start] for part in slices])
-        ends = np.array([observed.time[part.stop - 1] for part in slices]) + 1 / observed.sample_rate
-        counts = np.diff(observed.bounds).astype(float)
+        starts, ends = lasting(observed)
+        counts = observed.counts.astype(float)
         undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
         covariance = np.diag(white**2 / counts + undithered)
         level = setting.flicker * declared.flicker
@@ -141,6 +157,21 @@ class ChannelWeights:
         )
         return out
 
+    def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
+        """What takes some rows (M,) of coefficients, (n,) or (n, P), to unit noise: the means jointly, the others one by one."""
+        chosen = np.flatnonzero(rows)
+        at = np.flatnonzero(np.isin(chosen, self._means))
+        owners = self._segment[chosen[at]]
+        inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
+        scale = self._scale[chosen]
+
+        def whiten(columns: Array) -> Array:
+            out = (columns.T * scale).T
+            out[at] = inverse @ columns[at]
+            return out
+
+        return whiten
+
     def whiten(self, columns: Array) -> Array:
         out = columns * self._scale[:, None]
         out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
@@ -153,23 +184,25 @@ class ChannelWeights:
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
     """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
-    unique: dict[tuple[int, tuple[int, ...]], tuple[int, Array]] = {}
-    for column in columns:
-        for part in column.parts.values():
-            unique.setdefault(_identity(part), (len(unique), part))
-    stack = np.empty((len(spectrum.segment), len(unique)))
-    arrays = [part for _, part in unique.values()]
-    for first in range(0, len(arrays), 32):
-        chunk = np.column_stack(arrays[first : first + 32])
-        stack[:, first : first + 32] = spectrum.project(observed, chunk)
+    projected: dict[tuple[int, tuple[int, ...]], Array] = {}
     out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
     for index, column in enumerate(columns):
         here = 1.0 if column.segments is None else column.segments[spectrum.segment]
         for channel, part in column.parts.items():
-            out[channel][:, index] = stack[:, unique[_identity(part)][0]] * column.magnitude * here
+            table, place = _table(part)
+            key = table.__array_interface__["data"][0], table.strides
+            if key not in projected:
+                projected[key] = spectrum.project(observed, table)
+            out[channel][:, index] = projected[key][:, place] * (column.magnitude * here)
     return out
 
 
-def _identity(array: Array) -> tuple[int, tuple[int, ...]]:
-    """The memory that an array looks at: views of the same samples are projected once."""
-    return array.__array_interface__["data"][0], array.strides
+def _table(part: Array) -> tuple[Array, int]:
+    """The table of samples that an array is a column of, and which: signatures of a triad are columns of one table and are projected
+    together, once."""
+    whole = part.base
+    if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
+        offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+        if part.strides[0] == whole.strides[0] and 0 <= offset < whole.strides[0]:
+            return whole, offset // whole.itemsize
+    return part[:, None], 0

@@ -1,8 +1,8 @@
 """The recording player: a sensor that plays back a CSV or Parquet file as if it were measured now.
 
 Columns are mapped to channels with units. A table of segments says which stretch of the recording belongs to which
-label; without one the whole recording is one stretch. Files lie beneath the data root, never outside it, unless they are
-named on the command line. Rows stream; a long recording is never held as a whole.
+label, or pauses in its time part it; without either the whole recording is one stretch. Files lie beneath the data root,
+never outside it, unless they are named on the command line. Rows stream; a long recording is never held as a whole.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Sur
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
+from planrunner.instruments.recording_pauses import stretches
 from planrunner.instruments.recording_table import SegmentTable, Span, read_segment_table
 from planrunner.plan.schedule import Segment
 
@@ -40,10 +41,12 @@ class RecordingPlayer:
         spans: SegmentTable | None,
         clock: Clock,
         piece: float,
+        parted: tuple[Span, ...] = (),
     ):
         self.parameters = parameters
         self.file = file
         self.spans = spans
+        self.parted = parted
         self.clock = clock
         self.piece = piece
         power_on = parameters.time.power_on
@@ -84,7 +87,12 @@ class RecordingPlayer:
             spans = read_segment_table(
                 table, stated.table, (stated.label, stated.start, stated.end), SECONDS[stated.unit], stated.trim.value
             )
-        return cls(parameters, file, spans, clock, piece)
+        if stated is not None and parameters.pauses is not None:
+            raise InstrumentError(
+                "`segments` and `pauses` both say where the recording's segments lie: keep one of them"
+            )
+        parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value)
+        return cls(parameters, file, spans, clock, piece, parted)
 
     # -- what it does ----------------------------------------------------------------------------------------------
 
@@ -94,12 +102,15 @@ class RecordingPlayer:
     def foresee(self, segments: Sequence[Segment]) -> None:
         """Whether the recording holds every segment, for long enough. Raises `InstrumentError`."""
         labels = [segment.label for segment in segments]
-        if self.spans is None:
+        if self.parted and len(labels) != len(self.parted):
+            message = f"{self.parameters.file} holds {len(self.parted)} stretches parted by pauses, and the plan has {len(labels)} segments"
+            raise InstrumentError(f"{message}: look at `pauses` in the bench file and at the plan's segments")
+        if self.spans is None and not self.parted:
             if len(labels) > 1:
                 raise self._one_stretch(labels[0], labels[1])
             return
         for segment in segments:
-            span = self.spans.span(segment.label)
+            span = self._span(segment)
             if (
                 segment.dwell is not None
                 and segment.dwell > span.end - span.start + 1.5 / self.parameters.sample_rate.value
@@ -157,6 +168,8 @@ class RecordingPlayer:
             channels = {}
             for name, channel in self.parameters.channels.items():
                 values = columns[name][part]
+                if channel.zero or channel.per_unit != 1:
+                    values = (values - channel.zero) / channel.per_unit
                 channels[name] = values if channel.sign > 0 else -values
             self.clock.sleep(len(time[part]) / rate)
             yield Block(time[part] - self.origin, channels)
@@ -164,6 +177,8 @@ class RecordingPlayer:
     def _span(self, segment: Segment) -> Span:
         if self.spans is not None:
             return self.spans.span(segment.label)
+        if self.parted:
+            return self.parted[segment.index]
         if self._served not in (None, segment.label):
             raise self._one_stretch(self._served, segment.label)
         self._served = segment.label

@@ -5,6 +5,9 @@ from __future__ import annotations
 import contextlib
 import csv
 import math
+import shutil
+import tempfile
+import weakref
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -18,6 +21,7 @@ from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
 BATCH = 65_536  # rows
+HELD = 1_000_000  # rows of a recording that are held in memory where many stretches of it are wanted
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
 Rows = Iterator[tuple[Array, dict[str, Array]]]
 
@@ -93,9 +97,14 @@ class HeldRecording:
     columns: Mapping[str, Array]
 
     @classmethod
-    def of(cls, file: RecordingFile) -> HeldRecording:
-        """All rows of a file, read once. Raises `InstrumentError` as the file does."""
-        pieces = list(file.rows(-np.inf, np.inf))
+    def of(cls, file: RecordingFile, most: float = np.inf) -> HeldRecording | None:
+        """All rows of a file, read once; None where there are more than `most`. Raises `InstrumentError` as the file does."""
+        pieces, count = [], 0
+        for piece in file.rows(-np.inf, np.inf):
+            pieces.append(piece)
+            count += len(piece[0])
+            if count > most:
+                return None
         time = np.concatenate([piece for piece, _ in pieces])
         names = pieces[0][1]
         columns = {name: np.concatenate([values[name] for _, values in pieces]) for name in names}
@@ -106,6 +115,15 @@ class HeldRecording:
         low, high = np.searchsorted(self.time, start, side="left"), np.searchsorted(self.time, end, side="right")
         if low < high:
             yield self.time[low:high], {name: values[low:high] for name, values in self.columns.items()}
+
+
+def at_hand(file: RecordingFile) -> RecordingFile:
+    """The same recording such that many stretches of it can be read: in memory up to `HELD` rows. A longer CSV file, of which a stretch
+    is found only by reading all before it, becomes a temporary Parquet file. Raises `InstrumentError` as the file does."""
+    held = HeldRecording.of(file, HELD)
+    if held is not None:
+        return held
+    return file if isinstance(file, _Parquet) else _Spooled.of(file)
 
 
 def _column_hint(column: str, known: list[str]) -> str:
@@ -224,6 +242,42 @@ class _Parquet(_File):
                     return False
                 return bool(known.max * self.scale < start or known.min * self.scale > end)
         return False
+
+
+@dataclass
+class _Spooled:
+    """Rows of a file in a temporary Parquet file, which goes when this does."""
+
+    origin: float
+    interval: float
+    file: _Parquet
+
+    @classmethod
+    def of(cls, file: RecordingFile) -> _Spooled:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = Path(tempfile.mkdtemp(prefix="planrunner-")) / "recording.parquet"
+        spooled = cls(file.origin, file.interval, _Parquet(path, path.name, "time", 1.0, {}))
+        weakref.finalize(spooled, shutil.rmtree, path.parent, ignore_errors=True)
+        writer = None
+        try:
+            for time, columns in file.rows(-np.inf, np.inf):
+                spooled.file.channels = {name: f"column {name}" for name in columns}
+                table = pa.table([time, *columns.values()], names=["time", *spooled.file.channels.values()])
+                writer = writer or pq.ParquetWriter(path, table.schema)
+                writer.write_table(table)
+        except OSError as error:
+            message = f"{path} cannot be written: {error.strerror}; a long CSV file needs room for a copy"
+            raise InstrumentError(message) from None
+        finally:
+            if writer is not None:
+                writer.close()
+        return spooled
+
+    def rows(self, start: float, end: float) -> Rows:
+        """As of a file."""
+        return self.file.rows(start, end)
 
 
 class _Csv(_File):

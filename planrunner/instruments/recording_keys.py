@@ -51,8 +51,14 @@ class ChannelColumn(Record):
     """The column that a channel is read from."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
-    unit: str = key(UnitText(), "Unit of the numbers in the file, kept in the recording.", "deg/s")
+    unit: str = key(UnitText(), "Unit of the channel, that of the numbers in the file unless they are counts.", "deg/s")
     sign: int = key(Number(-1, 1, integer=True), "-1 where the sensor's axis points the other way.", -1, 1)
+    zero: float = key(
+        Number(), "What the column reads where the channel is zero in its unit, for a file of raw counts.", 59136, 0.0
+    )
+    per_unit: float = key(
+        Number(), "By how much the column grows per unit of the channel, for a file of raw counts.", 256, 1.0
+    )
     noise: Quantity | None = key(
         QuantityOf(None, "not negative"),
         "White noise as the standard deviation of one sample at rest.",
@@ -106,6 +112,13 @@ class ChannelKind:
             return None
         if channel.sign == 0:
             log.error("meaning-range", channel.at("sign"), "a sign is 1 or -1", "write 1 or -1")
+        if channel.per_unit == 0:
+            log.error(
+                "meaning-range",
+                channel.at("per_unit"),
+                "a column that never grows measures nothing",
+                "write the counts per unit",
+            )
         for name in ("noise", "bias_instability", "resolution", "full_scale"):
             _check_dimension(channel, name, "", log)
         for name in ("noise_density", "random_walk"):
@@ -159,6 +172,12 @@ class RecordingParameters(Record):
         RecordOf(SegmentColumns),
         "Where the segments lie; without it the whole recording is one segment.",
         {"table": "jig/stops.csv", "trim": "2 s"},
+        None,
+    )
+    pauses: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "In place of a table: longer steps in time part the recording into segments, which are the plan's in its order.",
+        "10 s",
         None,
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")

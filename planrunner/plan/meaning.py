@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.expand import StatedSegment
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import EstimateSpec, Limit, Plan
@@ -28,6 +29,8 @@ def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iter
             before = len(log.errors)
             used.update(_check_selection(spec, labels, log))
             resolved = resolved and len(log.errors) == before
+    if plan.diagnosis is not None and complete:
+        used.update(_check_selection(plan.diagnosis, labels, log))
     if plan.estimates and complete and resolved:
         _check_unused(segments, used, log)
     for limit in plan.limits:
@@ -57,7 +60,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
             log.error("meaning-estimate-order", at, message, f"put '{other}' above '{name}'")
 
 
-def _check_selection(spec: EstimateSpec, labels: Labels, log: Findings) -> set[int]:
+def _check_selection(spec: EstimateSpec | DiagnosisSpec, labels: Labels, log: Findings) -> set[int]:
     """The segments chosen; a pattern that means none of them is a finding."""
     detected = isinstance(spec.segments, Detection)
     patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments

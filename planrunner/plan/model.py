@@ -11,6 +11,7 @@ from typing import Any
 
 from planrunner import plugins
 from planrunner.plan import source
+from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.kinds import (
     ByShape,
@@ -378,6 +379,12 @@ class Plan(Record):
         "Requirements on what was learnt.",
         [{"quantity": "drift.D_X_F", "within": "±0.5 deg/h"}],
         default_factory=tuple,
+    )
+    diagnosis: DiagnosisSpec | None = key(
+        RecordOf(DiagnosisSpec),
+        "How `planrunner diagnose` looks at a recording of this plan; all segments and a full nominal model without it.",
+        {"nominal": ["accel_bias", "accel_misalignment"]},
+        None,
     )
     report: tuple[str, ...] = key(
         ListOf(Text(FILE_NAME, "a file name")),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from planrunner import plugins
-from planrunner.plan import model, selection
+from planrunner.plan import diagnosis_spec, model, selection
 from planrunner.plan.kinds import (
     Boolean,
     ByShape,
@@ -54,6 +54,7 @@ _SECTIONS: tuple[tuple[str, str, Any], ...] = (
     ("An estimate", "", model.EstimateSpec),
     ("`segments` found in the data", "", selection.Detection),
     ("A limit", "", model.Limit),
+    ("`diagnosis`", "", diagnosis_spec.DiagnosisSpec),
 )
 
 

@@ -22,6 +22,7 @@ CONSPICUOUS = 0.05
 """Places that noise alone makes as conspicuous more often than this are not shown."""
 MOST_PLACES = 12
 MOST_HYPOTHESES = 12
+MOST_PARAMETERS = 24
 FOOTER = (
     "Probabilities rest on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot tell apart are named together."
@@ -74,16 +75,28 @@ def verdict(found: Data) -> str:
         return f"No gap: noise alone explains the recording ({probability(posterior['none'])})."
     if kind == "unknown":
         return f"A gap by something that the catalogue does not hold ({probability(posterior['unknown'])})."
-    if kind == "indistinguishable":
-        members = list(said["class"]) or effects
-        together = sum(posterior.get(name, 0.0) for name in {*members, "+".join(sorted(effects))})
-        return f"One of {_listed(members, 'or')}: this plan cannot tell them apart (together {probability(min(1.0, together))})."
-    if kind == "pair":
-        pair = "+".join(sorted(effects))
-        return f"{_listed(effects, 'and')} together explain the gap ({probability(posterior.get(pair, 0.0))})."
+    names = list(said["class"] or effects) if kind == "indistinguishable" else ["+".join(sorted(effects))]
     residue = said.get("form_residue")
-    form = f" What {residue} would add is below 5 % and taken for its form." if residue else ""
-    return f"{effects[0]} explains the gap ({probability(posterior.get(effects[0], 0.0))}).{form}"
+    beside = ["+".join(sorted((*name.split("+"), residue))) for name in names] if residue else []
+    together = min(1.0, sum(posterior.get(name, 0.0) for name in {*names, "+".join(sorted(effects)), *beside}))
+    nearly = residue is not None and together < 0.5
+    how = "nearly all of the gap" if nearly else f"the gap ({probability(together)})"
+    if kind == "indistinguishable":
+        what = f" explains {how}" if nearly else ""
+        chance = "" if nearly else f" (together {probability(together)})"
+        said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot tell them apart{chance}."
+    else:
+        said_so = f"{_listed(effects, 'and')} {'together explain' if kind == 'pair' else 'explains'} {how}."
+    return said_so + _remainder(residue)
+
+
+def _remainder(residue: str | None) -> str:
+    """What else there is beside a named effect."""
+    if residue is None:
+        return ""
+    if residue == "unknown":
+        return " Less than 5 % of it is something that the catalogue does not hold."
+    return f" What {residue} would add is below 5 % and taken for its form."
 
 
 def closure_words(found: Data) -> str:
@@ -108,6 +121,8 @@ def expected_words(found: Data) -> str:
     if following is None:
         return ""
     expected = following["expected"]
+    if isinstance(expected, Mapping) and "words" in expected:
+        return str(expected["words"])
     if isinstance(expected, Mapping):
         return "; ".join(f"{name.replace('_', ' ')}: {_plain(value)}" for name, value in expected.items())
     return _plain(expected)
@@ -165,7 +180,10 @@ def _where(found: Data) -> Table:
 
 
 def _hypotheses(found: Data) -> Table:
-    rows = tuple((name, f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "") for name, p in ranked(found))
+    rows = tuple(
+        (name.replace("+", " + "), f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "")
+        for name, p in ranked(found)
+    )
     return Table("Which effect", ("Hypothesis", "probability", "in the 95 % set"), rows)
 
 
@@ -181,8 +199,11 @@ def ranked(found: Data) -> list[tuple[str, float]]:
 def _parameters(found: Data) -> Table:
     rows = tuple(
         (one["effect"], one["name"], _short(one["value"]), _short(one["standard_uncertainty"]), one["unit"])
-        for one in found["parameters"]
+        for one in found["parameters"][:MOST_PARAMETERS]
     )
+    left = len(found["parameters"]) - len(rows)
+    if left > 0:
+        rows = (*rows, (f"and {left} more, in the diagnosis as JSON", "", "", "", ""))
     return Table("Fitted parameters of the effect", ("Effect", "parameter", "value", "u", "Unit"), rows)
 
 
@@ -210,7 +231,9 @@ def _p(p: float) -> str:
 
 
 def _short(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
+    if value is None:
+        return "–"
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def _times(before: float | None, floor: float | None) -> str:

@@ -16,7 +16,7 @@ Data = Mapping[str, Any]
 MOST_CHANNELS = 6
 """Channels that spectra and means are drawn of, those with the largest gap first."""
 HOTTEST = 100.0
-"""Times the noise, from where on the heat map has one colour."""
+"""Times the noise, from where on the heat map has one colour; ten times that, and so on, for a gap that lies above it everywhere."""
 
 
 def pictures(found: Data) -> list[dict[str, Any]]:
@@ -83,7 +83,8 @@ def heat_svg(heat: Data, key: str) -> str:
 
     channels, segments = list(heat["channels"]), list(heat["segments"])
     values = np.array([_numbers(row) for row in heat["values"]], dtype=float).reshape(len(channels), len(segments))
-    depth = np.clip(np.log(np.maximum(np.nan_to_num(values, nan=1.0), 1.0)) / math.log(HOTTEST), 0, 1)
+    hottest = max(HOTTEST, 10.0 ** math.floor(math.log10(max(float(np.nanmax(values, initial=1.0)), 1.0))))
+    depth = np.clip(np.log(np.maximum(np.nan_to_num(values, nan=1.0), 1.0)) / math.log(hottest), 0, 1)
     colours = LinearSegmentedColormap.from_list("gap", ["#ffffff", "#f2c48d", "#b45309", "#4a1d02"])
     with drawing(7.2, 1.5 + 0.24 * len(channels)) as (figure, save):
         axes = figure.add_subplot()
@@ -98,17 +99,20 @@ def heat_svg(heat: Data, key: str) -> str:
         axes.set_ylim(len(channels) - 0.5, -0.5)
         axes.grid(visible=False)
         axes.tick_params(length=0, labelsize=7)
-        _legend(axes, colours)
+        _legend(axes, colours, hottest)
         row, column = np.unravel_index(int(np.argmax(np.nan_to_num(values))), values.shape)
         described = f"Largest: {channels[row]} in {segments[column]}, {values[row, column]:.3g} times noise."
         return save(key, f"Gap of {len(channels)} channels over {len(segments)} segments", described)
 
 
-def _legend(axes: Any, colours: Any) -> None:
+def _legend(axes: Any, colours: Any, hottest: float) -> None:
     """What the colours mean, as labelled squares above the map."""
-    for times in (1, 3, 10, 30, 100):
-        axes.scatter([], [], marker="s", s=45, color=colours(math.log(times) / math.log(HOTTEST)), edgecolors="#8a949e",
-                     linewidths=0.6, label=f"{times} ×" if times < HOTTEST else f"{times} × and more")  # fmt: skip
+    for step in range(5):
+        times = hottest ** (step / 4)
+        label = f"{float(f'{times:.1g}'):g} ×" if step < 4 else f"{times:g} × and more"
+        axes.scatter(
+            [], [], marker="s", s=45, color=colours(step / 4), edgecolors="#8a949e", linewidths=0.6, label=label
+        )
     axes.legend(
         loc="lower left", bbox_to_anchor=(0, 1.0), ncols=5, borderaxespad=0.2, handletextpad=0.3, columnspacing=1.2
     )
@@ -140,7 +144,8 @@ def confusability_svg(alike: Data, key: str) -> str:
     shares = np.array([_numbers(row) for row in alike["shares"]], dtype=float)
     size = len(names)
     colours = LinearSegmentedColormap.from_list("alike", ["#ffffff", "#0b5394"])
-    with drawing(WIDTH, WIDTH * 1.02) as (figure, save):
+    wide = WIDTH * min(1.0, 0.5 + size / 16)
+    with drawing(wide, wide * 1.02) as (figure, save):
         axes = figure.add_subplot()
         edges = np.arange(size + 1) - 0.5
         axes.pcolormesh(

@@ -1,4 +1,4 @@
-"""Makes cases and has them answered, on several processes or a Dask cluster, going on where it stopped.
+"""Makes cases and has them answered, on a Dask cluster of this machine or of many, going on where it stopped.
 
 Results do not depend on how the work is shared: a case's random numbers come from the seed and its own number.
 """
@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -66,20 +66,42 @@ def _batches(keyed: list[tuple[Any, Any]]) -> list[list]:
 
 
 def _run(task: Callable, batches: list[list], arguments: tuple, jobs: int, scheduler: str | None) -> Iterator[int]:
-    """Counts of done cases, as batches end."""
-    if scheduler:
-        from dask.distributed import Client, as_completed
-
-        with Client(scheduler) as client:
-            futures = [client.submit(task, *arguments, batch, pure=False) for batch in batches]
-            for future in as_completed(futures):
-                yield future.result()
-    elif jobs == 1:
+    """Counts of done cases, as batches end: in this process for one job, else on a Dask cluster, of this machine's own processes where no
+    scheduler is named."""
+    if jobs == 1 and not scheduler:
         for batch in batches:
             yield task(*arguments, batch)
-    else:
-        with ProcessPoolExecutor(jobs) as pool:
-            yield from (future.result() for future in [pool.submit(task, *arguments, batch) for batch in batches])
+        return
+    from dask.distributed import Client, as_completed
+
+    with Client(scheduler) if scheduler else _local(jobs) as client:
+        futures = [client.submit(task, *arguments, batch, pure=False, retries=2) for batch in batches]
+        for future in as_completed(futures):
+            yield future.result()
+
+
+def _local(jobs: int) -> Any:
+    """A cluster of one thread a process on this machine, reachable from it alone."""
+    from dask.distributed import Client
+
+    return Client(
+        n_workers=min(jobs, os.cpu_count() or 1), threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    )
+
+
+class Progress:
+    """Tells how many cases are done and about how long the others will take, from those done since it began."""
+
+    def __init__(self, what: str, done: int, count: int, tell: Callable[[str], None]):
+        self.what, self.begun, self.done, self.count, self.tell = what, done, done, count, tell
+        self.since = time.monotonic()
+
+    def more(self, cases: int) -> None:
+        self.done += cases
+        left = self.count - self.done
+        seconds = (time.monotonic() - self.since) / (self.done - self.begun) * left
+        told = f", about {seconds / 60:.0f} min left" if seconds >= 60 else ""
+        self.tell(f"{self.done} of {self.count} {self.what}{told}")
 
 
 def make_all(
@@ -98,10 +120,9 @@ def make_all(
     campaign.write_text(str(seed), encoding="utf-8")
     have = set(store.made(folder))
     wanted = [(assigned(seed, n)[:2], n) for n in range(count) if f"case-{n:05d}" not in have]
-    done = len(have)
+    progress = Progress("made", count - len(wanted), count, tell)
     for more in _run(make_batch, _batches(wanted), (str(folder), seed), jobs, scheduler):
-        done += more
-        tell(f"{done} of {count} made")
+        progress.more(more)
     store.commit(folder)
 
 
@@ -116,7 +137,6 @@ def answer_all(
         for case in cases
         if not store.answer_file(folder, label, case).exists()
     ]
-    done = len(cases) - len(wanted)
+    progress = Progress(f"answered by {name}", len(cases) - len(wanted), len(cases), tell)
     for more in _run(answer_batch, _batches(wanted), (str(folder), name, label), jobs, scheduler):
-        done += more
-        tell(f"{done} of {len(cases)} answered")
+        progress.more(more)

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
+from planrunner.bench.model import BenchModels
+from planrunner.bench.scheduling import build_schedule
 from planrunner.gap.diagnosis import diagnose as diagnosed
 from planrunner.gap.observed import Observed, observed
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
+from planrunner.plan.expand import expand
+from planrunner.plan.findings import Findings
+from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
+from planrunner.proposing import Frame, propose_next
 from tests.blind.folder import Shown
 from tests.blind.generator import channel_names
 from tests.blind.motion import WORDS
 from tests.blind.plans import Segment as Row
 
 ZERO_CELSIUS = 273.15
+_WORD = {vector: word for word, vector in WORDS.items()}
 
 
 def motion(row: Row) -> Motion:
@@ -103,3 +111,61 @@ def diagnose(shown: Shown) -> dict[str, Any]:
     answer = diagnosed(observation(shown)).to_json()
     answer.pop("pictures", None)
     return answer
+
+
+@dataclass(frozen=True)
+class Further:
+    """What a diagnosis proposes to measure next. rows: in the generator's terms, none where it says that nothing helps; promised:
+    expected probability of the true one among the rivals."""
+
+    rows: tuple[Row, ...]
+    rivals: tuple[str, ...]
+    promised: float
+
+
+def posterior_and_next(shown: Shown, move: float, soak: float) -> tuple[dict[str, float], Further | None]:
+    """The posterior, and the segments of the proposed plan as the plan language gives them back, after those that were recorded.
+
+    move, soak: s, before each segment, and more after a change of temperature.
+    """
+    found = diagnosed(observation(shown))
+    model = sensor_model(shown)
+    models = BenchModels(observation(shown).site, None, None, model, replays=True)
+    frame = Frame("blind", "imu_recording", "imu", tuple(output.name for output in model.outputs), 0.0, soak)
+    made = propose_next(found, recorded_segments(shown), models, frame)
+    if made is None:
+        return found.posterior.probability, None
+    names = tuple(name for name, _ in made.proposal.rivals)
+    if not made.text:
+        return found.posterior.probability, Further((), names, made.proposal.probability)
+    plan, log = parse_plan(made.text, "proposed")
+    if plan is None or log.errors:
+        raise ValueError([finding.message for finding in log.errors])
+    segments = build_schedule(expand(plan, log), models, Findings()).segments
+    rows = _rows(segments, shown.segments[-1], move, soak)
+    return found.posterior.probability, Further(rows, names, made.proposal.probability)
+
+
+def posterior(shown: Shown) -> dict[str, float]:
+    return diagnosed(observation(shown)).posterior.probability
+
+
+def _rows(segments: Sequence[Segment], last: Row, move: float, soak: float) -> tuple[Row, ...]:
+    found: list[Row] = []
+    for item in segments:
+        if item.attitude is None or item.dwell is None:
+            raise ValueError(f"{item.label} has no orientation or no dwell")
+        kelvin = item.ramp_to if item.ramp_to is not None else item.temperature
+        target = last.chamber if kelvin is None else round(kelvin - ZERO_CELSIUS, 6)
+        ramp = item.ramp_to is not None
+        start = last.end + move + (soak if not ramp and target != last.chamber else 0.0)
+        x, y, z = (_WORD[tuple(int(v) for v in np.rint(axis))] for axis in item.attitude)
+        row = Row(f"next-{item.label}", "static", (x, y, z), item.dwell, chamber=target, ramp=ramp, start=start)
+        if isinstance(item.motion, Spin):
+            row = replace(row, kind="rate", rate=float(np.degrees(item.motion.rate)))
+        elif isinstance(item.motion, Rock):
+            amplitude = float(np.degrees(item.motion.amplitude))
+            row = replace(row, kind="rock", amplitude=amplitude, frequency=item.motion.frequency)
+        found.append(row)
+        last = row
+    return tuple(found)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dask.distributed import LocalCluster
 
 from tests.blind import baselines, campaign, commitment, folder, generator, oracle
 from tests.blind.__main__ import main
@@ -90,7 +91,7 @@ def test_answers_go_on_where_they_stopped_and_failures_are_counted(made: Path) -
     folder.answer_file(made, label, "case-00001").unlink()
     told: list[str] = []
     campaign.answer_all(made, NOTHING, tell=told.append)
-    assert told == ["9 of 9 answered"]
+    assert told == [f"9 of 9 answered by {NOTHING}"]
     assert path.read_text(encoding="utf-8") == first
     campaign.answer_all(made, f"{__name__}:failing")
     failed = folder.answers(made, f"{__name__}.failing")
@@ -103,7 +104,14 @@ def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypat
     monkeypatch.setattr(campaign, "BATCH", 2)
     campaign.make_all(tmp_path / "one", 2, SEED)
     campaign.make_all(tmp_path / "one", 4, SEED)  # goes on
-    campaign.make_all(tmp_path / "two", 4, SEED, jobs=2)
+    here = {
+        "host": "127.0.0.1",
+        "dashboard_address": None,
+        "processes": False,
+        "protocol": "tcp",
+    }  # threads, which see what is patched
+    with LocalCluster(n_workers=2, threads_per_worker=1, **here) as cluster:
+        campaign.make_all(tmp_path / "two", 4, SEED, scheduler=cluster.scheduler_address)
     one, two = ((tmp_path / name / "commitments.txt").read_text(encoding="utf-8") for name in ("one", "two"))
     assert one == two and len(one.splitlines()) == 4
     for name in folder.made(tmp_path / "one"):
@@ -111,6 +119,18 @@ def test_a_campaign_is_the_same_on_one_and_two_workers(tmp_path: Path, monkeypat
         assert all((tables[0][key] == tables[1][key]).all() for key in tables[0])
     with pytest.raises(ValueError, match="another seed"):
         campaign.make_all(tmp_path / "one", 4, SEED + 1)
+
+
+@pytest.mark.slow
+def test_processes_of_this_machine_answer_alike(made: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(made, copy)
+    for where, jobs in ((made, 1), (copy, 2)):
+        campaign.answer_all(where, "whitened-bic", jobs)
+    answers = [folder.answers(where, "whitened-bic") for where in (made, copy)]
+    for one, two in zip(*(sorted(found.items()) for found in answers), strict=True):
+        assert one[0] == two[0]
+        assert {**one[1], "seconds": 0} == {**two[1], "seconds": 0}
 
 
 def known(here: Path, *effects: str) -> Shown:

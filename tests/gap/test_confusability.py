@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planrunner.gap.candidates import Weighed
-from planrunner.gap.confusability import energy, expected, fitted, reproduced
+from planrunner.gap.confusability import energy, fitted, reproduced, shared
 from planrunner.gap.effects.interface import Variant
 
 
@@ -27,6 +27,4 @@ def test_shares_by_hand() -> None:
     assert energy(signature) == pytest.approx(1e4, rel=1e-3)
     assert reproduced(signature, [b]) == pytest.approx(0.5)
     assert reproduced(signature, [b, c]) == pytest.approx(1.0)
-    assert expected(a, b) == pytest.approx(0.5)
-    assert expected(b, a) == pytest.approx(0.5)
-    assert expected(c, a) == pytest.approx(1 / 50)
+    assert shared([a, b, c]) == pytest.approx(np.array([[1, 0.5, 1], [0.5, 1, 1], [1 / 50, 0.5, 1]]))

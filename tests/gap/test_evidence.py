@@ -4,58 +4,61 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import dblquad, quad
-from scipy.stats import multivariate_normal, norm
+from scipy.integrate import quad
+from scipy.special import hyp0f1
 
-from planrunner.gap.evidence import best_amplitudes, by_energy, log_bayes_factors, log_mean_exp, pair_log_bayes_factor
-
-
-def test_one_amplitude_is_the_integral_over_it() -> None:
-    x, y = np.array([0.5, 1.5, -1.0]), np.array([1.2, 2.0, 0.3])
-    energies = np.array([3.0])
-    s = np.sqrt(3.0 / (x @ x))
-
-    def density(theta: float) -> float:
-        return float(np.prod(norm.pdf(y - theta * x)) * norm.pdf(theta, scale=s))
-
-    expected = np.log(quad(density, -20, 20)[0]) - norm.logpdf(y).sum()
-    found = by_energy(np.array([[[x @ x]]]), np.array([[x @ y]]), None, energies)
-    assert found[0, 0] == pytest.approx(expected, abs=1e-7)
+from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, log_mean_exp, pair_log_bayes_factor
+from planrunner.gap.posterior import PAIR_ENERGIES
 
 
-def test_two_amplitudes_averaged_over_their_size() -> None:
-    draw = np.random.default_rng(3)
-    X, y = draw.normal(size=(5, 2)), draw.normal(size=5) * 2
-    energies = np.array([2.0, 8.0])
-    each = []
-    for energy in energies:
-        s = np.sqrt(energy / np.trace(X.T @ X))
+@pytest.mark.parametrize(("p", "away"), [(1, 0.0), (1, 3.0), (1, 30.0), (3, 0.5), (3, 6.0), (9, 12.0)])
+def test_equal_directions_are_the_integral_over_the_energy(p: int, away: float) -> None:
+    """Amplitudes on a sphere, data `away` from its centre: the mean of exp(x·u) over directions u is ₀F₁(p/2; |x|²/4), and the energy is
+    log-uniform from 4 to 10⁴."""
 
-        def density(b: float, a: float, s: float = s) -> float:
+    def density(log_energy: float) -> float:
+        energy = np.exp(log_energy)
+        if p == 1:
             return float(
-                np.exp(norm.logpdf(y - X @ [a, b]).sum() - norm.logpdf(y).sum())
-                * norm.pdf(a, scale=s)
-                * norm.pdf(b, scale=s)
+                np.exp(-energy / 2 + away * np.sqrt(energy) - away**2 / 2)
+                * (1 + np.exp(-2 * away * np.sqrt(energy)))
+                / 2
             )
+        return float(np.exp(-energy / 2 - away**2 / 2) * hyp0f1(p / 2, energy * away**2 / 4))
 
-        each.append(dblquad(density, -7 * s, 7 * s, -7 * s, 7 * s, epsabs=1e-5)[0])
-    found = log_bayes_factors((X.T @ X)[None], (X.T @ y)[None], None, energies)
-    assert found[0] == pytest.approx(np.log(np.mean(each)), abs=1e-4)
+    expected = np.log(quad(density, np.log(4.0), np.log(2e3), limit=200)[0] / np.log(2500)) + away**2 / 2
+    size = 7.0
+    score = np.zeros(p)
+    score[0] = away * np.sqrt(size)
+    found = log_bayes_factors(size * np.eye(p)[None], score[None])
+    assert found[0] == pytest.approx(expected, abs=0.12)
 
 
-def test_a_pair_is_the_ratio_of_dense_gaussian_densities() -> None:
+def _drawn(size: np.ndarray, draw: np.random.Generator, count: int = 200_000) -> np.ndarray:
+    """Amplitudes as they are foreseen: Gaussian directions, log-uniform energies."""
+    directions = draw.standard_normal((count, len(size)))
+    energies = np.exp(draw.uniform(np.log(4.0), np.log(1e4), count))
+    return directions * np.sqrt(energies / np.einsum("ni,ij,nj->n", directions, size, directions))[:, None]
+
+
+def test_unequal_directions_against_draws() -> None:
+    draw = np.random.default_rng(3)
+    X, y = draw.normal(size=(5, 2)) * [1.0, 4.0], draw.normal(size=5) * 2
+    thetas = _drawn(X.T @ X, draw)
+    each = thetas @ (X.T @ y) - 0.5 * ((thetas @ X.T) ** 2).sum(1)
+    found = log_bayes_factors((X.T @ X)[None], (X.T @ y)[None])
+    assert found[0] == pytest.approx(np.log(np.mean(np.exp(each))), abs=0.12)
+
+
+def test_a_pair_against_draws() -> None:
     draw = np.random.default_rng(4)
-    A, B, y = draw.normal(size=(6, 2)), draw.normal(size=(6, 3)), draw.normal(size=6) * 3
-    traces = (float(np.trace(A.T @ A)), float(np.trace(B.T @ B)))
-    energies = np.array([4.0, 60.0])
-    logs = []
-    for one in energies:
-        for two in energies:
-            covariance = np.eye(6) + one / traces[0] * A @ A.T + two / traces[1] * B @ B.T
-            logs.append(multivariate_normal(np.zeros(6), covariance).logpdf(y))
-    expected = np.log(np.mean(np.exp(logs))) - multivariate_normal(np.zeros(6), np.eye(6)).logpdf(y)
+    A, B, y = draw.normal(size=(6, 1)), draw.normal(size=(6, 2)), draw.normal(size=6) * 3
+    thetas = np.hstack([_drawn(A.T @ A, draw), _drawn(B.T @ B, draw)])
     both = np.hstack([A, B])
-    assert pair_log_bayes_factor(both.T @ both, both.T @ y, 2, traces, energies) == pytest.approx(expected, abs=1e-9)
+    each = thetas @ (both.T @ y) - 0.5 * ((thetas @ both.T) ** 2).sum(1)
+    traces = (float(np.trace(A.T @ A)), float(np.trace(B.T @ B)))
+    found = pair_log_bayes_factor(both.T @ both, both.T @ y, 1, traces, PAIR_ENERGIES)
+    assert found == pytest.approx(np.log(np.mean(np.exp(each))), abs=0.4)
 
 
 def test_amplitudes_of_strong_evidence_are_least_squares() -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
-from planrunner.gap.observed import ObservationError, motion_at, observed, smoothed
+from planrunner.gap.motion import motion_at
+from planrunner.gap.observed import ObservationError, observed, smoothed
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from planrunner.gap import slow_noise
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.effects.gyro import GyroGSensitivity, GyroScaleAsymmetry
-from planrunner.gap.evidence import from_eigen
+from planrunner.gap.evidence import gaussian
 from planrunner.gap.observed import Observed
 from tests.gap.turntable import record
 
@@ -53,7 +53,7 @@ def test_evidence_is_that_of_dense_densities(weighing: Weighing, level: int) -> 
         y = weighing.spectrum.values[:, channel]
         effect = plain + energy[0] / size * column @ column.T
         expected = _log_density(effect, y) - _log_density(plain, y)
-        assert from_eigen(np.array([size]), np.array([score**2]), None, energy)[0] == pytest.approx(expected, abs=0.02)
+        assert gaussian(np.array([size]), np.array([score**2]), energy / size)[0] == pytest.approx(expected, abs=0.02)
 
 
 def test_the_likelihoods_of_noise_compare_as_dense_densities_do(weighing: Weighing) -> None:

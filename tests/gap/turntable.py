@@ -42,12 +42,12 @@ def plan() -> list[tuple[Array, Motion, float, float]]:
     return rows
 
 
-def record(seed: int = 1, fault: Fault | None = None, noise: float = 1.0) -> Observed:
+def record(seed: int = 1, fault: Fault | None = None, noise: float = 1.0, sampling: float = RATE) -> Observed:
     """A recording with unknown matrices and biases, white noise and rounding; `fault` gives what is added to rate and specific force."""
     draw = np.random.default_rng(seed)
     rows = plan()
-    n = [int(seconds * RATE) for _, _, seconds, _ in rows]
-    since = [np.arange(count) / RATE for count in n]
+    n = [int(seconds * sampling) for _, _, seconds, _ in rows]
+    since = [np.arange(count) / sampling for count in n]
     starts = 600.0 + np.concatenate(([0.0], np.cumsum([seconds + 20.0 for _, _, seconds, _ in rows])[:-1]))
     angle, rate, acceleration = (np.concatenate(part) for part in zip(*map(_turned, rows, since), strict=True))
     warm = np.repeat([row[3] for row in rows], n)
@@ -72,8 +72,8 @@ def record(seed: int = 1, fault: Fault | None = None, noise: float = 1.0) -> Obs
     matrices = [np.eye(3) + draw.normal(0, 2e-3, (3, 3)) for _ in range(2)]
     gyro = (omega + more[0]) @ matrices[0].T + draw.normal(0, 0.02 * DEG, 3)
     accel = (force + more[1]) @ matrices[1].T + draw.normal(0, 0.02, 3)
-    gyro += draw.normal(0, noise * GYRO_WHITE * np.sqrt(RATE), gyro.shape)
-    accel += draw.normal(0, ACCEL_WHITE * np.sqrt(RATE), accel.shape)
+    gyro += draw.normal(0, noise * GYRO_WHITE * np.sqrt(sampling), gyro.shape)
+    accel += draw.normal(0, ACCEL_WHITE * np.sqrt(sampling), accel.shape)
     values = np.hstack([np.round(gyro / (5e-4 * DEG)) * 5e-4 * DEG, np.round(accel / 2e-4) * 2e-4])
     return Observed(**{**{name: getattr(shell, name) for name in shell.__dataclass_fields__}, "values": values})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ import pytest
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
+from planrunner.instruments import recording_file
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.recording import RecordingParameters, RecordingPlayer
-from planrunner.instruments.recording_file import HeldRecording
+from planrunner.instruments.recording_file import HeldRecording, at_hand
 from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
@@ -103,12 +105,20 @@ def test_a_segment_is_its_stretch_trimmed_and_cut_to_the_dwell(tmp_path, name, l
 
 
 @FORMATS
-def test_a_recording_held_in_memory_serves_the_same_stretches(tmp_path, name):
+@pytest.mark.parametrize("most", [100, 99])
+def test_a_recording_at_hand_serves_the_same_stretches(tmp_path, monkeypatch, name, most):
+    monkeypatch.setattr(recording_file, "HELD", most)
+    monkeypatch.setattr(recording_file, "BATCH", 30)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
     x = np.arange(100.0)
     x[7] = np.nan
     write(tmp_path, name, x=x, t=500 + np.arange(100) / RATE)
     file = player(tmp_path, file=name).file
-    held = HeldRecording.of(file)
+    held = at_hand(file)
+    assert isinstance(held, HeldRecording) == (most == 100)
+    assert (held is file) == (most == 99 and name.endswith("parquet"))
+    assert len(list(tmp_path.glob("planrunner-*"))) == int(most == 99 and name.endswith("csv"))
     assert (held.origin, held.interval) == (file.origin, file.interval)
     for start, end in (
         (-np.inf, np.inf),
@@ -122,6 +132,8 @@ def test_a_recording_held_in_memory_serves_the_same_stretches(tmp_path, name):
         whole = [[np.concatenate([np.empty(0), *[part(row) for row in rows]]) for part in PARTS] for rows in read]
         for one, other in zip(*whole, strict=True):
             assert np.array_equal(one, other, equal_nan=True)
+    del held
+    assert not list(tmp_path.glob("planrunner-*"))
 
 
 PARTS = (lambda row: row[0], lambda row: row[1]["x"], lambda row: row[1]["y"])

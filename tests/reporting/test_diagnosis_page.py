@@ -82,6 +82,37 @@ def test_an_effect_of_its_form_is_named_beside_it():
     assert "What time_latency would add is below 5 % and taken for its form." in verdict(found)
 
 
+def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
+    said = {"kind": "pair", "effects": ["gyro_bias", "gyro_scale_factor"], "class": [], "form_residue": "unknown"}
+    found = diagnosis(verdict=said, posterior={"none": 0.0, "unknown": 1.0})
+    check(found)
+    rest = " Less than 5 % of it is something that the catalogue does not hold."
+    assert verdict(found) == "gyro_bias and gyro_scale_factor together explain nearly all of the gap." + rest
+    found["verdict"] = said | {
+        "kind": "indistinguishable",
+        "class": ["gyro_bias+gyro_scale_factor", "gyro_bias+table_rate_error"],
+    }
+    check(found)
+    members = "gyro_bias+gyro_scale_factor or gyro_bias+table_rate_error"
+    assert (
+        verdict(found) == f"One of {members} explains nearly all of the gap: this plan cannot tell them apart." + rest
+    )
+
+
+def test_what_takes_up_the_form_beside_an_effect_counts_for_it():
+    said = {"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"}
+    found = diagnosis(
+        verdict=said, posterior={"none": 0.0, "lever_arm+time_latency": 0.98, "lever_arm": 0.01, "unknown": 0.01}
+    )
+    assert verdict(found).startswith("lever_arm explains the gap (P = 0.99).")
+
+
+def test_a_hundred_parameters_are_not_all_shown():
+    one = {"effect": "table_position_error", "name": "x", "value": 1.0, "unit": "arcsec", "standard_uncertainty": 1.0}
+    rows = tables(diagnosis(parameters=[one] * 111))["parameters"].rows
+    assert len(rows) == 25 and rows[-1][0] == "and 87 more, in the diagnosis as JSON"
+
+
 def test_the_closure_with_its_interval_or_not_resolvable():
     assert closure_words(diagnosis()) == (
         "The gap of withheld segments shrinks by 96 % (90 % interval 94 % to 98 %), from 5.21 to 0.21 standard deviations of the noise."

@@ -11,7 +11,9 @@ from pathlib import Path
 import certificate_example
 import pytest
 import reporting_example as example
+from diagnosis_example import diagnosis
 
+from planrunner.reporting.diagnosis_page import DiagnosisContext, render_page
 from planrunner.reporting.report import render_report
 from planrunner.reporting.show_page import ShowContext, render_show
 
@@ -51,6 +53,7 @@ PAGES = {
     "show": lambda: render_show(ShowContext("Plan", example.schedule(), designs={"drift": example.design()})),
     "certificate": lambda: render_report(certificate_example.context(), "certificate.html"),
     "certificate in Chinese": lambda: render_report(certificate_example.context(), "certificate.zh.html"),
+    "diagnosis": lambda: render_page(DiagnosisContext("Plan", diagnosis("pair"))),
     "long words": lambda: render_report(
         example.context(title="W" * 200, run_information={"n" * 60: "v" * 300}, warnings=("w" * 300,)), "report.html"
     ),

@@ -89,8 +89,10 @@ class GyroWarmUp(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         decay = np.exp(-(observed.time - observed.time[0]) / value)
-        scale = np.exp(-observed.time[0] / value)
-        columns = per_axis(observed, "gyro", "a", "deg/s", DEG / scale, 1e-2 * DEG, decay)
+        left = max(
+            float(np.exp(-observed.time[0] / value)), 1e-300
+        )  # of the amplitude at power-on, when the recording begins
+        columns = per_axis(observed, "gyro", "a", "deg/s", DEG * left, 1e-2 * DEG, decay)
         return Variant(tuple(columns), value)
 
 

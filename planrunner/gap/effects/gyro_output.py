@@ -26,17 +26,26 @@ class GyroBandwidth(Shaped):
 
 
 def lagged(observed: Observed, tau: float) -> Array:
-    """The nominal rate (N, 3) behind a first-order lag: the exact response to a ramp from sample to sample."""
-    from scipy.signal import lfilter
-
-    step = 1 / observed.sample_rate
+    """The nominal rate (N, 3) behind a first-order lag: the exact response to a ramp from sample to sample, in all moving segments at
+    once."""
+    out = observed.omega.copy()
+    which = [index for index, part in enumerate(observed.segments()) if observed.acceleration[part].any()]
+    moving = [observed.segments()[index] for index in which]
+    step = (observed.bin_size[which] / observed.sample_rate)[:, None]
     decay = np.exp(-step / tau)
     share = tau / step * (1 - decay)
-    out = observed.omega.copy()
-    for part in observed.segments():
-        if observed.acceleration[part].any():
-            rate = observed.omega[part]
-            out[part] = lfilter([1 - share, share - decay], [1, -decay], rate, axis=0, zi=share * rate[:1])[0]
+    longest = max(part.stop - part.start for part in moving)
+    rate = np.zeros((longest, len(moving), 3))
+    for place, part in enumerate(moving):
+        rate[: part.stop - part.start, place] = observed.omega[part]
+    driven = (1 - share) * rate
+    driven[1:] += (share - decay) * rate[:-1]
+    late = np.empty_like(rate)
+    late[0] = now = rate[0]
+    for sample in range(1, longest):
+        late[sample] = now = decay * now + driven[sample]
+    for place, part in enumerate(moving):
+        out[part] = late[: part.stop - part.start, place]
     return out
 
 

@@ -10,7 +10,8 @@ noise, and is asked whether the data want it.
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
-covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'.
+covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
+drawn anew for every orientation; its columns are then those of the orientations in turn, numbered by the order of their first use.
 """
 
 from __future__ import annotations
@@ -81,12 +82,12 @@ class Shaped:
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
-    """One column a channel of a triad: `signature` (N,) for all, or (N, 3), of which each channel takes its axis."""
+    """One column an input axis of a triad: `signature` (N,) for all, or (N, 3), of which each takes its own."""
     columns = []
-    for index in observed.of_kind(kind):
-        channel = observed.channels[index]
-        own = signature if signature.ndim == 1 else signature[:, channel.axis]
-        columns.append(Column(f"{name}_{'xyz'[channel.axis]}", unit, factor, magnitude, {index: own}))
+    for axis, index, share in observed.inputs(kind):
+        own = signature if signature.ndim == 1 else signature[:, axis]
+        part = own if isinstance(share, float) else share * own
+        columns.append(Column(f"{name}_{'xyz'[axis]}", unit, factor, magnitude, {index: part}))
     return columns
 
 
@@ -96,7 +97,7 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
         if felt is not None:
-            parts[index] = felt[:, channel.axis]
+            parts[index] = observed.seen(index, felt)
     return parts
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from planrunner.gap.effects.interface import Array, Column, Variant, on_stimulus, per_axis, single
 from planrunner.gap.observed import Observed
 
@@ -27,14 +29,17 @@ def scale_factor(observed: Observed, kind: str) -> list[Column]:
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
-    """Output + m·(what another axis of the sensor feels), six per triad."""
+    """Output + m·(what another axis of the sensor feels), six per triad; in unknown orientations the sums of opposite ones, three."""
     columns = []
     for other in range(3):
         for column in per_axis(
             observed, kind, f"towards_{'xyz'[other]}", "arcsec", DEG / 3600, 1e-3, felt(observed, kind)[:, other]
         ):
-            if not column.name.endswith("_" + "xyz"[other]):
+            own = "xyz".index(column.name[-1])
+            if observed.along is None and own != other:
                 columns.append(column)
+            elif observed.along is not None and own < other:
+                columns.append(replace(column, name=f"gamma_{'xyz'[own]}{'xyz'[other]}"))
     return columns
 
 

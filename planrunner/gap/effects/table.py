@@ -44,7 +44,7 @@ class TableAzimuth:
 class TablePositionError:
     """Each orientation is set with its own small random error, the same each time it is set: three angles in sensor axes."""
 
-    id, stage = "table_position_error", "stimulus"
+    id, stage, each = "table_position_error", "stimulus", "orientation"
 
     def variants(self, observed: Observed) -> list[Variant]:
         keys = [tuple(np.round(attitude, 6).ravel() + 0.0) for attitude in observed.attitude]

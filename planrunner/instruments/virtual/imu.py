@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.instruments.virtual.added import Gives, Moments, mean_angle, turned
 from planrunner.instruments.virtual.averages import interval_means
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
@@ -28,6 +29,7 @@ from planrunner.plan.units import ZERO_CELSIUS, unit
 
 Array = NDArray[np.float64]
 THERMOMETER = "sensor_temperature"
+ENCODER = "table_angle"
 REFERENCE = {
     "reference_latitude": "deg",
     "reference_longitude": "deg",
@@ -43,6 +45,7 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 class _Dwell:
     """One segment's recording. chances: (axes, 2), drawn at switch-on for bias and scale factor; counters: of counted outputs."""
 
+    segment: Segment
     sampling: Sampling
     draw: np.random.Generator
     chances: Array
@@ -54,6 +57,7 @@ class VirtualImu:
 
     role = "sensor"
     Parameters = VirtualImuParameters
+    takes_effects = True
 
     def __init__(self, parameters: VirtualImuParameters, world: World):
         self.parameters = parameters
@@ -79,6 +83,7 @@ class VirtualImu:
         outputs = (
             *(axis.output(rate) for axis in axes),
             OutputModel(THERMOMETER, "degC", noise=thermometer),
+            *([OutputModel(ENCODER, "deg")] if parameters.table_angle else []),
             *(OutputModel(name, text) for name, text in reference.items()),
         )
         nominal = {f"K_{axis.name}": axis.scale_factor for axis in axes}
@@ -92,7 +97,8 @@ class VirtualImu:
 
     def channels(self) -> Mapping[str, str]:
         reference = REFERENCE if self.parameters.reference else {}
-        return {**{axis.name: axis.unit for axis in self.axes}, THERMOMETER: "degC", **reference}
+        encoder = {ENCODER: "deg"} if self.parameters.table_angle else {}
+        return {**{axis.name: axis.unit for axis in self.axes}, THERMOMETER: "degC", **encoder, **reference}
 
     def set_mode(self, mode: str) -> float:
         if mode not in MODES:
@@ -113,7 +119,7 @@ class VirtualImu:
             axis.name: Counter(axis.step_of_sample(sampling.rate)) for axis in self.axes if axis.counted and axis.step
         }
         chances = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
-        dwell = _Dwell(sampling, draw, chances, counters)
+        dwell = _Dwell(segment, sampling, draw, chances, counters)
         return sampling.blocks(self.world, lambda first, length: self._block(dwell, first, length))
 
     def read(self) -> Mapping[str, float]:
@@ -156,21 +162,28 @@ class VirtualImu:
         kelvin = self.world.sensor(middles)
         if self.powered:
             means = interval_means(self.world, sampling, first, length)
-            readings = {
-                axis.name: self._samples(axis, chance, dwell, means, kelvin, middles, length)
-                for axis, chance in zip(self.axes, dwell.chances, strict=True)
-            }
+            if self.world.added is None:
+                readings = {
+                    axis.name: self._samples(
+                        axis, dwell, self._level(axis, chance, dwell, means, kelvin, middles), length
+                    )
+                    for axis, chance in zip(self.axes, dwell.chances, strict=True)
+                }
+            else:
+                readings = self._with_added(dwell, means, kelvin, middles, first, length)
         else:
             readings = {axis.name: np.zeros(length) for axis in self.axes}
         thermometer = Readout(self.parameters.thermometer_noise.value)
         readings[THERMOMETER] = thermometer.samples(dwell.draw, kelvin - ZERO_CELSIUS, length, sampling.hold)
         time = sampling.times(first, length, delay=1)
+        if self.parameters.table_angle:
+            readings[ENCODER] = np.degrees(mean_angle(self.world, dwell.segment, time, 1 / sampling.rate))
         if self.parameters.reference:
             truth = zip(REFERENCE.items(), self.world.position(time), strict=True)
             readings |= {name: np.broadcast_to(value / unit(text).factor, length) for (name, text), value in truth}
         return Block(time, readings)
 
-    def _samples(
+    def _level(
         self,
         axis: InertialAxis,
         chance: Array,
@@ -178,9 +191,8 @@ class VirtualImu:
         means: tuple[Components, Components],
         kelvin: Array,
         middles: Array,
-        length: int,
     ) -> Array:
-        """What one axis gives for mean rates and forces; kelvin, middles: temperature and time of every second."""
+        """One axis without white noise for mean rates and forces; kelvin, middles: temperature and time of every second."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -188,10 +200,49 @@ class VirtualImu:
         drift = drift + self.flicker[axis.name].advance(off.size, step, draw)
         drift += self.walk[axis.name].advance(off.size, step, draw)
         scale = axis.scale(off, axis.error_repeatability * chance[1])
-        level = axis.level(axis.felt(*means), drift, scale, sampling.hold)
-        sigma = axis.white * axis.nominal * math.sqrt(sampling.rate)
-        readout = Readout(sigma, 0.0 if axis.counted else axis.step, axis.full_scale * axis.nominal)
-        samples = readout.samples(draw, level, length, sampling.hold)
+        return axis.level(axis.felt(*means), drift, scale, sampling.hold)
+
+    def _samples(
+        self, axis: InertialAxis, dwell: _Dwell, level: Array, length: int, gives: Gives | None = None
+    ) -> Array:
+        """What one axis gives around its level; gives: its noise, where it is not the declared one."""
+        sampling = dwell.sampling
+        gives = gives or self._gives(axis, sampling)
+        sigma = gives.white * math.sqrt(sampling.rate)
+        readout = Readout(sigma, 0.0 if axis.counted else gives.step, axis.full_scale * axis.nominal)
+        samples = readout.samples(dwell.draw, level, length, sampling.hold)
         if axis.name in dwell.counters:
             dwell.counters[axis.name].count(samples)
         return samples
+
+    @staticmethod
+    def _gives(axis: InertialAxis, sampling: Sampling) -> Gives:
+        return Gives(axis.unit, axis.white * axis.nominal, axis.step_of_sample(sampling.rate))
+
+    def _with_added(
+        self,
+        dwell: _Dwell,
+        means: tuple[Components, Components],
+        kelvin: Array,
+        middles: Array,
+        first: int,
+        length: int,
+    ) -> dict[str, Array]:
+        """The same of all axes, with what is added to their levels and their noise."""
+        added, sampling = self.world.added, dwell.sampling
+        assert added is not None
+        hold = sampling.hold
+        levels = {}
+        for axis, chance in zip(self.axes, dwell.chances, strict=True):
+            level = self._level(axis, chance, dwell, means, kelvin, middles)
+            levels[axis.name] = level if level.size == length else np.repeat(level, hold)[:length]
+        time = sampling.times(first, length, delay=1) - 0.5 / sampling.rate
+        angle, rate = turned(self.world, dwell.segment, time)
+        warm = self.world.sensor(time)
+        moments = Moments(dwell.segment, time, self.switched_on, sampling.rate, angle, rate, warm)
+        gives = {axis.name: self._gives(axis, sampling) for axis in self.axes}
+        changed = added.levels(moments, levels, gives)
+        return {
+            axis.name: self._samples(axis, dwell, changed[axis.name], length, added.noise(axis.name, gives[axis.name]))
+            for axis in self.axes
+        }

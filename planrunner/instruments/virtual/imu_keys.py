@@ -292,3 +292,10 @@ class VirtualImuParameters(Record):
         parse_quantity("0.005 K"),
     )
     reference: bool = key(Boolean(), "Whether true position and velocity are recorded beside the outputs.", True, False)
+    table_angle: bool = key(
+        Boolean(),
+        "Whether the angle by which the table has turned since it took the orientation is recorded beside the outputs, a mean over the "
+        "sampling interval like them.",
+        True,
+        False,
+    )

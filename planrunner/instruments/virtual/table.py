@@ -255,7 +255,7 @@ class VirtualTable:
         if len(motion.phases) > len(self.axes):
             raise InstrumentError(f"{len(motion.phases)} rings are to rock, the table has {len(self.axes)}")
         circular = 2 * math.pi * motion.frequency
-        for axis, angle in zip(self.axes, angles, strict=False):
+        for axis, angle, _ in zip(self.axes, angles, motion.phases, strict=False):
             self._within("rocking", motion.amplitude * circular, motion.amplitude * circular**2, axis)
             if not axis.lowest <= angle - motion.amplitude <= angle + motion.amplitude <= axis.highest:
                 raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Clock, Surroundings
 from planrunner.instruments.virtual import courses, thermal
+from planrunner.instruments.virtual.added import Added
 from planrunner.instruments.virtual.courses import Course, Standing, Stretch, Value
 from planrunner.instruments.virtual.track import Track
 from planrunner.physics.earth import Site
@@ -31,7 +32,8 @@ _SHORT = 1e-3  # s; a lag too short to be felt
 class World:
     """axes: of the table, outermost first, none without a table. skew: (3, 3) small rotation from the platform to the
     sensor's axes, the pointing error at the commanded orientation. steady_at: s, when the commanded motion is
-    reached. track: of the carrier that moves the bench over the Earth; None where the bench stands."""
+    reached. track: of the carrier that moves the bench over the Earth; None where the bench stands. added: what is added to the
+    sensor's declared errors."""
 
     clock: Clock
     site: Site
@@ -44,6 +46,7 @@ class World:
     lags: thermal.Lags = field(default_factory=lambda: thermal.Lags(1.0, _SHORT, _SHORT))
     command: thermal.Command = field(default_factory=lambda: thermal.Command.resting(ROOM))
     track: Track | None = None
+    added: Added | None = None
 
     @classmethod
     def of(cls, surroundings: Surroundings) -> World:

@@ -1,0 +1,106 @@
+"""Time and memory of a diagnosis over the samples of the recording: six channels, all installed effects and their pairs.
+
+The second diagnosis in a process is timed, so that loading libraries is not in it; one thread of linear algebra. Long recordings are drawn
+and read in blocks, which is timed with them: `python -m benchmarks.diagnosis 100000000 long`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+
+
+def measure(samples: int) -> None:
+    from planrunner.gap.diagnosis import diagnose
+    from tests.gap.turntable import plan, record
+
+    diagnose(record())
+    observed = record(seed=2, sampling=samples / sum(row[2] for row in plan()))
+    began, worked = time.perf_counter(), time.process_time()
+    diagnose(observed)
+    figures = {"wall": time.perf_counter() - began, "cpu": time.process_time() - worked, "samples": len(observed.time)}
+    print(json.dumps(figures | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+
+
+def measure_long(samples: int) -> None:
+    """A recording at 200 Hz whose rests last as long as it takes; its samples are drawn as they are read, so that they lie nowhere."""
+    import numpy as np
+
+    from planrunner.archive.recording import RecordedSegment
+    from planrunner.archive.statistics import statistics_of
+    from planrunner.gap.diagnosis import diagnose
+    from planrunner.gap.observed import observed
+    from planrunner.instruments.interfaces import Block
+    from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+    from planrunner.plan.schedule import Rest, Segment
+    from tests.gap.turntable import SITE, record
+
+    seen, rate = record(seed=2, sampling=200.0), 200.0
+    outputs = tuple(
+        OutputModel(c.name, c.unit, noise=NoiseModel(c.white / c.factor, 0.0, c.resolution / c.factor))
+        for c in seen.channels
+    )
+    still = [isinstance(motion, Rest) for motion in seen.motions]
+    lasting = (samples - sum(p.stop - p.start for p, s in zip(seen.segments(), still, strict=True) if not s)) // sum(
+        still
+    )
+    units, factor = {c.name: c.unit for c in seen.channels}, np.array([c.factor for c in seen.channels])
+    noise, count = (np.array([getattr(c, name) for c in seen.channels]) / factor for name in ("white", "resolution"))
+
+    def segment(index: int, part: slice, start: float) -> RecordedSegment:
+        rows = lasting if still[index] else part.stop - part.start
+
+        def blocks(names: Sequence[str]) -> Iterator[Block]:
+            draw = np.random.default_rng(index)
+            for first in range(0, rows, 65_536):
+                n = min(65_536, rows - first)
+                values = seen.values[part][first : first + n] / factor
+                if still[index]:
+                    values = seen.values[part].mean(0) / factor + draw.standard_normal((n, 6)) * noise * np.sqrt(rate)
+                    values = np.round(values / count) * count
+                columns = dict(zip(units, values.T, strict=True))
+                yield Block(start + (first + np.arange(n)) / rate, {name: columns[name] for name in names})
+
+        made = Segment(
+            index, f"S{index}", seen.attitude[index], "", seen.motions[index], rows / rate, temperature=298.15
+        )
+        return RecordedSegment(made, units, statistics_of(blocks(tuple(units)), tuple(units), rows), blocks)
+
+    began, worked, start, made = time.perf_counter(), time.process_time(), 600.0, []
+    for index, part in enumerate(seen.segments()):
+        made.append(segment(index, part, start))
+        start = made[-1].statistics.end + 20.0
+    found = observed(made, SITE, SensorModel("imu", outputs, rate))
+    read = time.process_time() - worked
+    diagnose(found)
+    figures = {
+        "wall": time.perf_counter() - began,
+        "cpu": time.process_time() - worked,
+        "read": read,
+        "bins": len(found.time),
+    }
+    figures["samples"] = sum(item.statistics.count for item in made)
+    print(json.dumps(figures | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+
+
+def run() -> dict[str, object]:
+    found: dict[str, object] = {}
+    for samples in (25_000, 100_000, 400_000):
+        command = [sys.executable, "-m", "benchmarks.diagnosis", str(samples)]
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+        figures = json.loads(done.stdout)
+        target = " (target ≤ 1)" if samples == 100_000 else ""
+        found[f"{samples} samples × 6 channels, wall [s]{target}"] = figures["wall"]
+        found[f"{samples} samples × 6 channels, processor [s]"] = figures["cpu"]
+        found[f"{samples} samples × 6 channels, peak memory [MB]"] = figures["peak"]
+    return found
+
+
+if __name__ == "__main__":
+    (measure_long if "long" in sys.argv[2:] else measure)(int(sys.argv[1]))

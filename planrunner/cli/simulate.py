@@ -1,0 +1,67 @@
+"""`planrunner simulate`: run a plan on a virtual bench with effects of the catalogue added, so that the simulation holds them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from planrunner.cli.outcome import conclude, tell
+from planrunner.cli.printing import print_findings
+from planrunner.cli.progress import run_progress
+from planrunner.cli.run import add_run_arguments, seed
+from planrunner.reporting.printable import printable
+from planrunner.run_information import gather
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", metavar="PLAN", type=Path, help="plan file")
+    parser.add_argument("--bench", metavar="BENCH", help="virtual bench: a shipped name or a file")
+    parser.add_argument(
+        "--with",
+        dest="effects",
+        metavar="EFFECT[=VALUE]",
+        action="append",
+        default=[],
+        help="effect to add; several may be given. EFFECT alone has its natural size; EFFECT=VALUE sets its one parameter, or all its "
+        "amplitudes; EFFECT=NAME:VALUE,NAME:VALUE sets some and leaves the others at zero",
+    )
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
+    )
+    parser.add_argument("--seed", type=seed, help="seed of the simulation (default: the bench's own)")
+    parser.add_argument(
+        "--write-bench", metavar="FILE", type=Path, help="write the bench with its effects, for later runs"
+    )
+    add_run_arguments(parser)
+    parser.add_argument(
+        "--runs", metavar="DIR", type=Path, default=Path("runs"), help="where run folders are made (default: runs)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from planrunner import running
+    from planrunner.execution.stopping import StopRequest
+    from planrunner.simulating import simulation
+
+    made = simulation(args.plan, args.bench, args.effects)
+    print_findings(made.sound.findings)
+    given = {setting.partition("=")[0].strip() for setting in args.set}
+    wanted = [
+        f"{name}=simulated" for name, item in made.sound.plan.record.items() if item.required and name not in given
+    ]
+    info = gather(made.sound.plan, [*args.set, *wanted], None)
+    if args.write_bench is not None:
+        args.write_bench.write_bytes(made.sound.bench_bytes)
+    with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
+        folder, outcome = running.start(
+            made.sound, info=info, runs=args.runs, stop=stop, seed=args.seed, durability="flushed", progress=progress
+        )
+    if not outcome.ok:
+        return tell(folder, outcome)
+    out = sys.stderr if args.json else sys.stdout
+    for line in made.words() or ["Nothing was added."]:
+        print(printable(f"added {line}" if made.additions else line), file=out)
+    code = conclude(running.analyse_run(folder), as_json=args.json)
+    print(folder, file=out)
+    return code

@@ -1,0 +1,93 @@
+"""What further measurements would tell rival explanations apart: expected evidence between them, before those are made.
+
+Every rival is a linear model with normal amplitudes beside the nominal parameters. What the recording has taught of them is their prior for
+what comes next, so that the expected log evidence of A against B, if A is true, is the Kullback-Leibler divergence of the two predictions:
+the criterion of Box and Hill (Technometrics 9, 1967), T-optimality (Atkinson and Fedorov, Biometrika 62, 1975) averaged over what is not
+known of the amplitudes. New measurements enter by their information matrix alone, whatever their number of samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_FLAT = 1e-9  # precision of a parameter that is not known at all, relative to what was learnt of it
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An explanation after a recording. columns: which of all columns it has, (p,); mean (p,) and precision (p, p) of their amplitudes."""
+
+    name: str
+    probability: float
+    columns: NDArray[np.int64] = field(repr=False)
+    mean: Array = field(repr=False)
+    precision: Array = field(repr=False)
+
+    @classmethod
+    def learnt(
+        cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
+    ) -> Rival:
+        """prior: precision (p,) of its amplitudes about zero, 0 for a nominal parameter. information (P, P) and score (P,) of the
+        recording over all columns, in units of the noise."""
+        own = information[np.ix_(columns, columns)]
+        precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
+        mean = np.asarray(np.linalg.solve(precision, score[columns]))
+        return cls(name, probability, columns, mean, precision)
+
+
+def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
+    """(R, R): the log evidence for rival i against rival j that measurements of some information (P, P) bring on average, if i is true."""
+    size = len(information)
+    covariance = [np.linalg.inv(rival.precision) for rival in rivals]
+    found = np.zeros((len(rivals), len(rivals)))
+    gained, left, spent = [], [], []
+    for rival in rivals:
+        own = rival.columns
+        after = rival.precision + information[np.ix_(own, own)]
+        across = information[own]
+        solved = np.linalg.solve(after, across)
+        gained.append(float(np.linalg.slogdet(after)[1] - np.linalg.slogdet(rival.precision)[1]))
+        left.append(information - across.T @ solved)
+        spent.append(float(np.trace(solved[:, own])))
+    for i, a in enumerate(rivals):
+        for j, b in enumerate(rivals):
+            if i == j:
+                continue
+            apart = np.zeros(size)
+            apart[a.columns] += a.mean
+            apart[b.columns] -= b.mean
+            unsure = float(np.sum(left[j][np.ix_(a.columns, a.columns)] * covariance[i]))
+            found[i, j] = 0.5 * (apart @ left[j] @ apart + unsure - spent[j] + gained[j] - gained[i])
+    return np.maximum(found, 0.0)
+
+
+def expected_loss(rivals: Sequence[Rival], information: Array) -> float:
+    """Expected −log of the probability that the true rival then has: what a choice of measurements is to make small."""
+    return _averaged(rivals, expected_evidence(rivals, information), np.log1p)
+
+
+def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
+    """Expected probability of the true rival among all, after measurements of that information.
+
+    The log evidence is taken as normal about its expectation D with variance 2D, as it is between two known signals.
+    """
+    return _averaged(rivals, expected_evidence(rivals, information), lambda odds: 1 / (1 + odds))
+
+
+def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> float:
+    share = np.array([rival.probability for rival in rivals])
+    share = share / share.sum()
+    total = 0.0
+    for i in range(len(rivals)):
+        others = np.arange(len(rivals)) != i
+        d = evidence[i, others][:, None]
+        log = np.clip(d + np.sqrt(2 * d) * _NODES, -700.0, 700.0)
+        odds = (share[others, None] / share[i] * np.exp(-log)).sum(0)
+        total += float(share[i]) * float(measure(odds) @ _WEIGHTS) / float(_WEIGHTS.sum())
+    return total

@@ -1,0 +1,28 @@
+"""The count that a channel's values are multiples of: levels on a hundredth of the declared count, gathered piece by piece."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+COARSER = 1.2  # of the declared count: a larger common step is another resolution
+DISTINCT = 20  # different values needed to tell a lattice
+
+
+def levels_of(values: Array, step: float) -> Array:
+    """The distinct values (n,) in declared counts, ascending."""
+    return np.unique(np.round(values / step, 2))
+
+
+def coarsening(levels: Array) -> float:
+    """How many declared counts the common step of the levels is; 1 where none is seen to be coarser."""
+    if len(levels) < DISTINCT:
+        return 1.0
+    smallest = float(np.diff(levels).min())
+    return smallest if smallest > COARSER else 1.0
+
+
+def settled(levels: Array) -> bool:
+    """Whether further values can change nothing: the declared count is seen already."""
+    return len(levels) >= DISTINCT and coarsening(levels) == 1.0

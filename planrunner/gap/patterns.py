@@ -1,0 +1,201 @@
+"""Patterns of the coefficients that are nobody's effect: what "something else" could look like, as designs.
+
+Offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or change smoothly
+with rate, gravity, temperature or time; and a bias that repeats itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.candidates import Weighing
+from planrunner.gap.observed import Observed
+from planrunner.gap.weighing import lasting
+from planrunner.plan.schedule import Rest, Rock, Spin
+
+Array = NDArray[np.float64]
+Design = tuple[str, list[Array]]  # name, and per channel raw columns (M, P)
+WHOLE = {
+    "means": "offset per segment",
+    "transient": "transient per segment",
+    "rocking": "rocking waveform",
+    **{f"{h}": f"{h} per turn, per segment" for h in (1, 2, 3)},
+}
+"""Sorts of patterns by the coefficients that they live in, each with the design that holds all of these."""
+SMOOTH_ORDERS = 6
+TIME_ORDERS = 40  # of a drift over the run
+WAVEFORM = 4  # harmonics of a bias that repeats itself
+NODES = 24  # of a segment, at which slow functions of time are taken
+
+
+def designs(weighing: Weighing) -> Iterator[Design]:
+    observed, spectrum = weighing.observed, weighing.spectrum
+    everywhere = len(observed.channels)
+    counts = np.sqrt(observed.counts)
+    starts = observed.bounds[:-1]
+    kinds = {name: _smooth(values) for name, values in _coordinates(weighing).items()}
+    kinds["time, in many turns"] = _smooth(_coordinates(weighing)["time"], TIME_ORDERS, 0.0)
+    kinds["gravity"] = _monomials(observed.force[starts] / observed.site.gravity)
+
+    def at_means(table: Array) -> Array:
+        out = np.zeros((len(spectrum.segment), table.shape[1]))
+        out[spectrum.means] = table * counts[:, None]
+        return out
+
+    yield "offset per segment", [at_means(np.eye(len(observed)))] * everywhere
+    for name, basis in kinds.items():
+        yield f"offset smooth in {name}", [at_means(basis)] * everywhere
+    yield (
+        "offset by orientation",
+        [at_means(_levels([_upward(observed, s) for s in range(len(observed))]))] * everywhere,
+    )
+    states = _levels([_state(observed, s) for s in range(len(observed))])
+    yield "offset by motion", [at_means(states)] * everywhere
+    turned = _orientations(observed)
+    for name in ("temperature", "time"):
+        both = (turned[:, :, None] * kinds[name][:, None, :2]).reshape(len(turned), -1)
+        yield f"offset with orientation, smooth in {name}", [at_means(both)] * everywhere
+    rates = np.column_stack([observed.rate[starts] * observed.table_axis[starts, axis] for axis in range(3)])
+    for name, basis in {"segment": np.eye(len(observed)), **{k: kinds[k] for k in ("temperature", "time")}}.items():
+        word = "per" if name == "segment" else "smooth in"
+        yield (
+            f"scale factor {word} {name}",
+            [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
+        )
+    low = (spectrum.harmonic == 0) & (spectrum.frequency > 0)
+    yield "transient per segment", [np.eye(len(low))[:, low]] * everywhere
+    spin = np.array([isinstance(motion, Spin) for motion in observed.motions])[spectrum.segment]
+    rock = np.array([isinstance(motion, Rock) for motion in observed.motions])[spectrum.segment]
+    for h in (1, 2, 3):
+        rows = spin & (spectrum.harmonic == h)
+        yield f"{h} per turn, per segment", [np.eye(len(rows))[:, rows]] * everywhere
+        yield f"{h} per turn, alike", [_alike(weighing, rows)] * everywhere
+    rows = rock & (spectrum.harmonic > 0)
+    yield "rocking waveform", [np.eye(len(rows))[:, rows]] * everywhere
+
+
+def factors(weighing: Weighing) -> Iterator[Design]:
+    """Designs, as `_designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    levels = _levels([_upward(observed, s) for s in range(len(observed))])
+    table = np.zeros((len(spectrum.segment), levels.shape[1]))
+    table[spectrum.means] = levels * np.sqrt(observed.counts)[:, None]
+    yield "offset by orientation", [table] * len(observed.channels)
+    turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
+    if not turning.any():
+        return
+    rate = observed.rate / np.abs(observed.rate[turning]).max()
+    for order in (1, 2):
+        waves = np.column_stack([wave(order * observed.angle) * turning for wave in (np.cos, np.sin)])
+        common = [spectrum.project(observed, waves), spectrum.project(observed, waves * rate[:, None])]
+        own = [spectrum.project(observed, waves * (rate * observed.table_axis[:, axis])[:, None]) for axis in range(3)]
+        yield f"{order} per turn, by rate", [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
+
+
+def waves(weighing: Weighing) -> Array:
+    """Coefficients (M, F, H, 2) of a bias that repeats itself with any period, from twice the run down to two segments: cosines and
+    sines of its harmonics, which fade as 1/order."""
+    starts, ends = lasting(weighing.observed)
+    orders = np.arange(1, WAVEFORM + 1)
+    frequencies = np.arange(2, 2 * len(starts)) / (4 * float(ends[-1] - starts[0]))
+    pulses = 2 * np.pi * np.outer(frequencies, orders)
+    raw = within(weighing, lambda time: np.exp(1j * time[..., None] * pulses.ravel())).reshape(-1, *pulses.shape)
+    return np.stack([raw.real, raw.imag], axis=-1) / orders[:, None]
+
+
+def within(weighing: Weighing, function: Callable[[Array], Array]) -> Array:
+    """Coefficients (M, P) of slow functions of time since the run began: `function` takes times (S, n) to (S, n, P)."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    starts, ends = lasting(observed)
+    middles = (np.arange(NODES) + 0.5) / NODES
+    slow = np.flatnonzero(spectrum.harmonic == 0)
+    order = slow - spectrum.means[spectrum.segment[slow]]
+    waves = (
+        np.cos(np.pi * np.arange(order.max() + 1)[:, None] * middles)
+        * np.where(np.arange(order.max() + 1) == 0, 1.0, np.sqrt(2.0))[:, None]
+    )
+    values = function(starts[:, None] - starts[0] + (ends - starts)[:, None] * middles)
+    parts = np.einsum("kn,snp->skp", waves / NODES, values) * np.sqrt(observed.counts)[:, None, None]
+    out = np.zeros((len(spectrum.segment), values.shape[-1]), dtype=values.dtype)
+    out[slow] = parts[spectrum.segment[slow], order]
+    return out
+
+
+def _coordinates(weighing: Weighing) -> dict[str, Array]:
+    observed = weighing.observed
+    middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
+    return {
+        "rate": observed.rate[observed.bounds[:-1]],
+        "temperature": observed.temperature[middles],
+        "time": observed.time[middles],
+    }
+
+
+def _orientations(observed: Observed) -> Array:
+    """Direction cosines of East, North and Up in the sensor's axes, means over each segment, (S, 9)."""
+    axes = [observed.in_sensor_axes(axis) for axis in np.eye(3)]
+    counts = np.diff(observed.bounds)[:, None]
+    return np.hstack([np.add.reduceat(axis, observed.bounds[:-1], axis=0) / counts for axis in axes])
+
+
+def _levels(names: list[str]) -> Array:
+    """One column for each distinct name, (S, levels)."""
+    distinct = list(dict.fromkeys(names))
+    return np.array([[float(name == other) for other in distinct] for name in names])
+
+
+def _upward(observed: Observed, segment: int) -> str:
+    """Where gravity lies in the sensor's axes and, at rest, where North does."""
+    first = int(observed.bounds[segment])
+    still = isinstance(observed.motions[segment], Rest)
+    north = observed.attitude[segment][:, 1] if still else np.zeros(3)
+    return str([*np.round(observed.force[first] / observed.site.gravity, 1) + 0.0, *np.round(north, 1) + 0.0])
+
+
+def _state(observed: Observed, segment: int) -> str:
+    """How the table moves, and about which of the sensor's axes."""
+    motion, first = observed.motions[segment], int(observed.bounds[segment])
+    axis = np.round(observed.table_axis[first], 1) + 0.0
+    if isinstance(motion, Spin):
+        return f"{motion.rate:.6g} about {axis}"
+    return f"rocking about {axis}" if isinstance(motion, Rock) else "at rest"
+
+
+def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
+    """Cosines of a coordinate's position in its range, orders 1 to `most`, each weaker as 1/order^fading; (S, ≤ orders)."""
+    span = float(np.ptp(values))
+    if span <= 0:
+        return np.zeros((len(values), 0))
+    orders = np.arange(1, min(most, len(np.unique(np.round(values / span, 6)))) + 1)
+    return np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
+
+
+def _monomials(direction: Array) -> Array:
+    """Monomials of degrees 2 to 4 of the direction of gravity."""
+    columns = [
+        direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
+        for d in (2, 3, 4)
+        for a in range(d + 1)
+        for b in range(d + 1 - a)
+    ]
+    return np.column_stack(columns)
+
+
+def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
+    """Cosine and sine of a harmonic with the same amplitude in all segments, or in proportion to rate and its square."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    if not rows.any():
+        return np.zeros((len(rows), 0))
+    owners = spectrum.segment[rows]
+    first = np.r_[True, np.diff(owners) != 0]
+    rate = observed.rate[observed.bounds[:-1]][owners]
+    rate = rate / np.abs(rate).max()
+    size = np.sqrt(observed.counts)[owners]
+    out = np.zeros((len(rows), 6))
+    for part, phase in enumerate((first, ~first)):
+        for power in range(3):
+            out[rows, 3 * part + power] = np.where(phase, size * rate**power, 0.0)
+    return out

@@ -1,0 +1,29 @@
+"""Segments of a recording that nobody tabled: stretches parted by pauses in its time, in the order of the plan."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planrunner.instruments.recording_file import RecordingFile
+from planrunner.instruments.recording_table import Span
+
+
+def stretches(file: RecordingFile, pause: float) -> tuple[Span, ...]:
+    """The stretches of a recording within which no two rows are more than `pause` s apart, in one pass over it.
+
+    Raises `InstrumentError` as the file does.
+    """
+    found: list[Span] = []
+    start = last = math.nan
+    for time, _ in file.rows(-np.inf, np.inf):
+        steps = np.diff(time, prepend=time[0] if math.isnan(last) else last)
+        breaks = np.flatnonzero(steps > pause)
+        if math.isnan(start):
+            start = float(time[0])
+        for index in breaks:
+            found.append(Span(start, float(time[index - 1]) if index else last))
+            start = float(time[index])
+        last = float(time[-1])
+    return (*found, Span(start, last))

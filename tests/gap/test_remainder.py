@@ -1,0 +1,74 @@
+"""What explains nearly all of a gap is named beside whatever else there is."""
+
+from __future__ import annotations
+
+import pytest
+
+from planrunner.gap.posterior import Posterior
+from planrunner.gap.remainder import as_probable, leading
+from planrunner.gap.verdict import verdict
+
+SIGNATURES = ("gyro_bias", "gyro_scale_factor", "gyro_dead_zone")
+TERMS = {"none": 0.0, "gyro_bias": 9000.0, "gyro_scale_factor": 400.0, "gyro_bias+gyro_scale_factor": 9600.0}
+
+
+def test_a_remainder_does_not_hide_the_term() -> None:
+    """9600 of 10 000: 96 % of the energy."""
+    assert leading(TERMS | {"unknown": 10_000.0}, "unknown", SIGNATURES) == ("gyro_bias+gyro_scale_factor", "unknown")
+    walk = "gyro_bias_random_walk+gyro_scale_factor"
+    assert leading(TERMS | {walk: 10_000.0}, walk, SIGNATURES) == (
+        "gyro_bias+gyro_scale_factor",
+        "gyro_bias_random_walk",
+    )
+
+
+def test_the_form_of_a_strong_effect_is_residue() -> None:
+    """99.2 % of what anything at all could explain."""
+    assert leading({"none": 0.0, "gyro_dead_zone": 9030.0, "unknown": 9100.0}, "unknown", SIGNATURES) == (
+        "gyro_dead_zone",
+        "unknown",
+    )
+
+
+@pytest.mark.parametrize(
+    ("evidence", "top"),
+    [
+        (TERMS | {"unknown": 10_200.0}, "unknown"),  # 94 %
+        ({"none": 0.0, "gyro_bias": 1200.0, "unknown": 1210.0}, "unknown"),  # 49 σ
+        (
+            {"none": 0.0, "gyro_dead_zone": 9000.0, "unknown": 9100.0},
+            "unknown",
+        ),  # 98.9 %, and no term of a nominal model
+        ({"none": 0.0, "gyro_bias_random_walk": 9099.0, "unknown": 9100.0}, "unknown"),  # noise may take any form
+        (TERMS, "gyro_bias+gyro_scale_factor"),  # named in any case
+    ],
+)
+def test_otherwise_the_likeliest_hypothesis_stands(evidence: dict[str, float], top: str) -> None:
+    assert leading(evidence, top, SIGNATURES) is None
+
+
+def test_what_explains_distinctly_more_is_no_other_name_for_it() -> None:
+    alike = as_probable({"a": 100.0, "b": 101.0, "c": 99.0, "d": 110.0}, "a")
+    assert alike == pytest.approx({"a": 1.0, "b": 1.0, "c": 0.36788}, rel=1e-4)
+
+
+class _Effect:
+    """A candidate as a verdict sees one that no other resembles."""
+
+    def __init__(self, name: str, log_bayes: float):
+        self.id, self.log_bayes = name, (log_bayes,)
+
+
+def test_a_second_effect_beside_a_remainder_is_residue_too() -> None:
+    """A dead zone of 237 σ: what a warm-up adds to it is 0.8 %, and something else 1 %."""
+    evidence = {"none": 0.0, "gyro_dead_zone": 56_201.0, "gyro_dead_zone+gyro_warm_up": 56_650.0, "unknown": 57_212.0}
+    found = Posterior({"unknown": 1.0} | dict.fromkeys(evidence, 0.0) | {"unknown": 1.0}, evidence, {}, {}, {})
+    said = verdict(None, found, [_Effect("gyro_dead_zone", 56_201.0), _Effect("gyro_warm_up", 100.0)])  # type: ignore[arg-type]
+    assert (said.kind, said.effects, said.residue) == ("effect", ("gyro_dead_zone",), "unknown")
+
+
+def test_terms_of_a_nominal_model_leave_no_residue_of_form() -> None:
+    evidence = {"none": 0.0, "gyro_bias": 9400.0, "gyro_bias+gyro_scale_factor": 9600.0}
+    found = Posterior({"gyro_bias+gyro_scale_factor": 1.0, "gyro_bias": 0.0, "none": 0.0}, evidence, {}, {}, {})
+    said = verdict(None, found, [_Effect("gyro_bias", 9400.0), _Effect("gyro_scale_factor", 300.0)])  # type: ignore[arg-type]
+    assert (said.kind, said.effects) == ("pair", ("gyro_bias", "gyro_scale_factor"))
