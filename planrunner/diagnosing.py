@@ -176,7 +176,7 @@ def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
             recorded.segments[index] for index in select([item.label for item in recorded.segments], spec.segments)
         )
     from planrunner.estimators.interface import EstimationError
-    from planrunner.estimators.still_detection import still_spans
+    from planrunner.estimators.accelerometer.still_detection import still_spans
 
     within = select([item.label for item in recorded.segments], spec.segments.within)
     found: list[RecordedSegment] = []

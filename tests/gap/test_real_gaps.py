@@ -15,7 +15,7 @@ import pyarrow.parquet
 import pytest
 
 from planrunner.diagnosing import diagnose_recorded, recorded_file
-from planrunner.estimators.gravity_magnitude import fit_magnitude
+from planrunner.estimators.accelerometer.gravity_magnitude import fit_magnitude
 from planrunner.gap.candidates import FULL
 from planrunner.gap.diagnosis import Diagnosis, Options
 
