@@ -74,6 +74,13 @@ class Driver(Protocol):
 
 
 @runtime_checkable
+class Addressed(Protocol):
+    @classmethod
+    def address(cls, parameters: Any) -> str:
+        """What a real instrument is reached by and two runs cannot share, such as a VISA resource or a serial port."""
+
+
+@runtime_checkable
 class Instrument(Protocol):
     """What every instrument can do."""
 
@@ -81,7 +88,9 @@ class Instrument(Protocol):
         """Manufacturer, model, serial …, as it says itself."""
 
     def make_safe(self) -> None:
-        """Bring it to its safe state (table stopped, chamber to ambient). Never raises twice for the same reason; idempotent."""
+        """Bring it to its safe state (table stopped, chamber to ambient). Never raises twice for the same reason; idempotent.
+
+        Commands may follow: a run that waits for its operator waits in the safe state."""
 
     def close(self) -> None: ...
 
@@ -221,6 +230,13 @@ class FrameCounts:
 class Counting(Protocol):
     def counts(self) -> FrameCounts:
         """Of the segment that is being streamed, or was streamed last."""
+
+
+@runtime_checkable
+class Remarking(Protocol):
+    def remarks(self) -> Sequence[str]:
+        """What was out of the ordinary since it was last asked, a line each (an exchange tried again, a link opened anew), for the
+        journal."""
 
 
 @runtime_checkable
