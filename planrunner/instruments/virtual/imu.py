@@ -7,7 +7,7 @@ shares no formula with the estimators.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -105,7 +105,10 @@ class VirtualImu:
 
     def stream(self, segment: Segment) -> Iterator[Block]:
         sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "sensor")
-        draw = generator(self.world.seed, segment.index)
+        return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
+
+    def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
+        """What gives samples first … first + length − 1 of a sampling; to be asked for all of them, in their order."""
         for axis in self.axes:
             self.flicker[axis.name].begin(sampling.start, draw)
             self.walk[axis.name].begin(sampling.start, draw)
@@ -114,7 +117,7 @@ class VirtualImu:
         }
         chances = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
         dwell = _Dwell(sampling, draw, chances, counters)
-        return sampling.blocks(self.world, lambda first, length: self._block(dwell, first, length))
+        return lambda first, length: self._block(dwell, first, length)
 
     def read(self) -> Mapping[str, float]:
         kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
