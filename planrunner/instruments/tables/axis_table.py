@@ -1,0 +1,362 @@
+"""What every real table does, whoever made it: attitudes to axis positions, spins, rocking, whether a state is held, the safe state.
+
+How a controller is told stands in a file of its own, as an `AxisCommands`; this file knows no vendor. States are judged by what the
+controller measures, never by the time that went by.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from planrunner.instruments.interfaces import Array, Clock, Condition, InstrumentError, OwnLimits, Surroundings
+from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
+from planrunner.physics.kinematics import (
+    TableAxis,
+    Unreachable,
+    joint_angles,
+    joint_directions,
+    spin_axis,
+    spin_up_time,
+    transition_time,
+)
+from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
+
+STOPPED = math.radians(0.1)
+"""rad/s below which an axis may be switched off."""
+POLL = 0.05
+"""s between two looks at a table that is being stopped."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisState:
+    """What the controller measures: degrees and deg/s, as it counts."""
+
+    position: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxisBounds:
+    """What an axis shall keep to by itself, as the controller counts: deg/s, deg/s², deg; lowest and highest None without stops."""
+
+    rate: float
+    acceleration: float
+    tracking_error: float
+    lowest: float | None = None
+    highest: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """amplitude·sin(2π·frequency·t + phase) about the position that is held: deg, Hz, deg."""
+
+    amplitude: float
+    frequency: float
+    phase: float
+
+
+class AxisCommands(Protocol):
+    """How a controller is told. Axes go by the controller's numbers, angles are its degrees. Every failure is an `InstrumentError`."""
+
+    rocks: bool
+    """Whether it has a sine motion of its own."""
+
+    def identify(self) -> Mapping[str, str]: ...
+    def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
+        """Set what the axis keeps to by itself; a line for each limit that is set now."""
+
+    def energise(self) -> None:
+        """Make the axes ready to move. Called before the first move, and after `switch_off`."""
+
+    def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
+        """Go to positions and stand there. here: where the axes are now, so that one which is only entering its position mode holds
+        there first."""
+
+    def turn(self, axis: int, rate: float) -> None: ...
+    def rock(self, sines: Mapping[int, Sine]) -> None: ...
+    def state(self, axis: int) -> AxisState: ...
+    def faults(self) -> Sequence[str]:
+        """Why it cannot go on, in words; empty while all is well."""
+
+    def stop(self) -> None:
+        """Bring every axis to rest, controlled."""
+
+    def switch_off(self) -> None: ...
+    def remarks(self) -> Sequence[str]: ...
+    def close(self) -> None: ...
+
+
+class AxisTable:
+    """A real table behind its `AxisCommands`."""
+
+    def __init__(self, commands: AxisCommands, keys: WiredTableKeys, clock: Clock, azimuth: float):
+        self.commands, self.keys, self.clock, self.azimuth = commands, keys, clock, azimuth
+        self.axes: tuple[TableAxis, ...] = keys.model().axes
+        self.counted = counted(keys)
+        self._positions: dict[int, float] = {}  # of the axes that shall stand, joint angles [rad]
+        self._rates: dict[int, float] = {}  # of the axes that shall turn, rad/s
+        self._rocking: Rock | None = None
+        self._home: tuple[float, ...] = ()
+        self._timer: threading.Timer | None = None
+        self._broken = ""
+        self._ready = False
+        self._told_unsafe = ""
+
+    @classmethod
+    def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
+        """Ask who it is and set its own limits; lets go of the link when that fails."""
+        table = cls(commands, keys, surroundings.clock, surroundings.site.azimuth)
+        try:
+            table.identify()
+            table.limit(OwnLimits())
+        except BaseException:
+            commands.close()
+            raise
+        return table
+
+    # -- who it is and what it keeps to --------------------------------------------------------------------------------
+
+    def identify(self) -> Mapping[str, str]:
+        return self.commands.identify()
+
+    def limit(self, limits: OwnLimits) -> Sequence[str]:
+        told: list[str] = []
+        error = min(self.keys.tracking_error.value, limits.position_error or math.inf)
+        for axis, counted_ in zip(self.axes, self.counted, strict=True):
+            ends = sorted(counted_.reading(end) for end in (axis.lowest, axis.highest))
+            bounds = AxisBounds(
+                math.degrees(min(axis.max_rate, limits.rate or math.inf)),
+                math.degrees(min(axis.max_acceleration, limits.acceleration or math.inf)),
+                math.degrees(error),
+                *(end if math.isfinite(end) else None for end in ends),
+            )
+            told += self.commands.limit(counted_.number, bounds)
+        return told
+
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        for segment in segments:
+            motion = segment.motion
+            if isinstance(motion, Cycle):
+                raise InstrumentError(f"'{segment.label}': the table has no cycle of turns and stops")
+            if isinstance(motion, Rock):
+                self._check_rock(motion, f"'{segment.label}': ")
+
+    # -- moving --------------------------------------------------------------------------------------------------------
+
+    def orient(self, attitude: Array) -> float:
+        self._make_ready()
+        joints, rates = self._measured()
+        if np.any(np.abs(rates) > STOPPED):
+            raise InstrumentError("the table is still moving; its motion must end before a new orientation")
+        try:
+            target = joint_angles(self.axes, attitude, joints, self.azimuth)
+        except Unreachable as error:
+            raise InstrumentError(f"the table cannot take this orientation: {error}") from None
+        self._stand(target, joints)
+        return transition_time(self.axes, joints, target)
+
+    def begin_motion(self, motion: Motion, seconds: float) -> float:
+        if isinstance(motion, Rest):
+            return 0.0
+        self._make_ready()
+        if isinstance(motion, Spin):
+            return self._spin(motion)
+        if isinstance(motion, Rock):
+            return self._rock(motion)
+        raise InstrumentError("the table has no cycle of turns and stops")
+
+    def end_motion(self) -> float:
+        self._cancel_timer()
+        if self._rocking is not None:
+            return self._end_rocking()
+        _, rates = self._measured()
+        turning = [index for index, rate in enumerate(rates) if abs(rate) > STOPPED]
+        if any(index not in self._rates for index in turning):  # nobody here set it going, as after a crash
+            self.commands.stop()
+        for index in self._rates:
+            self.commands.turn(self.counted[index].number, 0.0)
+            self._rates[index] = 0.0
+        return max(spin_up_time(axis, float(rate)) for axis, rate in zip(self.axes, rates, strict=True))
+
+    def holding(self) -> bool:
+        condition = self.watch()
+        if condition.faults:
+            raise InstrumentError("the table: " + "; ".join(condition.faults))
+        values = condition.values
+        return (
+            values.get("position_error", 0.0) <= self.keys.position_tolerance.value
+            and values.get("rate_error", 0.0) <= self.keys.rate_tolerance.value
+        )
+
+    # -- what it sees of itself ----------------------------------------------------------------------------------------
+
+    def watch(self) -> Condition:
+        faults = [*self.commands.faults(), *([self._broken] if self._broken else [])]
+        joints, rates = self._measured()
+        if self._rocking is not None:
+            reach = self._rocking.amplitude + self.keys.tracking_error.value
+            away = max(abs(self._off(index, joints, home)) for index, home in enumerate(self._home))
+            if away > reach:
+                faults.append(f"an axis is {math.degrees(away):.4g} deg from where it rocks about")
+            return Condition({}, tuple(faults))
+        off = [abs(self._off(index, joints, target)) for index, target in self._positions.items()]
+        slow = [abs(float(rates[index]) - self._rates.get(index, 0.0)) for index in range(len(self.axes))]
+        values = {"rate_error": max(slow)}
+        if off:
+            values["position_error"] = max(off)
+        return Condition(values, tuple(faults))
+
+    def read(self) -> Mapping[str, float]:
+        joints, _ = self._measured()
+        return {f"{axis.name}_deg": math.degrees(joint) for axis, joint in zip(self.axes, joints, strict=True)}
+
+    def remarks(self) -> Sequence[str]:
+        return self.commands.remarks()
+
+    # -- the safe state ------------------------------------------------------------------------------------------------
+
+    def make_safe(self) -> None:
+        """Stop every axis, then switch off. An axis that does not stop is switched off nevertheless, and told."""
+        self._cancel_timer()
+        self._forget()
+        self._ready = False
+        try:
+            self._stop_and_switch_off()
+        except InstrumentError as error:
+            if str(error) == self._told_unsafe:
+                return
+            self._told_unsafe = str(error)
+            raise
+        self._told_unsafe = ""
+
+    def close(self) -> None:
+        self._cancel_timer()
+        self.commands.close()
+
+    # -- how it does it ------------------------------------------------------------------------------------------------
+
+    def _forget(self) -> None:
+        self._positions, self._rates, self._rocking = {}, {}, None
+
+    def _make_ready(self) -> None:
+        if not self._ready:
+            self._broken = ""
+            self.commands.energise()
+            self._ready = True
+
+    def _measured(self) -> tuple[Array, Array]:
+        """Joint angles [rad] and rates [rad/s]."""
+        states = [self.commands.state(axis.number) for axis in self.counted]
+        joints = [axis.joint(state.position) for axis, state in zip(self.counted, states, strict=True)]
+        rates = [axis.sense * math.radians(state.rate) for axis, state in zip(self.counted, states, strict=True)]
+        return np.array(joints), np.array(rates)
+
+    def _off(self, index: int, joints: Array, target: float) -> float:
+        off = float(joints[index]) - target
+        return math.remainder(off, 2 * math.pi) if self.axes[index].continuous else off
+
+    def _stand(self, joints: Sequence[float] | Array, here: Sequence[float] | Array) -> None:
+        self._forget()
+        self._positions = {index: float(joint) for index, joint in enumerate(joints)}
+        self.commands.go_to(self._readings(joints), self._readings(here))
+
+    def _readings(self, joints: Sequence[float] | Array) -> dict[int, float]:
+        return {axis.number: axis.reading(float(joint)) for axis, joint in zip(self.counted, joints, strict=True)}
+
+    def _spin(self, motion: Spin) -> float:
+        joints, rates = self._measured()
+        try:
+            index = spin_axis(self.axes, joints, motion.about, self.azimuth)
+        except Unreachable as error:
+            raise InstrumentError(f"the table cannot spin about this direction: {error}") from None
+        axis, counted_ = self.axes[index], self.counted[index]
+        if abs(motion.rate) > axis.max_rate * (1 + 1e-9):
+            reached = f"{math.degrees(axis.max_rate):g} deg/s"
+            raise InstrumentError(
+                f"the axis '{axis.name}' reaches {reached}, not {math.degrees(abs(motion.rate)):g} deg/s"
+            )
+        along = float(joint_directions(self.axes, joints, self.azimuth)[index] @ np.asarray(motion.about))
+        rate = math.copysign(1.0, along) * motion.rate
+        self._forget()
+        self._positions = {other: float(joint) for other, joint in enumerate(joints) if other != index}
+        self._rates = {index: rate}
+        self.commands.turn(counted_.number, counted_.sense * math.degrees(rate))
+        return spin_up_time(axis, rate - float(rates[index]))
+
+    def _rock(self, motion: Rock) -> float:
+        self._check_rock(motion)
+        joints, _ = self._measured()
+        for axis, joint in zip(self.axes, joints, strict=False):
+            if not axis.lowest <= joint - motion.amplitude <= joint + motion.amplitude <= axis.highest:
+                raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
+        self._forget()
+        self._rocking, self._home = motion, tuple(float(joint) for joint in joints)
+        self.commands.rock(self._sines(motion, motion.amplitude))
+        steady = 1 / motion.frequency
+        if math.isfinite(motion.duration):
+            self._timer = threading.Timer(steady + motion.duration, self._rocked_enough)
+            self._timer.daemon = True
+            self._timer.start()
+        return steady
+
+    def _sines(self, motion: Rock, amplitude: float) -> dict[int, Sine]:
+        return {
+            axis.number: Sine(axis.sense * math.degrees(amplitude), motion.frequency, math.degrees(phase))
+            for axis, phase in zip(self.counted, motion.phases, strict=False)
+        }
+
+    def _check_rock(self, motion: Rock, where: str = "") -> None:
+        if not self.commands.rocks:
+            raise InstrumentError(f"{where}the table has no rocking motion")
+        if len(motion.phases) > len(self.axes):
+            raise InstrumentError(f"{where}{len(motion.phases)} rings are to rock, the table has {len(self.axes)}")
+        circular = 2 * math.pi * motion.frequency
+        for axis, _ in zip(self.axes, motion.phases, strict=False):
+            rate, acceleration = motion.amplitude * circular, motion.amplitude * circular**2
+            if rate > axis.max_rate * (1 + 1e-9) or acceleration > axis.max_acceleration * (1 + 1e-9):
+                needed = f"{math.degrees(rate):.4g} deg/s and {math.degrees(acceleration):.4g} deg/s^2"
+                raise InstrumentError(f"{where}rocking needs {needed} of the axis '{axis.name}', more than it reaches")
+
+    def _end_rocking(self) -> float:
+        assert self._rocking is not None
+        rocking, home = self._rocking, self._home
+        self.commands.rock(self._sines(rocking, 0.0))
+        self._stand(home, home)
+        return 1 / rocking.frequency
+
+    def _rocked_enough(self) -> None:
+        """The duration of the rocking is over while the segment goes on; on a thread of its own."""
+        try:
+            self._end_rocking()
+        except InstrumentError as error:
+            self._broken = f"rocking could not be ended: {error}"
+
+    def _cancel_timer(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+            timer.join()
+
+    def _stop_and_switch_off(self) -> None:
+        self.commands.stop()
+        slowest = max(axis.max_rate / axis.max_acceleration for axis in self.axes)
+        deadline = self.clock.now() + slowest + 2.0
+        while True:
+            _, rates = self._measured()
+            fastest = float(np.max(np.abs(rates)))
+            if fastest <= STOPPED:
+                break
+            if self.clock.now() >= deadline:
+                self.commands.switch_off()
+                turning = f"{math.degrees(fastest):.4g} deg/s"
+                raise InstrumentError(
+                    f"the table still turns at {turning} after it was stopped: press its emergency stop"
+                )
+            self.clock.sleep(POLL)
+        self.commands.switch_off()
