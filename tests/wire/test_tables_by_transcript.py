@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from scripted import Player, parameters, surroundings, turned
 
-from planrunner.instruments.interfaces import InstrumentError, OwnLimits
 from planrunner.instruments.tables.acutrol import Acutrol, AcutrolParameters
-from planrunner.plan.schedule import Cycle, Move, Rest, Rock, Segment, Spin
+from planrunner.plan.schedule import Rock, Segment, Spin
 
 AXIS = "axes: [{name: table, direction: up, max_rate: 100 deg/s, max_acceleration: 200 deg/s^2}]"
 
