@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import socket
 import struct
 import threading
 import time
+import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -140,6 +142,45 @@ class Player(Listener):
         while len(self.heard) < len(expected) and time.monotonic() < end:
             time.sleep(0.005)
         assert self.heard == expected
+
+
+class SerialPlayer(Player):
+    """The same on a pseudo-terminal."""
+
+    def __init__(self, name: str):
+        self.transcript = Transcript.read(name)
+        self.heard = []
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        self._thread = threading.Thread(target=self._attend_line, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        return f"ASRL{os.ttyname(self._far)}::INSTR"
+
+    def _attend_line(self) -> None:
+        line: Any = _Line(self._near)
+        with contextlib.suppress(OSError):
+            self._play(line)
+
+    def close(self) -> None:
+        os.close(self._far)  # reading the near end then fails
+        self._thread.join(2)
+        os.close(self._near)
+
+
+@dataclass
+class _Line:
+    """A pseudo-terminal with the two methods of a socket that are used here."""
+
+    file: int
+
+    def recv(self, count: int) -> bytes:
+        return os.read(self.file, count)
+
+    def sendall(self, data: bytes) -> None:
+        os.write(self.file, data)
 
 
 def answering(answer: Callable[[str], bytes | None], end: bytes = b"\n") -> Listener:

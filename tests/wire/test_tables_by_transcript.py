@@ -6,9 +6,12 @@ import math
 from typing import Any
 
 import pytest
-from scripted import Player, parameters, surroundings, turned
+from scripted import Player, SerialPlayer, parameters, surroundings, turned
 
+from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.tables.acutrol import Acutrol, AcutrolParameters
+from planrunner.instruments.tables.aerosmith import Aerosmith, AerosmithParameters
+from planrunner.instruments.tables.scpi_table import ScpiTable, ScpiTableParameters
 from planrunner.plan.schedule import Rock, Segment, Spin
 
 AXIS = "axes: [{name: table, direction: up, max_rate: 100 deg/s, max_acceleration: 200 deg/s^2}]"
@@ -63,6 +66,54 @@ def test_acutrol_rocks() -> None:
         table.make_safe()
         table.close()
         player.check()
+
+
+SCPI = """commands:
+  limit: ["AXIS{axis}:LIM:RATE {rate}", "AXIS{axis}:LIM:ACC {acceleration}"]
+  energise: ["AXIS{axis}:DRIVE ON"]
+  go_to: "AXIS{axis}:POS {position}"
+  turn: "AXIS{axis}:RATE {rate}"
+  stop: "AXIS{axis}:STOP"
+  switch_off: ["AXIS{axis}:DRIVE OFF"]
+  position: "AXIS{axis}:POS?"
+  rate: "AXIS{axis}:RATE?"
+"""
+
+
+def test_a_table_whose_commands_stand_in_the_bench_file() -> None:
+    with Player("scpi_table_position_rate") as player:
+        keys = parameters(ScpiTableParameters, player.address, AXIS, SCPI)
+        table = ScpiTable.connect(keys, surroundings())
+        table.orient(turned(90.0))
+        assert table.holding()
+        table.begin_motion(Spin(math.radians(10)), 60.0)
+        assert table.holding()
+        table.end_motion()
+        assert table.holding()
+        with pytest.raises(InstrumentError, match=r"'S1': the table has no rocking motion"):
+            table.foresee([segment(Rock(0.1, 1.0, (0.0,), 10.0))])
+        table.make_safe()
+        table.close()
+        player.check()
+
+
+def test_aerosmith_positions_jogs_and_rocks_over_a_serial_line() -> None:
+    with SerialPlayer("aerosmith_position_rate") as player:
+        table = Aerosmith.connect(parameters(AerosmithParameters, player.address, AXIS), surroundings())
+        table.orient(turned(90.0))
+        assert table.holding()
+        table.begin_motion(Spin(math.radians(10)), 60.0)
+        assert table.holding()
+        table.end_motion()
+        assert table.holding()
+        table.begin_motion(Rock(math.radians(3), 0.2, (0.0,), math.inf), 60.0)
+        assert table.holding()
+        table.end_motion()
+        assert table.holding()
+        table.make_safe()
+        table.close()
+        player.check()
+        assert table.remarks() == []
 
 
 def segment(motion: Any) -> Segment:

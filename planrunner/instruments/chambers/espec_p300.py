@@ -65,7 +65,11 @@ class EspecP300Commands:
     def identify(self) -> Mapping[str, str]:
         """What it has: sensors, controller, highest temperature. It tells neither maker nor serial number."""
         said = self._ask("TYPE?")
-        self.parameters.check_identity(said, ",")
+        self.parameters.check_identity(said, "")
+        if said.count(",") not in (2, 3):
+            raise InstrumentError(
+                f"{self.parameters.address} answers 'TYPE?' with '{said[:60]}', as no P300 does: look at the address"
+            )
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 
     def prepare(self, ramp: float) -> None:

@@ -54,7 +54,8 @@ class Lines:
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
     """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to what is sent. pace: s between two
-    messages at least. baud: of a serial line. tries: of a request that may be asked again."""
+    messages at least. baud: of a serial line. tries: of a request that may be asked again. idle: characters that may come unasked, such as
+    a prompt, and are dropped without a remark."""
 
     address: str
     timeout: float = 2.0
@@ -62,6 +63,7 @@ class LinkSettings:
     pace: float = 0.0
     baud: int = 9600
     tries: int = 2
+    idle: bytes = b"\r\n "
 
 
 class LinkFailure(Exception):  # noqa: N818 - told to users as an InstrumentError
@@ -83,9 +85,10 @@ class Incoming:
         if self.whole:
             self.got += self.resource.read_raw()
             return bytes(self.got).removesuffix(end)
-        while not self.got.endswith(end):
+        start = len(self.got)
+        while not (self.got.endswith(end) and len(self.got) >= start + len(end)):
             self._byte()
-        return bytes(self.got[: -len(end)])
+        return bytes(self.got[start : -len(end)])
 
     def exactly(self, count: int) -> bytes:
         """The next `count` bytes."""
@@ -241,7 +244,7 @@ class MessageLink:
             while len(rests) < LONGEST:
                 rests += resource.read_bytes(1, break_on_termchar=False)
                 resource.timeout = QUIET * 1000
-        if rests.strip():
+        if rests.strip(self.settings.idle):
             self._remarks.append(f"{self.settings.address} sent {shown(rests)} unasked, which was dropped")
         if len(rests) >= LONGEST:
             raise LinkFailure(f"sends without being asked ({shown(rests[:40])}…): {_GARBAGE}")
