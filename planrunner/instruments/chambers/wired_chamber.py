@@ -11,6 +11,7 @@ from typing import Protocol
 
 from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.interfaces import Condition, InstrumentError, OwnLimits
+from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
 
 MARGIN = 5.0
@@ -44,21 +45,18 @@ class WiredChamber:
     def __init__(self, commands: AirCommands, keys: ChamberKeys):
         self.commands, self.keys = commands, keys
         self._target: float | None = None
+        self._prepared = self._limited = False
         self._told_unsafe = ""
 
     @classmethod
     def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
-        """Ask who it is, that nothing is wrong with it, and set its own limits; lets go of the link when that fails."""
-        chamber = cls(commands, keys)
+        """Ask who it is; lets go of the link when that fails. What is wrong with it does not keep it from being made safe."""
         try:
-            chamber.identify()
-            chamber._raise(commands.faults())
-            commands.prepare(keys.ramp.value * 60)
-            chamber.limit(OwnLimits())
+            commands.identify()
         except BaseException:
             commands.close()
             raise
-        return chamber
+        return cls(commands, keys)
 
     def identify(self) -> Mapping[str, str]:
         return self.commands.identify()
@@ -66,10 +64,20 @@ class WiredChamber:
     def limit(self, limits: OwnLimits) -> Sequence[str]:
         coldest = self.keys.lowest.value - MARGIN if limits.coldest is None else limits.coldest
         hottest = self.keys.highest.value + MARGIN if limits.hottest is None else limits.hottest
-        return self.commands.limit(coldest - ZERO_CELSIUS, hottest - ZERO_CELSIUS)
+        told = self.commands.limit(coldest - ZERO_CELSIUS, hottest - ZERO_CELSIUS)
+        self._limited = True
+        return told
+
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        """Raises `InstrumentError` when it reports a fault before anything has begun."""
+        self._raise(self.commands.faults())
 
     def set_temperature(self, kelvin: float) -> float:
         self.keys.check_reach(kelvin)
+        self._raise(self.commands.faults())
+        self._prepare()
+        if not self._limited:
+            self.limit(OwnLimits())
         away = kelvin - ZERO_CELSIUS - self.commands.air()
         self.commands.head_for(kelvin - ZERO_CELSIUS)
         self._target = kelvin
@@ -96,6 +104,7 @@ class WiredChamber:
     def make_safe(self) -> None:
         self._target = None
         try:
+            self._prepare()
             self.commands.head_for(self.keys.ambient.value - ZERO_CELSIUS)
         except InstrumentError as error:
             if str(error) == self._told_unsafe:
@@ -106,6 +115,11 @@ class WiredChamber:
 
     def close(self) -> None:
         self.commands.close()
+
+    def _prepare(self) -> None:
+        if not self._prepared:
+            self.commands.prepare(self.keys.ramp.value * 60)
+            self._prepared = True
 
     def _raise(self, faults: Sequence[str]) -> None:
         if faults:

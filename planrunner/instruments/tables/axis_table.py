@@ -105,20 +105,18 @@ class AxisTable:
         self._home: tuple[float, ...] = ()
         self._timer: threading.Timer | None = None
         self._broken = ""
-        self._ready = False
+        self._ready = self._limited = False
         self._told_unsafe = ""
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
-        """Ask who it is and set its own limits; lets go of the link when that fails."""
-        table = cls(commands, keys, surroundings.clock, surroundings.site.azimuth)
+        """Ask who it is; lets go of the link when that fails. What is wrong with it does not keep it from being made safe."""
         try:
-            table.identify()
-            table.limit(OwnLimits())
+            commands.identify()
         except BaseException:
             commands.close()
             raise
-        return table
+        return cls(commands, keys, surroundings.clock, surroundings.site.azimuth)
 
     # -- who it is and what it keeps to --------------------------------------------------------------------------------
 
@@ -137,6 +135,7 @@ class AxisTable:
                 *(end if math.isfinite(end) else None for end in ends),
             )
             told += self.commands.limit(counted_.number, bounds)
+        self._limited = True
         return told
 
     def foresee(self, segments: Sequence[Segment]) -> None:
@@ -247,6 +246,8 @@ class AxisTable:
     def _make_ready(self) -> None:
         if not self._ready:
             self._broken = ""
+            if not self._limited:
+                self.limit(OwnLimits())
             self.commands.energise()
             self._ready = True
 
