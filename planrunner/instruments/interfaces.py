@@ -192,10 +192,11 @@ class Alive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """What an instrument shall keep to by itself, whatever becomes of the computer. None: nothing is asked.
+    """What an instrument shall keep to by itself, whatever becomes of the computer. None: what its driver knows from its own parameters,
+    as it does of travel.
 
     rate [rad/s], acceleration [rad/s²], position_error [rad]: of every axis. coldest, hottest: K. silence: s without a word from the
-    computer after which it makes itself safe. Travel is known to the driver from its own parameters.
+    computer after which it makes itself safe.
     """
 
     rate: float | None = None
@@ -209,7 +210,8 @@ class OwnLimits:
 @runtime_checkable
 class SelfLimiting(Protocol):
     def limit(self, limits: OwnLimits) -> Sequence[str]:
-        """Set the limits and time-outs that the instrument has, before the first move; a line each for the journal of what is now set.
+        """Set the limits and time-outs that the instrument has, before the first move and again after a wait in the safe state; a line
+        each for the journal of what is now set.
         What it does not have is left out. Raises `InstrumentError` when a limit that it has cannot be set."""
 
 
