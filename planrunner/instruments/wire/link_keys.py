@@ -7,7 +7,7 @@ from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 RESOURCE = (
-    r"(?i:GPIB\d*::\d+(::\d+)?::INSTR|TCPIP\d*::[^:\s]+::\d+::SOCKET|TCPIP\d*::[^:\s]+(::[^:\s]+)?::INSTR"
+    r"(GPIB\d*::\d+(::\d+)?::INSTR|TCPIP\d*::[^:\s]+::\d+::SOCKET|TCPIP\d*::[^:\s]+(::[^:\s]+)?::INSTR"
     r"|USB\d*::\S+::INSTR|ASRL\S+::INSTR)"
 )
 

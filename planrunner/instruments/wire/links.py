@@ -31,7 +31,7 @@ _making = threading.Lock()
 def lock_of(address: str) -> threading.RLock:
     """The lock of a resource, the same for every link to it in this process."""
     with _making:
-        return _locks.setdefault(address.upper(), threading.RLock())
+        return _locks.setdefault(address, threading.RLock())
 
 
 class Framing(Protocol):

@@ -27,9 +27,9 @@ def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
     except ValueError:
         found = []
     if len(found) < count or not all(map(math.isfinite, found)):
-        wanted = "a number" if count == 1 else f"{count} numbers"
+        wanted = "a number is" if count == 1 else f"{count} numbers are"
         raise InstrumentError(
-            f"{address} answers '{request}' with '{reply[:60]}' where {wanted} is expected: is it the instrument of the bench file?"
+            f"{address} answers '{request}' with '{reply[:60]}' where {wanted} expected: is it the instrument of the bench file?"
         )
     return found
 
