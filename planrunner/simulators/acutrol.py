@@ -81,7 +81,10 @@ class Acutrol:
         if not main or len(words) > 1:
             raise NotUnderstoodError(command)
         sub = words[0] if words else ""
-        return main, self._ask(main, sub, arguments) if asked else self._tell(main, sub, arguments)
+        if asked:
+            return main, self._ask(main, sub, arguments)
+        self._tell(main, sub, arguments)
+        return main, None
 
     def _common(self, command: str) -> str | None:
         if command == "*idn?":
@@ -160,7 +163,9 @@ class Acutrol:
             return str(sum(bits.get(fault, 0) for fault in set(axis.faults)))
         arrived, mode = self.plant.arrived(index), self._mode(index)
         limited = {"rate": 16, "position": 64}.get(axis.limited, 0)
-        return str(limited + (256 if arrived and mode == "position" else 0) + (512 if arrived and mode == "rate" else 0))
+        return str(
+            limited + (256 if arrived and mode == "position" else 0) + (512 if arrived and mode == "rate" else 0)
+        )
 
     # -- commands ------------------------------------------------------------------------------------------------------
 

@@ -13,15 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
+_REVERSED = np.packbits(
+    np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1), axis=1, bitorder="little"
+).ravel()
+"""Every byte with its bits the other way round."""
 
 
 @dataclass(frozen=True)
 class Crc:
-    """A check without reflection and final inversion. width: bits, 8 to 32; start: the register before the first byte."""
+    """width: bits, 8 to 32; start: the register before the first byte; reflected: every byte, and the result, from its lowest bit on;
+    inverted: the result's bits are exchanged."""
 
     width: int
     polynomial: int
     start: int
+    reflected: bool = False
+    inverted: bool = False
 
     @cached_property
     def _table(self) -> NDArray[np.uint64]:
@@ -38,9 +45,12 @@ class Crc:
         """The check values of frames (n, length), shape (n,)."""
         register = np.full(len(frames), self.start, dtype=np.uint64)
         shift, mask = np.uint64(self.width - 8), np.uint64((1 << self.width) - 1)
-        for column in frames.T:
+        for column in (_REVERSED[frames] if self.reflected else frames).T:
             register = self._table[(register >> shift) ^ column] ^ ((register << np.uint64(8)) & mask)
-        return register
+        if self.reflected:
+            bits = np.uint64(1) << np.arange(self.width, dtype=np.uint64)
+            register = ((register[:, None] & bits) != 0) @ bits[::-1]
+        return register ^ mask if self.inverted else register
 
     def of_text(self, text: str) -> int:
         """The check value of one line."""

@@ -12,8 +12,10 @@ Bytes = NDArray[np.uint8]
 Order = Literal["big", "little"]
 
 
-def integers(values: NDArray[np.generic] | Sequence[float], width: int, order: Order = "big", signed: bool = True) -> Bytes:
-    """Whole numbers (n,) as (n, width) bytes, in two's complement; what does not fit stays at the end of the range, as a sensor's output does."""
+def integers(
+    values: NDArray[np.generic] | Sequence[float], width: int, order: Order = "big", signed: bool = True
+) -> Bytes:
+    """Whole numbers (n,) as (n, width) bytes, in two's complement; what does not fit stays at the end of the range."""
     bits = 8 * width
     low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
     whole = np.asarray(values)

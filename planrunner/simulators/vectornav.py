@@ -12,8 +12,9 @@ from planrunner.simulators.check_values import CRC_16, exclusive_or
 from planrunner.simulators.columns import Bytes, constant, floats, integers, joined
 
 Array = NDArray[np.float64]
+_NANOSECONDS = 0
 _COMMON = {
-    "time_startup": (0, "u8"),
+    "time_startup": (0, _NANOSECONDS),
     "ypr": (3, 3),
     "quaternion": (4, 4),
     "rate": (5, 3),
@@ -22,7 +23,7 @@ _COMMON = {
     "mag_temp_pres": (10, 5),
     "delta": (11, 7),
 }
-"""Outputs of the common group by name: bit of the field word, and floats or the kind of integer."""
+"""Outputs of the common group by name: bit of the field word, and how many floats; the time is one whole number of 8 bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class VectorNav:
 
     def length(self) -> int:
         """Bytes of a message on the line."""
-        return 6 + sum(8 if kind == "u8" else 4 * int(kind) for kind in (_COMMON[name][1] for name in self.fields))
+        return 6 + sum(4 * _COMMON[name][1] or 8 for name in self.fields)
 
     def frames(self, columns: Mapping[str, Array]) -> Bytes:
         """Messages (n, length). columns: by output, (n,) or (n, components): ns, deg, rad/s, m/s^2, gauss, degC, kPa."""
@@ -42,7 +43,7 @@ class VectorNav:
         word = sum(1 << bit for bit, _ in chosen)
         parts = [constant(b"\x01" + word.to_bytes(2, "little"), count)]
         for _, name in chosen:
-            if _COMMON[name][1] == "u8":
+            if _COMMON[name][1] == _NANOSECONDS:
                 parts.append(integers(columns[name].astype(np.uint64), 8, "little", signed=False))
             else:
                 parts += [floats(part, 4, "little") for part in np.reshape(columns[name], (count, -1)).T]
@@ -57,7 +58,9 @@ def line(body: str) -> bytes:
     return f"${body}*{check:02X}\r\n".encode("ascii")
 
 
-def measurement(magnetic: Sequence[float], accel: Sequence[float], rate: Sequence[float], ypr: Sequence[float]) -> bytes:
+def measurement(
+    magnetic: Sequence[float], accel: Sequence[float], rate: Sequence[float], ypr: Sequence[float]
+) -> bytes:
     """A `VNYMR` line: attitude [deg], magnetic field [gauss], acceleration [m/s^2], rate [rad/s], each (3,)."""
     written = [f"{value:+08.3f}" for value in ypr]
     written += [f"{value:+08.4f}" for value in magnetic]

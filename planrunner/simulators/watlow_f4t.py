@@ -42,9 +42,15 @@ class WatlowF4t:
             return self.identity
         if found := _LOOP.fullmatch(message):
             name = found[1].upper()
-            return self._ask(name) if found[2] else self._tell(name, found[3].upper())
+            if found[2]:
+                return self._ask(name)
+            self._tell(name, found[3].upper())
+            return None
         if found := _OUTPUT.fullmatch(message):
-            return ("ON" if self.plant.running else "OFF") if found[1] else self._switch(found[2].upper())
+            if found[1]:
+                return "ON" if self.plant.running else "OFF"
+            self._switch(found[2].upper())
+            return None
         if found := _UNIT.fullmatch(message):
             if found[1]:
                 return self.unit

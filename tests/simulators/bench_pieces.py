@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from planrunner.instruments.interfaces import Surroundings
-from planrunner.instruments.virtual.chamber import VirtualChamber, VirtualChamberParameters
 from planrunner.instruments.table_keys import AxisSpec
+from planrunner.instruments.virtual.chamber import VirtualChamber, VirtualChamberParameters
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.instruments.virtual.world import World
 from planrunner.physics.earth import Site

@@ -11,6 +11,7 @@ import pytest
 
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
 from planrunner.simulators.check_values import CRC_8, CRC_16, CRC_32, exclusive_or
+from planrunner.simulators.declared_frame import CHECKS, Check, DeclaredFrame, Place, Running
 
 VECTORS = json.loads((Path(__file__).parents[1] / "wire" / "vectors.json").read_text(encoding="utf-8"))
 
@@ -20,7 +21,11 @@ def one(*values: float) -> np.ndarray:
 
 
 def columns(**triads: list[float]) -> dict[str, np.ndarray]:
-    return {f"{name}_{axis}": one(value) for name, values in triads.items() for axis, value in zip("xyz", values, strict=True)}
+    return {
+        f"{name}_{axis}": one(value)
+        for name, values in triads.items()
+        for axis, value in zip("xyz", values, strict=True)
+    }
 
 
 def test_stim300_datagram_of_a_real_unit() -> None:
@@ -147,3 +152,34 @@ def test_check_values_of_the_standard_message() -> None:
     assert int(CRC_16.of(frames)[0]) == 0x31C3
     assert int(CRC_8.of(frames)[0]) == 0xFB
     assert int(exclusive_or(frames)[0]) == 0x31
+
+
+@pytest.mark.parametrize(
+    ("name", "check"),
+    [
+        ("crc32", 0xCBF43926),
+        ("crc32_mpeg2", 0x0376E6E7),
+        ("crc16_modbus", 0x4B37),
+        ("crc16_xmodem", 0x31C3),
+        ("crc16_ccitt_false", 0x29B1),
+        ("crc8", 0xF4),
+        ("sum8", 0xDD),
+        ("zero_sum8", 0x23),
+        ("xor8", 0x31),
+    ],
+)
+def test_declared_checks_of_the_standard_message(name: str, check: int) -> None:
+    """Williams, A painless guide to CRC error detection algorithms (1993): the checks of "123456789"; sums by hand (477 is 1DD)."""
+    frames = np.frombuffer(b"123456789", dtype=np.uint8)[None, :]
+    assert int(CHECKS[name][0](frames)[0]) == check
+
+
+def test_declared_frame_by_hand() -> None:
+    """-1.5 deg/s in steps of 0.5 is -3; 26 degC from 25 in steps of 0.25 is 4; the sum of the six bytes before is 2A5."""
+    fields = {
+        "rate": Place(2, "i16", "big", 0.5, 0.0, "deg/s"),
+        "temperature": Place(4, "u8", "big", 0.25, 25.0, "degC"),
+    }
+    form = DeclaredFrame(b"\xa5\x5a", 7, fields, Running(Place(5, "u8"), 2, 256), Check(*CHECKS["sum8"], 0, "big"))
+    sent = form.frames({"rate": one(-1.5), "temperature": one(26.0)}, one(129.0))
+    assert sent.tobytes().hex() == "a55a" + "fffd" + "04" + "02" + f"{(0xA5 + 0x5A + 0xFF + 0xFD + 4 + 2) & 0xFF:02x}"

@@ -46,6 +46,7 @@ class SerialSensor:
         self.link = link
         self.clock = clock
         self.identity = dict(identity or {})
+        self._speed = float(getattr(clock, "speed", 1.0))  # of a simulated bench that hastens
         self._current: SegmentStream | None = None
         self._streaming = False
         self._skew = 0.0
@@ -126,7 +127,7 @@ class SerialSensor:
             self._overhear()
         doubts, self._doubts = tuple(self._doubts), {}
         silent = self.clock.now() - self._heard
-        faults = () if silent <= self.parameters.silence.value else (self._silence(silent),)
+        faults = () if silent <= self._patience() else (self._silence(silent),)
         return Condition({}, faults, doubts)
 
     def identify(self) -> Mapping[str, str]:
@@ -140,6 +141,10 @@ class SerialSensor:
 
     # -- how it does it ------------------------------------------------------------------------------------------------
 
+    def _patience(self) -> float:
+        """How long it may be silent, s by the bench's clock: cables and computers keep to the wall's."""
+        return self.parameters.silence.value * self._speed
+
     def _byte_time(self) -> float:
         """Seconds that a byte takes on the line: ten bits; nothing to speak of through a network."""
         return 0.0 if "://" in self.parameters.port else 10.0 / self.parameters.baud
@@ -149,7 +154,7 @@ class SerialSensor:
         self._doubts |= dict.fromkeys(doubts)
         if frames:
             self._heard = now
-        elif now - self._heard > self.parameters.silence.value:
+        elif now - self._heard > self._patience():
             raise InstrumentError(self._silence(now - self._heard))
 
     def _silence(self, seconds: float) -> str:
@@ -175,9 +180,10 @@ class SerialSensor:
         """Wait for good frames at the declared rate. Raises `InstrumentError` that says what came instead."""
         first = FirstFrames(self.decoder, self.parameters.sample_rate.value)
         self.link.ring.follow(True)
-        end = self.clock.now() + self.parameters.silence.value + LISTENING
+        listening = LISTENING * self._speed
+        end = self.clock.now() + self._patience() + listening
         try:
-            while self.clock.now() < end and first.seconds < LISTENING:
+            while self.clock.now() < end and first.seconds < listening:
                 self.clock.sleep(POLL)
                 first.push(self.link.take())
         finally:
