@@ -23,11 +23,13 @@ class Holding:
         self._readings = readings_of(bench, segment, DRIFT_OVER)
         self._moves = segment.ramp_to is not None
         self._looks = lookout.looks
+        self._begun = False
         self._seen: set[str] = set()
 
     def check(self) -> None:
         """Look after the bench. Raises `LimitPassedError`, and as `Lookout.look` does."""
-        self._lookout.look()
+        self._lookout.look(fresh=not self._begun)
+        self._begun = True
         if self._looks == self._lookout.looks:
             return
         self._looks = self._lookout.looks
