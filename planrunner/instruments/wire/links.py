@@ -205,6 +205,8 @@ class MessageLink:
         except LinkFailure:
             self._give_up()
             raise
+        except InstrumentError:  # the instrument's own words, read to their end
+            raise
         except Exception as error:  # backends raise errors of many kinds
             got = b"" if incoming is None else bytes(incoming.got)
             failure = LinkFailure(_in_words(error, settings, got))
