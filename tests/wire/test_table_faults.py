@@ -199,6 +199,9 @@ def test_what_is_measured_decides_whether_it_holds() -> None:
         controller.rate[1] = 0.5
         assert not table.holding()
         table.begin_motion(Spin(math.radians(10)), 60.0)
+        controller.rate[1] = 5.0
+        assert table.watch().values == {}  # on its way, there is no error to be held against limits
+        controller.rate[1] = 10.0
         assert table.holding()
         controller.rate[1] = 9.9
         assert table.watch().values == pytest.approx({"rate_error": math.radians(0.1)})

@@ -105,7 +105,7 @@ class AxisTable:
         self._home: tuple[float, ...] = ()
         self._timer: threading.Timer | None = None
         self._broken = ""
-        self._ready = self._limited = False
+        self._ready = self._limited = self._reached = False
         self._told_unsafe = ""
 
     @classmethod
@@ -181,21 +181,24 @@ class AxisTable:
         for index in self._rates:
             self.commands.turn(self.counted[index].number, 0.0)
             self._rates[index] = 0.0
+            self._reached = False
         return max(spin_up_time(axis, float(rate)) for axis, rate in zip(self.axes, rates, strict=True))
 
     def holding(self) -> bool:
-        condition = self.watch()
-        if condition.faults:
-            raise InstrumentError("the table: " + "; ".join(condition.faults))
-        values = condition.values
-        return (
-            values.get("position_error", 0.0) <= self.keys.position_tolerance.value
-            and values.get("rate_error", 0.0) <= self.keys.rate_tolerance.value
-        )
+        faults, errors = self._observed()
+        if faults:
+            raise InstrumentError("the table: " + "; ".join(faults))
+        return self._within(errors)
 
     # -- what it sees of itself ----------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
+        """On the way to a state there is no error from it yet: errors are told from when it was reached first."""
+        faults, errors = self._observed()
+        return Condition(errors if self._reached else {}, faults)
+
+    def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
+        """Faults, and how far the axes are from what they were told last [rad, rad/s]."""
         faults = [*self.commands.faults(), *([self._broken] if self._broken else [])]
         joints, rates = self._measured()
         if self._rocking is not None:
@@ -203,13 +206,20 @@ class AxisTable:
             away = max(abs(self._off(index, joints, home)) for index, home in enumerate(self._home))
             if away > reach:
                 faults.append(f"an axis is {math.degrees(away):.4g} deg from where it rocks about")
-            return Condition({}, tuple(faults))
-        off = [abs(self._off(index, joints, target)) for index, target in self._positions.items()]
-        slow = [abs(float(rates[index]) - self._rates.get(index, 0.0)) for index in range(len(self.axes))]
-        values = {"rate_error": max(slow)}
-        if off:
-            values["position_error"] = max(off)
-        return Condition(values, tuple(faults))
+            return tuple(faults), {}
+        errors = {"rate_error": max(abs(float(rate) - self._rates.get(index, 0.0)) for index, rate in enumerate(rates))}
+        if self._positions:
+            errors["position_error"] = max(
+                abs(self._off(index, joints, target)) for index, target in self._positions.items()
+            )
+        self._reached = self._reached or self._within(errors)
+        return tuple(faults), errors
+
+    def _within(self, errors: Mapping[str, float]) -> bool:
+        return (
+            errors.get("position_error", 0.0) <= self.keys.position_tolerance.value
+            and errors.get("rate_error", 0.0) <= self.keys.rate_tolerance.value
+        )
 
     def read(self) -> Mapping[str, float]:
         joints, _ = self._measured()
@@ -241,7 +251,7 @@ class AxisTable:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _forget(self) -> None:
-        self._positions, self._rates, self._rocking = {}, {}, None
+        self._positions, self._rates, self._rocking, self._reached = {}, {}, None, False
 
     def _make_ready(self) -> None:
         if not self._ready:
