@@ -31,6 +31,8 @@ STOPPED = math.radians(0.1)
 """rad/s below which an axis may be switched off."""
 POLL = 0.05
 """s between two looks at a table that is being stopped."""
+LOOK = 0.005
+"""s, of the wall, between two looks at the clock while it rocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,8 @@ class AxisTable:
         self._rates: dict[int, float] = {}  # of the axes that shall turn, rad/s
         self._rocking: Rock | None = None
         self._home: tuple[float, ...] = ()
-        self._timer: threading.Timer | None = None
+        self._rocked: threading.Thread | None = None
+        self._called_off = threading.Event()
         self._broken = ""
         self._ready = self._limited = self._reached = False
         self._told_unsafe = ""
@@ -171,7 +174,7 @@ class AxisTable:
         raise InstrumentError("the table has no cycle of turns and stops")
 
     def end_motion(self) -> float:
-        self._cancel_timer()
+        self._call_off()
         if self._rocking is not None:
             return self._end_rocking()
         _, rates = self._measured()
@@ -232,7 +235,7 @@ class AxisTable:
 
     def make_safe(self) -> None:
         """Stop every axis, then switch off. An axis that does not stop is switched off nevertheless, and told."""
-        self._cancel_timer()
+        self._call_off()
         self._forget()
         self._ready = False
         try:
@@ -245,7 +248,7 @@ class AxisTable:
         self._told_unsafe = ""
 
     def close(self) -> None:
-        self._cancel_timer()
+        self._call_off()
         self.commands.close()
 
     # -- how it does it ------------------------------------------------------------------------------------------------
@@ -311,9 +314,10 @@ class AxisTable:
         self.commands.rock(self._sines(motion, motion.amplitude))
         steady = 1 / motion.frequency
         if math.isfinite(motion.duration):
-            self._timer = threading.Timer(steady + motion.duration, self._rocked_enough)
-            self._timer.daemon = True
-            self._timer.start()
+            end = self.clock.now() + steady + motion.duration
+            self._called_off.clear()
+            self._rocked = threading.Thread(target=self._rock_until, args=(end,), daemon=True)
+            self._rocked.start()
         return steady
 
     def _sines(self, motion: Rock, amplitude: float) -> dict[int, Sine]:
@@ -341,18 +345,22 @@ class AxisTable:
         self._stand(home, home)
         return 1 / rocking.frequency
 
-    def _rocked_enough(self) -> None:
-        """The duration of the rocking is over while the segment goes on; on a thread of its own."""
+    def _rock_until(self, end: float) -> None:
+        """The duration of the rocking is over while the segment goes on; on a thread of its own, by the bench's clock."""
+        while self.clock.now() < end:
+            if self._called_off.wait(LOOK):
+                return
         try:
             self._end_rocking()
         except InstrumentError as error:
             self._broken = f"rocking could not be ended: {error}"
 
-    def _cancel_timer(self) -> None:
-        timer, self._timer = self._timer, None
-        if timer is not None:
-            timer.cancel()
-            timer.join()
+    def _call_off(self) -> None:
+        """The rocking is no longer ended by itself."""
+        self._called_off.set()
+        thread, self._rocked = self._rocked, None
+        if thread is not None:
+            thread.join()
 
     def _stop_and_switch_off(self) -> None:
         self.commands.stop()
