@@ -6,8 +6,6 @@ from planrunner.bench.model import Bench, runs_on_virtual_clock
 from planrunner.plan.findings import Findings
 from planrunner.plan.schedule import Schedule
 
-CODE = "run-unattended"
-
 
 def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
     """An error at every prompt that nobody would answer; a simulated bench asks nobody."""
@@ -21,4 +19,4 @@ def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
                 f"the operator is asked before '{segment.label}' ({segment.prompts[0]}), and nobody is there to answer"
             )
             hint = "run it in a terminal without --unattended, or leave the prompt out"
-            log.error(CODE, mark, message, hint)
+            log.error("run-unattended", mark, message, hint)

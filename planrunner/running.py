@@ -5,7 +5,7 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
@@ -20,7 +20,7 @@ from planrunner.archive.storage import Durability
 from planrunner.attendance import check_unattended
 from planrunner.bench.guarding import guarded_bench
 from planrunner.bench.model import runs_on_virtual_clock
-from planrunner.bench.opening import OpenBench
+from planrunner.bench.opening import NotSafeError, OpenBench
 from planrunner.bench.watchdog import REPORT
 from planrunner.certificates import is_certificate
 from planrunner.certifying import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
@@ -87,12 +87,12 @@ def start(
     operator = _attended(sound, operator)
     seed = sound.bench.seed if seed is None else seed
     require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
-    with _ready(sound, data_root, seed) as bench:
-        name = Path(sound.file).stem
-        with RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed) as writer:
-            _report_to(bench, writer)
-            outcome = execute(sound.schedule, bench, writer, stop=stop, progress=progress, operator=operator)
-    return writer.path, outcome
+    name = Path(sound.file).stem
+
+    def create() -> RunWriter:
+        return RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed)
+
+    return _carry_out(sound, data_root, seed, create, stop, progress, operator)
 
 
 def resume(
@@ -111,20 +111,52 @@ def resume(
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason
-    with _ready(sound, data_root, seed) as bench, RunWriter.reopen(run, reason=reason) as writer:
-        _take_report(writer)
-        for index in again:
-            writer.reject(index, reason or "")
-        _report_to(bench, writer)
-        return execute(
-            sound.schedule,
-            bench,
-            writer,
-            stop=stop,
-            progress=progress,
-            start_at=writer.next_segment,
-            operator=operator,
-        )
+
+    def reopen() -> RunWriter:
+        writer = RunWriter.reopen(run, reason=reason)
+        try:
+            _take_report(writer)
+            for index in again:
+                writer.reject(index, reason or "")
+        except BaseException:
+            writer.close()
+            raise
+        return writer
+
+    return _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
+
+
+def _carry_out(
+    sound: Sound,
+    data_root: Path | None,
+    seed: int | None,
+    open_writer: Callable[[], RunWriter],
+    stop: StopRequest,
+    progress: ProgressCallback | None,
+    operator: Operator | None,
+) -> tuple[Path, Outcome]:
+    """Connect the bench, open the run folder and execute what is not yet recorded; how it ended outlives a bench that is not safe."""
+    ended: tuple[Path, Outcome] | None = None
+    try:
+        with _ready(sound, data_root, seed) as bench, open_writer() as writer:
+            if bench.watchdog is not None:
+                bench.watchdog.report_to(writer.path)
+            outcome = execute(
+                sound.schedule,
+                bench,
+                writer,
+                stop=stop,
+                progress=progress,
+                start_at=writer.next_segment,
+                operator=operator,
+            )
+            ended = writer.path, outcome
+    except NotSafeError as error:
+        if ended is None:
+            raise
+        path, outcome = ended
+        ended = path, replace(outcome, unsafe=outcome.unsafe or (str(error),))
+    return ended
 
 
 def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
@@ -147,11 +179,6 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
             message = f"this run has no recorded segment '{label}' to take again"
             raise InputError.at(Mark(str(reader.path)), "run-no-segment", message, closest(label, known))
     return tuple(sorted({known[label] for label in labels}))
-
-
-def _report_to(bench: OpenBench, writer: RunWriter) -> None:
-    if bench.watchdog is not None:
-        bench.watchdog.report_to(writer.path)
 
 
 def _take_report(writer: RunWriter) -> None:

@@ -14,7 +14,7 @@ from planrunner.plan.findings import Mark
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Stability, Watch
 
-Complain = Callable[[str, Mark, str, str], None]
+Add = Callable[[str, Mark, str, str], None]
 
 
 def wait_of(state: Mapping[str, Any], name: str) -> tuple[float, Stability | None]:
@@ -41,20 +41,20 @@ def watch_of(state: Mapping[str, Any]) -> Watch | None:
 
 
 def check_measured(
-    state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, complain: Complain
+    state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, add: Add
 ) -> None:
-    """A limit on something that no instrument of the bench can measure is an error; `complain` takes code, place, message and hint."""
+    """A limit on something that no instrument of the bench can measure is an error; `add` takes code, place, message and hint."""
     for name in ("soak", "settle", "watch"):
         stated = state.get(name)
         if isinstance(stated, holding_spec.Tolerated) and stated.stated() and not models.measures:
             message = f"no instrument of this bench has live readings to hold {', '.join(stated.stated())} against"
-            complain("physics-unmeasured", marks[name], message, "leave them out, or use a bench that measures them")
+            add("physics-unmeasured", marks[name], message, "leave them out, or use a bench that measures them")
     watch = state.get("watch")
     if watch is None or models.counts:
         return
     if watch.lost_frames is not None or watch.corrupt_frames is not None:
         message = "the sensor's driver does not count lost and corrupt frames"
-        complain("physics-unmeasured", marks["watch"], message, "leave their limits out, or use another driver")
+        add("physics-unmeasured", marks["watch"], message, "leave their limits out, or use another driver")
 
 
 def _in_si(stated: holding_spec.Tolerated) -> dict[str, float]:
