@@ -22,8 +22,9 @@ def integers(
     if whole.dtype.kind == "f":
         whole = np.rint(np.nan_to_num(whole))
     whole = np.clip(whole, low, high).astype(np.int64 if signed or bits < 64 else np.uint64)
-    shifts = 8 * np.arange(width - 1, -1, -1) if order == "big" else 8 * np.arange(width)
-    return ((whole[:, None] >> shifts) & 0xFF).astype(np.uint8)
+    places = np.arange(width - 1, -1, -1) if order == "big" else np.arange(width)
+    shifts = (8 * places).astype(whole.dtype)  # numpy shifts unsigned numbers of 64 bits by their like only
+    return ((whole[:, None] >> shifts) & whole.dtype.type(0xFF)).astype(np.uint8)
 
 
 def floats(values: NDArray[np.generic] | Sequence[float], width: int = 4, order: Order = "big") -> Bytes:

@@ -14,6 +14,7 @@ imu:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from planrunner.instruments.models import SensorModel
@@ -119,6 +120,12 @@ class DeclaredFrameParameters(SerialSensorParameters):
     status: StatusOfFrame | None = key(
         RecordOf(StatusOfFrame), "Its status word.", {"at": 15, "bits": {"overload": 4}}, None
     )
+    modes: dict[str, str] = key(
+        MapOf(Text(r"[\x20-\x7e]{1,60}", "a line of text"), pattern=NAME),
+        "Operating mode → the line, ended by CR, that switches into it; frames go on in every mode.",
+        {"powered": "POWER ON", "unpowered": "POWER OFF"},
+        default_factory=dict,
+    )
 
 
 class DeclaredFrame(SerialSensor):
@@ -133,7 +140,11 @@ class DeclaredFrame(SerialSensor):
         _check(parameters)
         layout = cls.decoder_of(parameters)
         resolutions = {name: abs(item.scale) for name, item in layout.fields.items() if item.kind != FLOAT}
-        return sensor_model(parameters, layout.units, resolutions)
+        return replace(sensor_model(parameters, layout.units, resolutions), modes=tuple(parameters.modes))
+
+    def set_mode(self, mode: str) -> float:
+        self.link.write(self.parameters.modes[mode].encode("ascii") + b"\r")
+        return 0.0
 
     @classmethod
     def decoder_of(cls, parameters: Any) -> FrameLayout:

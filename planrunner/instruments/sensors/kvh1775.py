@@ -94,9 +94,9 @@ def layout(parameters: Kvh1775Parameters) -> FrameLayout:
     fields = {f"gyro_{axis}": Field(4 + 4 * place, 4, FLOAT, scale) for place, axis in enumerate(AXES)}
     fields |= {f"accel_{axis}": Field(16 + 4 * place, 4, FLOAT) for place, axis in enumerate(AXES)}
     units = {f"gyro_{axis}": f"{parameters.angle_unit}/s" for axis in AXES} | {f"accel_{axis}": "g" for axis in AXES}
-    status = 32 if name == "B" else 28
+    status = 28 if name == "A" else 32
     if name == "C":
-        fields["sensor_temperature"] = Field(30, 4, FLOAT)
+        fields["sensor_temperature"] = Field(28, 4, FLOAT)
     else:
         hundredths = parameters.temperature_unit == "C_100"
         fields["sensor_temperature"] = Field(status + 2, 2, scale=0.01 if hundredths else 1.0)

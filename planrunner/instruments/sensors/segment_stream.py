@@ -13,7 +13,6 @@ from planrunner.instruments.wire.framing import Framer
 from planrunner.instruments.wire.host_clock import HostClock, Unwrapping
 from planrunner.instruments.wire.serial_stream import SerialStream
 
-
 FIRST = 0.25
 """Seconds of frames before the first are stamped: the least delayed of them tells when they were taken."""
 

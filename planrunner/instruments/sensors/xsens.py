@@ -7,7 +7,8 @@ are packets: identifier (its low bits say how numbers are written), length, cont
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -160,7 +161,7 @@ class MtData2:
 
     def decode(self, frames: Frames) -> Samples:
         left = np.arange(len(frames))
-        parts: list[tuple[Whole, Samples]] = []
+        parts: list[Samples] = []
         refused = 0
         while left.size:
             first, length = int(frames.starts[left[0]]), int(frames.lengths[left[0]])
@@ -171,31 +172,26 @@ class MtData2:
             if layout is None:
                 refused += int(np.count_nonzero(alike))
             else:
-                parts.append((left[alike], layout.decode(frames.of(left[alike]))))
+                # In place of times the frames' numbers, by which the shapes are put in order again.
+                chosen = replace(frames.of(left[alike]), received=left[alike].astype(float))
+                parts.append(layout.decode(chosen))
             left = left[~alike]
-        return self._joined(parts, refused)
+        return self._joined(parts, refused, frames.received)
 
-    def _joined(self, parts: list[tuple[Whole, Samples]], refused: int) -> Samples:
+    def _joined(self, parts: list[Samples], refused: int, received: Array) -> Samples:
         """Samples of several shapes in the order in which they came."""
         if not parts:
             empty = np.empty(0)
             channels = dict.fromkeys(self.channels(), empty)
             return Samples(empty, np.empty(0, np.int64), empty, channels, np.empty(0, bool), refused=refused)
-        refused += sum(samples.refused for _, samples in parts)
-        doubts = tuple(dict.fromkeys(text for _, samples in parts for text in samples.doubts))
-        whole = parts[0][1]
-        for _, samples in parts[1:]:
-            whole = whole.and_then(samples)
-        if len(parts) > 1:
-            whole = whole.part(np.argsort(whole.received, kind="stable"))
-        return Samples(
-            whole.received,
-            whole.counter,
-            whole.latency,
-            self._as_recorded(whole.channels),
-            whole.doubtful,
-            doubts,
-            refused,
+        whole = reduce(Samples.and_then, parts)
+        whole = whole.part(np.argsort(whole.received))
+        return replace(
+            whole,
+            received=received[whole.received.astype(int)],
+            channels=self._as_recorded(whole.channels),
+            doubts=tuple(dict.fromkeys(text for samples in parts for text in samples.doubts)),
+            refused=refused + sum(samples.refused for samples in parts),
         )
 
     def _as_recorded(self, channels: Mapping[str, Array]) -> Mapping[str, Array]:
