@@ -126,7 +126,7 @@ class DeclaredUnit:
         self.heard += data
         for word, mode in self.words.items():
             if word in self.heard:
-                self.heard = self.heard.rpartition(word)[2]
+                self.heard = self.heard.replace(word, b"")
                 self.switch(mode)
         self.heard = self.heard[-200:]
         return b""

@@ -153,13 +153,11 @@ def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, address: Addre
     if not hasattr(live.sensor, "sampler"):
         message = f"the virtual sensor '{type(live.sensor).__name__}' cannot run freely"
         raise InputError.at(entry.origin.mark, "meaning-simulation", message, "use a virtual gyro or inertial sensor")
-    feed = SensorFeed(live)
-    rate = entry.parameters.sample_rate.value
-    if abs(feed.rate / rate - 1) > 1e-9:
-        message = f"'{name}' is said to give {rate:g} Hz; the virtual sensor behind it gives {feed.rate:g} Hz"
-        raise InputError.at(
-            entry.origin.mark, "meaning-simulation", message, "make sample_rate the same in both benches"
-        )
+    rate, fastest = entry.parameters.sample_rate.value, live.sensor.parameters.sample_rate.value
+    if rate > fastest * (1 + 1e-9):
+        message = f"'{name}' is said to give {rate:g} Hz; the virtual sensor behind it gives {fastest:g} Hz at most"
+        raise InputError.at(entry.parameters.at("sample_rate"), "meaning-simulation", message, "make it slower")
+    feed = SensorFeed(live, rate)
     made = SENSORS[entry.driver](entry, live, feed)
     return Streamed(name, made, feed, address, float(entry.parameters.baud))
 
@@ -219,7 +217,8 @@ def _declared(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> unit
         good = sum(1 << bit for bit in status.bits.values())
         steady.append((status.place, good.to_bytes(width, "little" if status.little_endian else "big")))
     form = DeclaredFrame(bytes.fromhex(keys.sync), keys.length, fields, running, check, tuple(steady))
-    return DeclaredUnit(own, form)
+    words = {text.encode("ascii") + b"\r": mode for mode, text in keys.modes.items()}
+    return DeclaredUnit(own, form, words, feed.set_mode)
 
 
 def _order(item: Any) -> Any:

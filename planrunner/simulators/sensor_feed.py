@@ -16,11 +16,11 @@ _FREE_RUNNING = 2  # second part of the key of its noise: apart from those of se
 
 
 class SensorFeed:
-    """Samples of a live world's sensor. rate: Hz."""
+    """Samples of a live world's sensor. rate: Hz that it is set to; each sample is a mean over its interval."""
 
-    def __init__(self, live: LiveWorld):
+    def __init__(self, live: LiveWorld, rate: float):
         self.live = live
-        self.rate = float(live.sensor.parameters.sample_rate.value)
+        self.rate = rate
         self.runs = 0
         self.waiting: list[Block] = []
         self.start_over()

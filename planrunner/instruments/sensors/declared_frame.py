@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.recording_keys import NAME, UnitText
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
@@ -143,7 +144,10 @@ class DeclaredFrame(SerialSensor):
         return replace(sensor_model(parameters, layout.units, resolutions), modes=tuple(parameters.modes))
 
     def set_mode(self, mode: str) -> float:
-        self.link.write(self.parameters.modes[mode].encode("ascii") + b"\r")
+        modes: dict[str, str] = self.parameters.modes
+        if mode not in modes:
+            raise InstrumentError(f"it has no mode '{mode}'; the bench file names {', '.join(modes) or 'none'}")
+        self.link.write(modes[mode].encode("ascii") + b"\r")
         return 0.0
 
     @classmethod
