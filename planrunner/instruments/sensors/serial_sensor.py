@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 from planrunner.instruments.interfaces import Block, Clock, Condition, FrameCounts, InstrumentError, Surroundings
 from planrunner.instruments.sensors.first_frames import FirstFrames
-from planrunner.instruments.sensors.keys import SerialSensorParameters
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.sensors.segment_stream import SegmentStream
 from planrunner.instruments.wire.framing import Framer, Piece
@@ -41,7 +40,7 @@ class SerialSensor:
         clock: Clock,
         identity: Mapping[str, str] | None = None,
     ):
-        self.parameters: SerialSensorParameters = parameters
+        self.parameters: Any = parameters
         self.decoder = decoder
         self.link = link
         self.clock = clock
