@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 
 from planrunner.plan.units import ZERO_CELSIUS
@@ -10,6 +9,7 @@ from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
 
 _ADDRESSED = re.compile(r"(\d+),(.*)", re.DOTALL)
+_MARGIN = 20.0  # K beyond the chamber's range that its limits may lie
 UNKNOWN, OUT_OF_RANGE, NOT_READY = "NA:CMD ERR", "NA:DATA OUT OF RANGE", "NA:CHB NOT READY"
 
 
@@ -86,7 +86,8 @@ class EspecP300:
             if letter not in wanted:
                 raise NotUnderstoodError(letter)
             kelvin = celsius + ZERO_CELSIUS
-            if not math.isfinite(celsius) or not plant.model.lowest - 1e-6 <= kelvin <= plant.model.highest + 1e-6:
+            beyond = 1e-6 if letter == "S" else _MARGIN
+            if not plant.model.lowest - beyond <= kelvin <= plant.model.highest + beyond:
                 return OUT_OF_RANGE
             wanted[letter] = kelvin
         if not wanted["L"] <= wanted["S"] <= wanted["H"]:
