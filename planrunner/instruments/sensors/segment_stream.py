@@ -18,25 +18,25 @@ FIRST = 0.25
 
 
 class SegmentStream:
-    """From `start` to `end`, s by the bench's clock. byte_time: s that a byte is on the line; skew: of the sensor's clock, as known so
-    far.
+    """`wanted` samples from `start` (s, by the bench's clock) on. byte_time: s that a byte is on the line; skew: of the sensor's clock, as
+    known so far.
 
     over: whether all samples are out. heard: good frames of the last call.
     """
 
-    def __init__(self, decoder: Decoder, link: SerialStream, start: float, end: float, byte_time: float, skew: float):
+    def __init__(self, decoder: Decoder, link: SerialStream, start: float, wanted: int, byte_time: float, skew: float):
         self.over = False
         self.heard = 0
         self._decoder, self._link = decoder, link
-        self._start, self._end = start, end
+        self._start, self._wanted = start, wanted
         self._framer = Framer(decoder.framing, byte_time)
         self._unwrapping = Unwrapping(decoder.counter)
         self._clock = HostClock(decoder.counter, skew)
         self._pending: Samples | None = None
         self._doubts: dict[str, None] = {}
         self._last = -1
-        self._recorded = self._lost = self._repeated = self._disordered = self._refused = self._doubtful = 0
-        self._recorded_last = 0
+        self._recorded = self._reached = self._repeated = self._disordered = self._refused = self._doubtful = 0
+        self._first = math.nan
         self._latency = 0.0
 
     @property
@@ -80,7 +80,7 @@ class SegmentStream:
             )
         return FrameCounts(
             self._recorded,
-            self._lost,
+            self._reached - self._recorded,
             self._framer.corrupt + self._refused,
             math.ceil(self._link.ring.dropped / self._framer.length),
             self._framer.skipped,
@@ -98,16 +98,18 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """The samples of the dwell, and the count of those missing between them."""
-        inside = (time > self._start) & (time <= self._end)
-        kept, index = ready.part(inside), index[inside]
-        if len(kept):
-            before = index[0] - self._decoder.counter.step if self._recorded == 0 else self._recorded_last
-            missing = np.rint(np.diff(index, prepend=before) / self._decoder.counter.step) - 1
-            self._lost += int(np.sum(np.maximum(missing, 0)))
+        """The samples of the dwell. It has as many places as were wanted, from the first frame after its start on."""
+        inside = time > self._start
+        if math.isnan(self._first) and inside.any():
+            self._first = float(index[inside][0])
+        places = np.rint((index - self._first) / self._decoder.counter.step)
+        inside &= places < self._wanted
+        if inside.any():
+            kept = ready.part(inside)
             self._recorded += len(kept)
-            self._recorded_last = int(index[-1])
+            self._reached = int(places[inside][-1]) + 1
             self._doubtful += int(np.count_nonzero(kept.doubtful))
             self._latency = float(np.median(kept.latency))
-        self.over = time.size > 0 and float(time[-1]) + self._decoder.counter.interval > self._end
-        return Block(time[inside], kept.channels)
+        if places.size and places[-1] >= self._wanted - 1:
+            self.over, self._reached = True, self._wanted
+        return Block(time[inside], ready.part(inside).channels)

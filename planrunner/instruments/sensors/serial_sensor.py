@@ -103,7 +103,8 @@ class SerialSensor:
         self.link.ring.follow(True)
         self._streaming = True
         self._heard = start = self.clock.now()
-        current = SegmentStream(self.decoder, self.link, start, start + segment.dwell, self._byte_time(), self._skew)
+        wanted = max(1, round(segment.dwell * self.parameters.sample_rate.value))
+        current = SegmentStream(self.decoder, self.link, start, wanted, self._byte_time(), self._skew)
         self._current = current
         try:
             while not current.over:
