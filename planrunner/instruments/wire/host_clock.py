@@ -57,6 +57,8 @@ class Unwrapping:
     """
 
     counter: Counter
+    haste: float = 1.0
+    """Seconds of the readings' clock in one of the wall: not 1 for a simulated sensor that hastens; the computer's delays keep to the wall."""
     _raw: int = 0
     _index: int = 0
     _received: float = math.nan
@@ -73,10 +75,10 @@ class Unwrapping:
         index, waited = self._index + np.cumsum(self._steps(raw)), np.diff(received, prepend=self._received)
         steps = np.diff(index, prepend=self._index)
         period = self.counter.modulus * self.counter.tick
-        doubtful = max(period / 2, 0.1, 5 * self.counter.interval) if self.counter.modulus == 1 else period / 2
+        doubtful = max(period / 2, 0.1 * self.haste, 5 * self.counter.interval) if self.counter.modulus == 1 else period / 2
         ready = received.size
         for place in np.flatnonzero(waited - steps * self.counter.tick > doubtful):
-            if not final and received[-1] - received[place] < PATIENCE:
+            if not final and received[-1] - received[place] < PATIENCE * self.haste:
                 ready = int(place)
                 break
             behind = float(np.min((received - index * self.counter.tick)[place:]))
@@ -103,8 +105,8 @@ class Unwrapping:
     def _lowest(self, received: Array, index: Whole) -> float:
         """The least delay of the last second, s, but for a constant."""
         delay = received - index * self.counter.tick
-        recent = float(np.min(delay[received >= received[-1] - 1.0]))
-        return recent if math.isnan(self._floor) or received[-1] - received[0] >= 1.0 else min(recent, self._floor)
+        recent = float(np.min(delay[received >= received[-1] - self.haste]))
+        return recent if math.isnan(self._floor) or received[-1] - received[0] >= self.haste else min(recent, self._floor)
 
 
 @dataclass
@@ -115,6 +117,7 @@ class HostClock:
 
     counter: Counter
     skew: float = 0.0
+    haste: float = 1.0
     worst_delay: float = 0.0
     _points: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _delays: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
@@ -152,14 +155,15 @@ class HostClock:
             least = begin + int(np.argmin(delay[begin : begin + 4096]))
             self._keep(float(nominal[least]), float(delay[least]))
         span = self._points[-1][0] - self._points[0][0]
-        if span >= SKEW_AFTER:
+        if span >= SKEW_AFTER * self.haste:
             self.skew, self._offset = line_under(np.array(self._points))
         else:
             self._offset = min(delay - self.skew * when for when, delay in self._points)
 
     def _keep(self, nominal: float, delay: float) -> None:
         """The least delay of every window."""
-        if self._points and nominal // WINDOW == self._points[-1][0] // WINDOW:
+        window = WINDOW * self.haste
+        if self._points and nominal // window == self._points[-1][0] // window:
             if delay < self._points[-1][1]:
                 self._points[-1] = (nominal, delay)
         else:
