@@ -95,9 +95,10 @@ class AcutrolCommands:
                 raise InstrumentError(
                     f"axis {axis} of the ACUTROL keeps {kept:g} as its {what} limit instead of {value:g}"
                 )
+        ends_told = "" if bounds.lowest is None else f", beyond {written(low)} to {written(high)} deg"
         return [
-            f"axis {axis}: at most {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2, trips at {trip:g} deg/s, at "
-            f"{bounds.tracking_error:g} deg of tracking error and beyond {low:g} to {high:g} deg"
+            f"axis {axis}: at most {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; trips at {trip:g} deg/s, "
+            f"{bounds.tracking_error:g} deg of tracking error{ends_told}"
         ]
 
     def energise(self) -> None:

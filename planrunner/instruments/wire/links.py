@@ -11,6 +11,7 @@ import contextlib
 import functools
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -23,6 +24,9 @@ GLANCE = 0.001
 """Seconds of looking whether something lies unread."""
 QUIET = 0.02
 """Seconds without a byte after which unread rests count as over."""
+
+MOST_REMARKS = 100
+"""What is kept for whoever asks seldom."""
 
 _locks: dict[str, threading.RLock] = {}
 _making = threading.Lock()
@@ -134,7 +138,7 @@ class MessageLink:
         self._lock = lock_of(settings.address)
         self._last = 0.0
         self._disturbed = False
-        self._remarks: list[str] = []
+        self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
 
     def write(self, *texts: str) -> None:
         """Send what is not answered. Not tried again: nobody knows how much arrived."""
@@ -158,7 +162,8 @@ class MessageLink:
 
     def remarks(self) -> list[str]:
         """What was out of the ordinary since the last call."""
-        told, self._remarks = self._remarks, []
+        told = list(self._remarks)
+        self._remarks.clear()
         return told
 
     def close(self) -> None:

@@ -8,6 +8,8 @@ import re
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.links import MessageLink
 
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
 
 def numbers(link: MessageLink, request: str, count: int) -> list[float]:
     """The numbers that a request is answered with, separated by commas or semicolons. Raises `InstrumentError` when there are fewer or
@@ -21,11 +23,8 @@ def number(link: MessageLink, request: str) -> float:
 
 def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
     """The first `count` numbers of a reply."""
-    parts = re.split(r"[,;]", reply)
-    try:
-        found = [float(part) for part in parts[:count]]
-    except ValueError:
-        found = []
+    parts = [part.strip() for part in re.split(r"[,;]", reply)[:count]]
+    found = [float(part) for part in parts if NUMBER.fullmatch(part)]
     if len(found) < count or not all(map(math.isfinite, found)):
         wanted = "a number is" if count == 1 else f"{count} numbers are"
         raise InstrumentError(
