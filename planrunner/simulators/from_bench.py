@@ -136,6 +136,8 @@ def _spoken(name: str, role: str, entry: InstrumentEntry, live: LiveWorld, addre
     if entry.driver not in known:
         raise _not_simulated(entry, known)
     make, manner = known[entry.driver]
+    if entry.driver == "espec_p300":
+        return Spoken(name, role, EspecP300(ChamberPlant(live), address=entry.parameters.station), manner, address)
     if role == "chamber":
         return Spoken(name, role, make(ChamberPlant(live)), manner, address)
     axes, own = len(live.table.axes), len(entry.parameters.axes)
