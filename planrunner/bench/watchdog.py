@@ -16,13 +16,14 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from planrunner.instruments.interfaces import InstrumentError
 
 STARTING = 60.0
+LEAVING = 5.0
 ENDING = 120.0
-"""Seconds that the watchdog may take to start, and to make a bench safe that planrunner could not."""
+"""Seconds that the watchdog may take to start, to leave when it is told to, and to make a bench safe that planrunner could not."""
 EVERY = 1.0
 """Seconds between two signs of life."""
 REPORT = "watchdog.txt"
@@ -49,9 +50,12 @@ class Watchdog:
             answer = error.strerror or "its pipe is broken"
         if answer != "ready":
             self._process.kill()
+            self._part(LEAVING)
             raise InstrumentError(
                 f"the watchdog that makes the bench safe should planrunner be killed does not start: {answer}"
             )
+        with contextlib.suppress(OSError, AttributeError):  # a watchdog that stands still must not hold planrunner up
+            os.set_blocking(self._stdin.fileno(), False)
 
     @property
     def pid(self) -> int:
@@ -80,23 +84,32 @@ class Watchdog:
         """The bench is safe: nothing is left to be done."""
         with contextlib.suppress(OSError):
             self._tell("safe")
-        self._part()
+        self._part(LEAVING)
 
     def let_act(self) -> None:
         """The bench could not be made safe from here: let the watchdog try over connections of its own, and wait for it."""
-        self._part()
+        self._part(ENDING)
+
+    @property
+    def _stdin(self) -> IO[bytes]:
+        assert self._process.stdin is not None
+        return self._process.stdin
 
     def _tell(self, line: str) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{line}\n".encode())
+        """Raises `OSError` when nobody reads, or nobody has read for long."""
+        data = memoryview(f"{line}\n".encode())
+        while data:
+            written = self._stdin.write(data)
+            if written is None:
+                raise BlockingIOError
+            data = data[written:]
 
-    def _part(self) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
+    def _part(self, patience: float) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
-            with contextlib.suppress(OSError):
-                pipe.close()
+            with contextlib.suppress(OSError, AttributeError):
+                pipe.close()  # type: ignore[union-attr]
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(ENDING)
+            self._process.wait(patience)
 
 
 def _start() -> subprocess.Popen[bytes]:
@@ -106,13 +119,9 @@ def _start() -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "planrunner.bench.watchdog_process"]
     pipe = subprocess.PIPE
     try:
-        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, **apart)
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, **apart)
     except OSError as error:
         raise InstrumentError(f"the watchdog process cannot be started: {error.strerror or error}") from None
-    assert process.stdin is not None
-    with contextlib.suppress(OSError, AttributeError):  # a watchdog that stands still must not hold planrunner up
-        os.set_blocking(process.stdin.fileno(), False)
-    return process
 
 
 def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:

@@ -61,8 +61,7 @@ def main() -> int:
     reason = _guard(charge, lines)
     if reason is not None:
         _tell(charge, reason, rescue(charge))
-    sys.stderr.flush()
-    os._exit(0)  # whatever an instrument's driver still does
+    return 0
 
 
 def _be_deaf() -> None:
@@ -160,4 +159,7 @@ def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    code = main()
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.flush()
+    os._exit(code)  # whatever an instrument's driver, or the thread that listens, still does
