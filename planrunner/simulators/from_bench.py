@@ -27,6 +27,7 @@ from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.kvh1775 import Kvh1775
 from planrunner.simulators.live_world import LiveWorld
 from planrunner.simulators.message_port import Manner
+from planrunner.simulators.navigation_units import VectorNavUnit, XsensUnit
 from planrunner.simulators.scpi_table import ScpiTable
 from planrunner.simulators.sensor_feed import SensorFeed
 from planrunner.simulators.stim300 import Stim300
@@ -185,11 +186,14 @@ def _kvh1775(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units
 
 
 def _xsens(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
-    return units.XsensUnit(_outputs(live), Xsens())
+    names = {"acceleration": 0x4020, "delta_v": 0x4010, "rate": 0x8020, "delta_q": 0x8030, "temperature": 0x0810}
+    items = (0x1020, *(names[name] for name in entry.parameters.outputs), 0xE020)
+    return XsensUnit(_outputs(live), Xsens(items), feed.rate)
 
 
 def _vectornav(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
-    return units.VectorNavUnit(_outputs(live), VectorNav())
+    keys = entry.parameters
+    return VectorNavUnit(_outputs(live), VectorNav(keys.fields), "" if keys.output == "binary" else keys.output)
 
 
 def _outputs(live: LiveWorld) -> units.Outputs:

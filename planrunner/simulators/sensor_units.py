@@ -1,4 +1,7 @@
-"""Sensors as units on a line: what their frames carry of the virtual sensor's outputs, and what they answer to the words they know."""
+"""Sensors as units on a line: what their frames carry of the virtual sensor's outputs, and what they answer to the words they know.
+
+STIM300 and KVH stand here, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import STANDARD_GRAVITY, unit
-from planrunner.simulators import vectornav, xsens
 from planrunner.simulators.check_values import CRC_8
 from planrunner.simulators.columns import Bytes
-from planrunner.simulators.kvh1775 import Kvh1775, built_in_test
+from planrunner.simulators.kvh1775 import ALL_VALID, Kvh1775, built_in_test
 from planrunner.simulators.stim300 import INTERNAL_RATE, Stim300
 
 Array = NDArray[np.float64]
+_DOUBTFUL = 2  # frames of a KVH after its configuration was changed
 _LATENCY = 500.0  # µs between a sample and its datagram
 
 
@@ -133,6 +136,7 @@ class KvhUnit:
     hundredths: bool = False
     counting: Counting = field(default_factory=Counting)
     heard: bytes = b""
+    doubtful: int = 0
 
     def frames(self, block: Block) -> Bytes:
         per_sample = 1 / self.rate if self.increments else 1.0
@@ -145,15 +149,19 @@ class KvhUnit:
         }
         for axis in "xyz":
             columns |= {f"gyro_{axis}": gyro[axis] * per_sample, f"acc_{axis}": force[axis]}
+        columns["status"] = np.where(np.arange(numbers.size) < self.doubtful, 0.0, float(ALL_VALID))
+        self.doubtful = max(0, self.doubtful - numbers.size)
         return self.form.frames(columns, numbers)
 
     def hear(self, data: bytes) -> bytes:
-        """Lines end with CR or LF: `?bit` is answered by the built-in test, `=rotfmt,…` and the like take effect."""
+        """Lines end with CR or LF: `?bit` is answered by the built-in test, `=rotfmt,…` and the like take effect. The first frames after a
+        change say that they are invalid."""
         self.heard += data.replace(b"\r", b"\n")
         replies = b""
         while b"\n" in self.heard:
             line, _, self.heard = self.heard.partition(b"\n")
             word = line.decode("ascii", "replace").strip().lower()
+            self.doubtful = _DOUBTFUL if word.startswith("=") else self.doubtful
             if word == "?bit":
                 replies += built_in_test(b"\x7f" * 6)
             elif word in ("=rotfmt,delta", "=rotfmt,rate"):
@@ -162,90 +170,5 @@ class KvhUnit:
                 self.degrees = word.endswith("deg")
             elif word in ("=tempunits,c", "=tempunits,c_100"):
                 self.hundredths = word.endswith("100")
-        self.heard = self.heard[-200:]
-        return replies
-
-
-@dataclass(slots=True)
-class XsensUnit:
-    outputs: Outputs
-    form: xsens.Xsens
-    counting: Counting = field(default_factory=Counting)
-    configured: bool = False
-    heard: bytes = b""
-
-    def frames(self, block: Block) -> Bytes:
-        count = block.time.size
-        if self.configured:
-            return np.zeros((0, self.form.length()), dtype=np.uint8)
-        gyro, force = self.outputs.triad(block, "gyro", 1.0), self.outputs.triad(block, "accel", 1.0)
-        rates, forces = (np.stack(list(triad.values()), axis=1) for triad in (gyro, force))
-        columns = {
-            xsens.PACKET_COUNTER: self.counting.take(count),
-            xsens.SAMPLE_TIME_FINE: xsens.fine_time(block.time),
-            xsens.STATUS_WORD: np.full(count, 3.0),
-            0x4020: forces,
-            0x8020: rates,
-            xsens.TEMPERATURE: self.outputs.celsius(block),
-        }
-        return self.form.frames(columns)
-
-    def hear(self, data: bytes) -> bytes:
-        """GoToConfig and GoToMeasurement are acknowledged; anything else of Xbus form is an unknown message (error 4)."""
-        self.heard += data
-        replies = b""
-        while len(self.heard) >= 5:
-            start = self.heard.find(b"\xfa\xff")
-            if start < 0 or len(self.heard) < start + 4:
-                break
-            end = start + 5 + self.heard[start + 3]
-            message, self.heard = self.heard[start:end], self.heard[end:]
-            if sum(message[1:]) % 256 == 0:
-                replies += self._answer(message[2])
-        self.heard = self.heard[-300:]
-        return replies
-
-    def _answer(self, identifier: int) -> bytes:
-        if identifier not in (0x30, 0x10, 0x00):
-            return xsens.short_message(0x42, b"\x04")
-        if identifier:
-            self.configured = identifier == 0x30
-        return xsens.short_message(identifier + 1, b"\x00\x00\x00\x01" if identifier == 0x00 else b"")
-
-
-@dataclass(slots=True)
-class VectorNavUnit:
-    outputs: Outputs
-    form: vectornav.VectorNav
-    heard: bytes = b""
-
-    def frames(self, block: Block) -> Bytes:
-        count = block.time.size
-        gyro, force = self.outputs.triad(block, "gyro", 1.0), self.outputs.triad(block, "accel", 1.0)
-        rates, forces = (np.stack(list(triad.values()), axis=1) for triad in (gyro, force))
-        celsius, nothing = self.outputs.celsius(block), np.zeros((count, 3))
-        step = float(block.time[1] - block.time[0]) if count > 1 else 0.0
-        columns = {
-            "time_startup": np.rint(block.time * 1e9),
-            "ypr": nothing,
-            "quaternion": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
-            "rate": rates,
-            "accel": forces,
-            "imu_uncompensated": np.concatenate([forces, rates], axis=1),
-            "mag_temp_pres": np.concatenate([nothing, celsius[:, None], np.full((count, 1), 101.3)], axis=1),
-            "delta": np.concatenate([np.full((count, 1), step), np.rad2deg(rates) * step, forces * step], axis=1),
-        }
-        return self.form.frames({name: columns[name] for name in self.form.fields})
-
-    def hear(self, data: bytes) -> bytes:
-        """Registers asked for by ASCII lines: 1 the model, 3 the serial number; others are refused."""
-        self.heard += data
-        replies = b""
-        while b"\n" in self.heard:
-            text, _, self.heard = self.heard.partition(b"\n")
-            words = text.decode("ascii", "replace").strip().lstrip("$").partition("*")[0].split(",")
-            if words[0] == "VNRRG" and len(words) > 1 and words[1].isdigit():
-                known = {1: "VN-100S", 3: "0100000000"}.get(int(words[1]))
-                replies += vectornav.line(f"VNRRG,{int(words[1]):02d},{known}" if known else "VNERR,08")
         self.heard = self.heard[-200:]
         return replies

@@ -15,13 +15,12 @@ Array = NDArray[np.float64]
 _NANOSECONDS = 0
 _COMMON = {
     "time_startup": (0, _NANOSECONDS),
-    "ypr": (3, 3),
+    "yaw_pitch_roll": (3, 3),
     "quaternion": (4, 4),
-    "rate": (5, 3),
-    "accel": (8, 3),
-    "imu_uncompensated": (9, 6),
-    "mag_temp_pres": (10, 5),
-    "delta": (11, 7),
+    "angular_rate": (5, 3),
+    "acceleration": (8, 3),
+    "imu": (9, 6),
+    "mag_pres": (10, 5),
 }
 """Outputs of the common group by name: bit of the field word, and how many floats; the time is one whole number of 8 bytes."""
 
@@ -30,7 +29,7 @@ _COMMON = {
 class VectorNav:
     """fields: outputs of the common group, by name."""
 
-    fields: Sequence[str] = ("time_startup", "imu_uncompensated", "mag_temp_pres")
+    fields: Sequence[str] = ("time_startup", "imu", "mag_pres")
 
     def length(self) -> int:
         """Bytes of a message on the line."""
@@ -59,11 +58,19 @@ def line(body: str) -> bytes:
 
 
 def measurement(
-    magnetic: Sequence[float], accel: Sequence[float], rate: Sequence[float], ypr: Sequence[float]
+    magnetic: Sequence[float],
+    accel: Sequence[float],
+    rate: Sequence[float],
+    ypr: Sequence[float],
+    kind: str = "VNYMR",
 ) -> bytes:
-    """A `VNYMR` line: attitude [deg], magnetic field [gauss], acceleration [m/s^2], rate [rad/s], each (3,)."""
-    written = [f"{value:+08.3f}" for value in ypr]
-    written += [f"{value:+08.4f}" for value in magnetic]
-    written += [f"{value:+07.3f}" for value in accel]
-    written += [f"{value:+010.6f}" for value in rate]
-    return line("VNYMR," + ",".join(written))
+    """A line of measurements, each (3,): `VNYMR` attitude [deg], magnetic field [gauss], acceleration [m/s^2] and rate [rad/s]; `VNYPR`,
+    `VNACC` and `VNGYR` attitude, acceleration and rate alone."""
+    parts = {
+        "VNYPR": [f"{value:+08.3f}" for value in ypr],
+        "magnetic": [f"{value:+08.4f}" for value in magnetic],
+        "VNACC": [f"{value:+07.3f}" for value in accel],
+        "VNGYR": [f"{value:+010.6f}" for value in rate],
+    }
+    written = [word for part in parts.values() for word in part] if kind == "VNYMR" else parts[kind]
+    return line(",".join([kind, *written]))

@@ -56,6 +56,11 @@ class Xsens:
         return message(MTDATA2, payload)
 
 
+def known(item: int) -> bool:
+    """Whether a data identifier, with its format, can be sent."""
+    return item in _INTEGERS or ((item & 0xFFF0) in _COMPONENTS and item & 0xF < 4)
+
+
 def _real(values: Array, form: int) -> Bytes:
     """Reals (n,): IEEE 754, or fixed point with 20 or 32 bits behind the point (of the latter, the fraction goes first)."""
     if form == 1:

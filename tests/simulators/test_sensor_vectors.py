@@ -140,8 +140,8 @@ def test_xsens_long_message_has_a_length_of_two_bytes() -> None:
 
 def test_vectornav_binary(vectors: Vectors) -> None:
     vector = vectors["vn_ypr"]
-    unit = vectornav.VectorNav(("ypr",))
-    sent = unit.frames({"ypr": np.array([vector["ypr_deg"]])})
+    unit = vectornav.VectorNav(("yaw_pitch_roll",))
+    sent = unit.frames({"yaw_pitch_roll": np.array([vector["ypr_deg"]])})
     assert sent.tobytes().hex() == vector["hex"]
     assert unit.length() == sent.shape[1]
 

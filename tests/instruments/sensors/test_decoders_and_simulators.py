@@ -174,9 +174,9 @@ def test_binary_messages_of_vectornav() -> None:
     draw = np.random.default_rng(11)
     columns = {
         "time_startup": np.arange(COUNT) * 2_500_000 + 10**12,
-        "imu_uncompensated": draw.uniform(-9, 9, (COUNT, 6)).astype(np.float32),
+        "imu": draw.uniform(-9, 9, (COUNT, 6)).astype(np.float32),
     }
-    columns["mag_temp_pres"] = draw.uniform(-1, 1, (COUNT, 5)).astype(np.float32)
+    columns["mag_pres"] = draw.uniform(-1, 1, (COUNT, 5)).astype(np.float32)
     frames = vectornav_unit.VectorNav().frames(columns).tobytes()
     decoder = vectornav.VectorNav.decoder_of(parameters_of("driver: vectornav; sample_rate: 400 Hz"))
     samples, framer = decoded(decoder, frames)
@@ -184,8 +184,8 @@ def test_binary_messages_of_vectornav() -> None:
     assert samples.counter.tolist() == columns["time_startup"].tolist()
     assert decoder.counter.step == 2_500_000
     names = ["accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z"]
-    np.testing.assert_array_equal(np.array([samples.channels[name] for name in names]).T, columns["imu_uncompensated"])
-    np.testing.assert_array_equal(samples.channels["sensor_temperature"], columns["mag_temp_pres"][:, 3])
+    np.testing.assert_array_equal(np.array([samples.channels[name] for name in names]).T, columns["imu"])
+    np.testing.assert_array_equal(samples.channels["sensor_temperature"], columns["mag_pres"][:, 3])
 
 
 def test_lines_of_vectornav() -> None:
