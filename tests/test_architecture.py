@@ -87,8 +87,10 @@ HEAVY = (
     "numba",
     "pint",
     "pyarrow",
+    "pyvisa",
     "rich",
     "scipy",
+    "serial",
 )
 
 

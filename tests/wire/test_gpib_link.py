@@ -20,6 +20,8 @@ class Bus:
         self.told: list[Any] = []
         self.answers: list[bytes] = []
 
+    timeout = 0.0
+
     def open_resource(self, address: str, open_timeout: int) -> Bus:
         self.told.append(("open", address))
         return self

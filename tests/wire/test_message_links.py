@@ -225,6 +225,21 @@ def test_a_late_answer_on_a_serial_line_is_waited_out() -> None:
         assert link.query("NEXT?") == "NEXT? heard"
 
 
+def test_a_serial_line_loses_no_answer_between_many_questions() -> None:
+    """A port that is set up anew between question and answer may lose the answer."""
+
+    def talk(near: int) -> None:
+        try:
+            while data := os.read(near, 100):
+                os.write(near, data.strip() + b" heard\n")
+        except OSError:
+            return
+
+    with serial_line(talk) as address, link_to(address, tries=2) as link:
+        assert {link.query("A?") for _ in range(300)} == {"A? heard"}
+        assert link.remarks() == []
+
+
 def test_a_serial_port_that_is_not_there() -> None:
     with link_to("ASRL/dev/no-such-port::INSTR") as link:
         fails(link, r"cannot be reached \(.*No such file or directory")

@@ -104,7 +104,7 @@ class Incoming:
     def until_quiet(self, seconds: float) -> bytes:
         """Everything until nothing came for so long; waits for the first byte until the deadline."""
         self._byte()
-        self.resource.timeout = seconds * 1000
+        _wait_at_most(self.resource, seconds)
         with contextlib.suppress(_nothing_came()):
             while True:
                 self._byte()
@@ -198,13 +198,14 @@ class MessageLink:
             message_based = _marks_ends(settings.address)
             if not message_based:
                 self._drop_rests(resource)
+            # Before anything is sent: a serial port that is set up anew may lose what is coming in.
+            _wait_at_most(resource, settings.timeout)
             ended = [(text + settings.sent_end).encode("ascii") for text in texts]
             for message in ended if message_based else [b"".join(ended)]:
                 self._keep_pace()
                 resource.write_raw(message)
             if framing is None:
                 return b""
-            resource.timeout = settings.timeout * 1000
             incoming = Incoming(resource, time.monotonic() + settings.timeout, message_based)
             return framing.read(incoming)
         except LinkFailure:
@@ -228,7 +229,7 @@ class MessageLink:
             self._resource = resource
             resource.timeout = patience
             resource.read_termination = None
-            if settings.address.upper().startswith("ASRL"):
+            if settings.address.startswith("ASRL"):
                 resource.baud_rate = settings.baud
             if self._disturbed and not _marks_ends(settings.address):
                 self._await_silence(resource)
@@ -245,12 +246,14 @@ class MessageLink:
 
     def _drop_rests(self, resource: Any) -> None:
         """What lies unread was not asked for."""
-        resource.timeout = GLANCE * 1000
+        if self.settings.address.startswith("ASRL") and not resource.bytes_in_buffer:
+            return
+        _wait_at_most(resource, GLANCE)
         rests = bytearray()
         with contextlib.suppress(_nothing_came()):
             while len(rests) < LONGEST:
                 rests += resource.read_bytes(1, break_on_termchar=False)
-                resource.timeout = QUIET * 1000
+                _wait_at_most(resource, QUIET)
         if rests.strip(self.settings.idle):
             self._remarks.append(f"{self.settings.address} sent {shown(rests)} unasked, which was dropped")
         if len(rests) >= LONGEST:
@@ -258,7 +261,7 @@ class MessageLink:
 
     def _await_silence(self, resource: Any) -> None:
         """A serial line remembers: after a failure it must have been silent for a time-out before it is asked again."""
-        if not self.settings.address.upper().startswith("ASRL"):
+        if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout
         with contextlib.suppress(_nothing_came()):
@@ -287,6 +290,12 @@ def shown(data: bytes | bytearray) -> str:
     cut = bytes(data[:60])
     text = repr(cut)[1:]
     return text if len(data) <= len(cut) else f"{text}…"
+
+
+def _wait_at_most(resource: Any, seconds: float) -> None:
+    """The time-out of the next read; set only where it differs."""
+    if abs(resource.timeout - seconds * 1000) > 0.5:
+        resource.timeout = seconds * 1000
 
 
 def _marks_ends(address: str) -> bool:
