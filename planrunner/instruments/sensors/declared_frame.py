@@ -130,7 +130,7 @@ class DeclaredFrameParameters(SerialSensorParameters):
 
 
 class DeclaredFrame(SerialSensor):
-    """A sensor described in the bench file."""
+    """A sensor on a serial line whose frames the bench file describes."""
 
     Parameters = DeclaredFrameParameters
     manufacturer = "declared in the bench file"

@@ -54,7 +54,7 @@ class Kvh1775Parameters(SerialSensorParameters):
 
 
 class Kvh1775(SerialSensor):
-    """A KVH 1775."""
+    """A KVH 1775 or DSP-1760 on a serial line."""
 
     Parameters = Kvh1775Parameters
     manufacturer = "KVH Industries"

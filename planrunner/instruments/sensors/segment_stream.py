@@ -19,19 +19,28 @@ FIRST = 0.25
 
 class SegmentStream:
     """`wanted` samples from `start` (s, by the bench's clock) on. byte_time: s that a byte is on the line; skew: of the sensor's clock, as
-    known so far.
+    known so far; haste: seconds of the bench's clock in one of the wall.
 
     over: whether all samples are out. heard: good frames of the last call.
     """
 
-    def __init__(self, decoder: Decoder, link: SerialStream, start: float, wanted: int, byte_time: float, skew: float):
+    def __init__(
+        self,
+        decoder: Decoder,
+        link: SerialStream,
+        start: float,
+        wanted: int,
+        byte_time: float,
+        skew: float,
+        haste: float = 1.0,
+    ):
         self.over = False
         self.heard = 0
         self._decoder, self._link = decoder, link
-        self._start, self._wanted = start, wanted
+        self._start, self._wanted, self._haste = start, wanted, haste
         self._framer = Framer(decoder.framing, byte_time)
-        self._unwrapping = Unwrapping(decoder.counter)
-        self._clock = HostClock(decoder.counter, skew)
+        self._unwrapping = Unwrapping(decoder.counter, haste)
+        self._clock = HostClock(decoder.counter, skew, haste)
         self._pending: Samples | None = None
         self._doubts: dict[str, None] = {}
         self._last = -1
@@ -57,7 +66,7 @@ class SegmentStream:
         self._doubts |= dict.fromkeys(samples.doubts)
         waiting = samples if self._pending is None else self._pending.and_then(samples)
         index = np.empty(0, np.int64)
-        if self._last >= 0 or (len(waiting) and waiting.received[-1] - waiting.received[0] >= FIRST):
+        if self._last >= 0 or (len(waiting) and waiting.received[-1] - waiting.received[0] >= FIRST * self._haste):
             index = self._unwrapping.resolve(waiting.received, waiting.counter)
         self._pending = waiting.part(slice(index.size, None))
         chosen = self._onwards(index)

@@ -104,7 +104,7 @@ class SerialSensor:
         self._streaming = True
         self._heard = start = self.clock.now()
         wanted = max(1, round(segment.dwell * self.parameters.sample_rate.value))
-        current = SegmentStream(self.decoder, self.link, start, wanted, self._byte_time(), self._skew)
+        current = SegmentStream(self.decoder, self.link, start, wanted, self._byte_time(), self._skew, self._speed)
         self._current = current
         try:
             while not current.over:

@@ -79,7 +79,7 @@ class Stim300Parameters(SerialSensorParameters):
 
 
 class Stim300(SerialSensor):
-    """A STIM300."""
+    """A STIM300 on a serial line."""
 
     Parameters = Stim300Parameters
     manufacturer = "Safran Sensing Technologies"

@@ -74,7 +74,7 @@ class VectorNavParameters(SerialSensorParameters):
 
 
 class VectorNav(SerialSensor):
-    """A VectorNav VN-100."""
+    """A VectorNav VN-100 on a serial line."""
 
     Parameters = VectorNavParameters
     manufacturer = "VectorNav"

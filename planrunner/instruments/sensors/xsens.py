@@ -70,7 +70,7 @@ class XsensParameters(SerialSensorParameters):
 
 
 class XsensMti(SerialSensor):
-    """An Xsens MTi."""
+    """An Xsens MTi on a serial line (MTData2)."""
 
     Parameters = XsensParameters
     manufacturer = "Xsens"

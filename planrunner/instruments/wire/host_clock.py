@@ -23,11 +23,11 @@ WINDOW = 1.0
 """Of each so many seconds the least delayed reading is kept …"""
 MEMORY = 600
 """… for so many of these: a line suits a crystal for some minutes."""
-SKEW_AFTER = 5.0
+SKEW_AFTER = 20.0
 """Seconds of readings before the skew is taken from them."""
 SLEW = 0.01
 """Time stamps follow a line that moves by at most so much of the time that passes."""
-PATIENCE = 0.25
+PATIENCE = 0.5
 """Seconds of readings after a silence that tell whether the computer slept or frames were lost."""
 BACKWARDS = 8
 """A counter that seems to have run through all but this part of its range has stepped back instead."""
@@ -58,7 +58,7 @@ class Unwrapping:
 
     counter: Counter
     haste: float = 1.0
-    """Seconds of the readings' clock in one of the wall: not 1 for a simulated sensor that hastens; the computer's delays keep to the wall."""
+    """Seconds of the readings' clock in one of the wall: not 1 for a simulated sensor that hastens; the computer's delays do not."""
     _raw: int = 0
     _index: int = 0
     _received: float = math.nan
@@ -75,7 +75,9 @@ class Unwrapping:
         index, waited = self._index + np.cumsum(self._steps(raw)), np.diff(received, prepend=self._received)
         steps = np.diff(index, prepend=self._index)
         period = self.counter.modulus * self.counter.tick
-        doubtful = max(period / 2, 0.1 * self.haste, 5 * self.counter.interval) if self.counter.modulus == 1 else period / 2
+        doubtful = (
+            max(period / 2, 0.1 * self.haste, 5 * self.counter.interval) if self.counter.modulus == 1 else period / 2
+        )
         ready = received.size
         for place in np.flatnonzero(waited - steps * self.counter.tick > doubtful):
             if not final and received[-1] - received[place] < PATIENCE * self.haste:
@@ -106,7 +108,9 @@ class Unwrapping:
         """The least delay of the last second, s, but for a constant."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
-        return recent if math.isnan(self._floor) or received[-1] - received[0] >= self.haste else min(recent, self._floor)
+        return (
+            recent if math.isnan(self._floor) or received[-1] - received[0] >= self.haste else min(recent, self._floor)
+        )
 
 
 @dataclass

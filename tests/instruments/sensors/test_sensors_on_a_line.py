@@ -160,8 +160,8 @@ def test_vectornav_is_set_by_a_line_that_it_echoes() -> None:
     unit: SendingUnit
 
     def frames(first: int, end: int) -> bytes:
-        columns = {"time_startup": np.arange(first, end) * 5e6, "imu_uncompensated": np.zeros((end - first, 6))}
-        stream = vectornav.VectorNav(("time_startup", "imu_uncompensated")).frames(columns).tobytes()
+        columns = {"time_startup": np.arange(first, end) * 5e6, "imu": np.zeros((end - first, 6))}
+        stream = vectornav.VectorNav(("time_startup", "imu")).frames(columns).tobytes()
         echo, unit.heard = unit.heard, b""
         return stream + echo
 

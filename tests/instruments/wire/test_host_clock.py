@@ -53,7 +53,8 @@ def test_skew_and_times_while_the_computer_sleeps_and_frames_are_lost() -> None:
     assert np.array_equal(found, index)
     assert clock.skew == pytest.approx(skew, abs=2e-6)
     assert np.all(np.diff(times) > 0)
-    assert np.max(np.abs(times - taken)[20_000:]) < 3e-4
+    assert np.max(np.abs(times - taken)) < 1e-3  # 35 ppm in 20 s, until the skew is known
+    assert np.max(np.abs(times - taken)[60_000:]) < 3e-4
     assert 0.001 < clock.usual_delay < 0.005
     assert clock.worst_delay > 0.1
 
