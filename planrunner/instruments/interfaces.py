@@ -88,7 +88,8 @@ class Instrument(Protocol):
         """Manufacturer, model, serial …, as it says itself."""
 
     def make_safe(self) -> None:
-        """Bring it to its safe state (table stopped, chamber to ambient). Never raises twice for the same reason; idempotent.
+        """Bring it to its safe state (table stopped, chamber to ambient). Idempotent; raises `InstrumentError` every time that it does not
+        succeed, because whoever asks last decides whether a watchdog must act.
 
         Commands may follow: a run that waits for its operator waits in the safe state."""
 

@@ -46,7 +46,6 @@ class WiredChamber:
         self.commands, self.keys = commands, keys
         self._target: float | None = None
         self._prepared = self._limited = False
-        self._told_unsafe = ""
 
     @classmethod
     def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
@@ -103,15 +102,8 @@ class WiredChamber:
 
     def make_safe(self) -> None:
         self._target = None
-        try:
-            self._prepare()
-            self.commands.head_for(self.keys.ambient.value - ZERO_CELSIUS)
-        except InstrumentError as error:
-            if str(error) == self._told_unsafe:
-                return
-            self._told_unsafe = str(error)
-            raise
-        self._told_unsafe = ""
+        self._prepare()
+        self.commands.head_for(self.keys.ambient.value - ZERO_CELSIUS)
 
     def close(self) -> None:
         self.commands.close()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -109,7 +109,6 @@ class AxisTable:
         self._called_off = threading.Event()
         self._broken = ""
         self._ready = self._limited = self._reached = False
-        self._told_unsafe = ""
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
@@ -129,11 +128,19 @@ class AxisTable:
     def limit(self, limits: OwnLimits) -> Sequence[str]:
         told: list[str] = []
         error = min(self.keys.tracking_error.value, limits.position_error or math.inf)
+        self.axes = tuple(
+            replace(
+                axis,
+                max_rate=min(axis.max_rate, limits.rate or math.inf),
+                max_acceleration=min(axis.max_acceleration, limits.acceleration or math.inf),
+            )
+            for axis in self.keys.model().axes
+        )
         for axis, counted_ in zip(self.axes, self.counted, strict=True):
             ends = sorted(counted_.reading(end) for end in (axis.lowest, axis.highest))
             bounds = AxisBounds(
-                math.degrees(min(axis.max_rate, limits.rate or math.inf)),
-                math.degrees(min(axis.max_acceleration, limits.acceleration or math.inf)),
+                math.degrees(axis.max_rate),
+                math.degrees(axis.max_acceleration),
                 math.degrees(error),
                 *(end if math.isfinite(end) else None for end in ends),
             )
@@ -204,8 +211,9 @@ class AxisTable:
         """Faults, and how far the axes are from what they were told last [rad, rad/s]."""
         faults = [*self.commands.faults(), *([self._broken] if self._broken else [])]
         joints, rates = self._measured()
-        if self._rocking is not None:
-            reach = self._rocking.amplitude + self.keys.tracking_error.value
+        rocking = self._rocking  # another thread may be ending it
+        if rocking is not None:
+            reach = rocking.amplitude + self.keys.tracking_error.value
             away = max(abs(self._off(index, joints, home)) for index, home in enumerate(self._home))
             if away > reach:
                 faults.append(f"an axis is {math.degrees(away):.4g} deg from where it rocks about")
@@ -238,14 +246,7 @@ class AxisTable:
         self._call_off()
         self._forget()
         self._ready = False
-        try:
-            self._stop_and_switch_off()
-        except InstrumentError as error:
-            if str(error) == self._told_unsafe:
-                return
-            self._told_unsafe = str(error)
-            raise
-        self._told_unsafe = ""
+        self._stop_and_switch_off()
 
     def close(self) -> None:
         self._call_off()
