@@ -16,6 +16,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.instruments.interfaces import InstrumentError
+
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
@@ -29,8 +31,10 @@ SLEW = 0.01
 """Time stamps follow a line that moves by at most so much of the time that passes."""
 PATIENCE = 0.5
 """Seconds of readings after a silence that tell whether the computer slept or frames were lost."""
-BACKWARDS = 8
-"""A counter that seems to have run through all but this part of its range has stepped back instead."""
+BACKWARDS = 16
+"""Frames by which a counter may step back, when frames come out of order; not over an eighth of its range."""
+FORESTALLED = 1.0
+"""Seconds by which a frame seems to be read before it was sent: no clock does that, so its counter was set anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +70,8 @@ class Unwrapping:
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
         """Indices (counts since the first frame) of as many of the frames as can be decided, all when `final`. Frames beyond these must
-        be given again, with those that follow. received: s; raw: the counter's values; shapes (n,)."""
+        be given again, with those that follow. received: s; raw: the counter's values; shapes (n,). Raises `InstrumentError` when the
+        counter was set anew."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -88,6 +93,7 @@ class Unwrapping:
             if not math.isnan(before):
                 index[place:] += max(0, round((behind - before) / period)) * self.counter.modulus
         if ready:
+            self._refuse_jumps(received[:ready] - index[:ready] * self.counter.tick)
             self._floor = self._lowest(received[:ready], index[:ready])
             self._raw, self._index, self._received = (
                 int(raw[ready - 1]),
@@ -96,12 +102,22 @@ class Unwrapping:
             )
         return index[:ready]
 
+    def _refuse_jumps(self, delay: Array) -> None:
+        """delay: s, but for a constant. Frames after a jump would lie beyond those to come."""
+        least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
+        if least < usual - FORESTALLED * self.haste:
+            message = f"the sensor's counter is {usual - least:.3g} s ahead of the frames that came"
+            raise InstrumentError(
+                f"{message}: was the sensor switched off and on? Look at its power, then resume the run"
+            )
+
     def _steps(self, raw: Whole) -> Whole:
         """Counts between frames; a little backwards is backwards."""
         if self.counter.modulus == 1:
             return np.ones(raw.size, np.int64)
         steps: Whole = np.mod(np.diff(raw, prepend=self._raw), self.counter.modulus)
-        steps[steps > self.counter.modulus - self.counter.modulus // BACKWARDS] -= self.counter.modulus
+        back = min(self.counter.modulus // 8, BACKWARDS * self.counter.step)
+        steps[steps > self.counter.modulus - back] -= self.counter.modulus
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:

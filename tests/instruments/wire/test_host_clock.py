@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.host_clock import Counter, HostClock, Unwrapping, line_under
 
 RATE = 2000.0
@@ -71,6 +72,29 @@ def test_steps_back_and_repetitions() -> None:
     sent = np.array([0, 1, 2, 4, 3, 5, 5, 6])
     found = Unwrapping(COUNTER).resolve(1 + np.arange(8) / RATE, (sent + 254) % 256, final=True)
     assert found.tolist() == sent.tolist()
+
+
+@pytest.mark.parametrize(
+    ("counter", "before"), [(Counter(0.01, 1, 1 << 16), 3000), (Counter(1e-9, 1e7, 1 << 62), 10**13)]
+)
+def test_a_counter_that_was_set_anew_is_told(counter: Counter, before: int) -> None:
+    count = np.arange(200)
+    raw = np.where(count < 100, before + count * int(counter.step), (count - 100) * int(counter.step))
+    unwrapping = Unwrapping(counter)
+    assert unwrapping.resolve(1 + count[:100] * 0.01, raw[:100]).size == 100
+    with pytest.raises(InstrumentError, match="ahead of the frames that came: was the sensor switched off"):
+        unwrapping.resolve(1 + count[100:] * 0.01, raw[100:])
+
+
+def test_frames_lost_while_the_computer_slept_are_no_jump() -> None:
+    """The buffer keeps the oldest, the rest is lost, and all is read at once afterwards."""
+    sent = np.concatenate([np.arange(1000), np.arange(9000, 12_000)])
+    taken = 5 + sent / RATE
+    received = np.where((sent >= 500) & (sent < 1000), taken[1000], taken)
+    found = np.concatenate(
+        [part for _, part in batches(received, sent % 65536, Unwrapping(Counter(1 / RATE, 1, 65536)))]
+    )
+    assert np.array_equal(found, sent)
 
 
 def test_a_counter_that_counts_more_than_frames() -> None:
