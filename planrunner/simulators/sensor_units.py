@@ -144,7 +144,7 @@ class KvhUnit:
         force = self.outputs.triad(block, "accel", STANDARD_GRAVITY)
         numbers = self.counting.take(block.time.size)
         columns = {
-            "temperature": self.outputs.celsius(block),
+            "temperature": self.outputs.celsius(block) * (100.0 if self.hundredths else 1.0),
             "time_stamp": np.floor(numbers * 1e6 / self.rate) % 2**32,
         }
         for axis in "xyz":

@@ -26,11 +26,10 @@ from planrunner.simulators.serial_line import SerialLine
 from planrunner.simulators.table_plant import TablePlant
 
 TICK = 0.005  # s between two looks at everything
-_OVERSHOT = "overshoot"
 
 
 class Serving:
-    """The processes' work. addresses: as a bench file writes them, once `open` is over."""
+    """The process's work. addresses: as a bench file writes them, once `open` is over."""
 
     def __init__(self, simulated: Simulated, control: tuple[str, int], speed: float, folder: Path | None = None):
         self.simulated, self.live, self.speed, self.folder = simulated, simulated.live, speed, folder
@@ -133,7 +132,7 @@ class Serving:
         elif isinstance(plant, ChamberPlant) and fault.fault in CHAMBER:
             if fault.fault == "stuck":
                 plant.disturb(stuck=begins)
-            elif fault.fault == _OVERSHOT:
+            elif fault.fault == "overshoot":
                 plant.disturb(overshoot=fault.overshoot.value if begins else 0.0)
             elif begins:
                 plant.alarm(3)
@@ -151,7 +150,7 @@ class Serving:
             if begins:
                 port.refuse()
             else:
-                self._again = asyncio.get_running_loop().create_task(port.listen())
+                self._returning = asyncio.get_running_loop().create_task(port.listen())
 
     # -- what it is asked ----------------------------------------------------------------------------------------------
 
@@ -175,7 +174,7 @@ class Serving:
             try:
                 fault = read_fault(wanted if isinstance(wanted, str) else json.dumps(wanted), self.simulated.roles)
             except InputError as error:
-                raise ValueError("; ".join(item.message for item in error.findings)) from None
+                raise ValueError("; ".join(f"{item.message} ({item.hint})" for item in error.findings)) from None
             return {"fault": self.declare([fault])[0]}
         if "clear" in request:
             self.board.clear(None if request["clear"] == "all" else int(request["clear"]))
