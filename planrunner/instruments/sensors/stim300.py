@@ -63,7 +63,7 @@ class Datagram:
 class Stim300Parameters(SerialSensorParameters):
     """A STIM300 on a serial line."""
 
-    datagram: int = key(Datagram(), "Identifier of the datagram that it is set to send.", "0xA7", 0xA7)
+    datagram: int = key(Datagram(), "Identifier of the datagram that it is set to send.", 0xA7, 0xA7)
     acceleration_range: str = key(
         Choice(tuple(ACCELERATION_SCALES)),
         "Range of its accelerometers, which their scale follows from.",

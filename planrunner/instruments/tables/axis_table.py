@@ -307,7 +307,7 @@ class AxisTable:
     def _rock(self, motion: Rock) -> float:
         self._check_rock(motion)
         joints, _ = self._measured()
-        for axis, joint in zip(self.axes, joints, strict=False):
+        for axis, joint, _ in zip(self.axes, joints, motion.phases, strict=False):
             if not axis.lowest <= joint - motion.amplitude <= joint + motion.amplitude <= axis.highest:
                 raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
         self._forget()
