@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import random
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scripted import parameters
+from scripted import TRANSCRIPTS, Transcript, parameters
 
 from planrunner.instruments.chambers.espec_p300 import EspecP300Commands, EspecP300Parameters
 from planrunner.instruments.chambers.thermotron_8800 import Thermotron8800Commands, Thermotron8800Parameters
@@ -96,10 +97,36 @@ def test_any_answers_are_understood_or_refused_in_words(answers: list[str]) -> N
 
 
 @pytest.mark.slow
-@settings(max_examples=20_000, deadline=None)
-@given(ANSWERS)
-def test_any_answers_at_length(answers: list[str]) -> None:
-    _try(answers)
+def test_a_million_mutated_replies() -> None:
+    draw = random.Random(20261121)
+    replies = sorted(
+        {
+            reply.encode()
+            for path in TRANSCRIPTS.glob("*.txt")
+            for _, reply in Transcript.read(path.stem).exchanges
+            if reply
+        }
+    )
+    asks: list[tuple[Answering, Any]] = []
+    for kinds, asks_of in ((TABLES, _asks_of_table), (CHAMBERS, _asks_of_chamber)):
+        for commands, keys in kinds:
+            made = commands(keys)
+            made.link = Answering(made.link, [])
+            asks += [(made.link, ask) for ask in asks_of(made)]
+    understood = 0
+    for _ in range(1_000_000):
+        reply = bytearray(draw.choice(replies))
+        for _ in range(draw.randrange(4)):
+            place = draw.randrange(len(reply) + 1)
+            reply[place : place + draw.randrange(3)] = draw.randbytes(draw.randrange(3))
+        link, ask = draw.choice(asks)
+        link.answers = [reply.decode("ascii", "ignore")] * 4
+        with contextlib.suppress(InstrumentError):
+            ask()
+            understood += 1
+        with contextlib.suppress(LinkFailure):
+            kind_of(bytes(reply))
+    assert 10_000 < understood < 1_000_000
 
 
 @settings(max_examples=500, deadline=None)
