@@ -30,21 +30,6 @@ class RunningClock:
         raise AssertionError("a simulated instrument does not wait")
 
 
-class SteppedClock:
-    """Time that somebody moves by hand, in place of the running one."""
-
-    speed = 1.0
-
-    def __init__(self) -> None:
-        self.time = 0.0
-
-    def now(self) -> float:
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        self.time += seconds
-
-
 @dataclass(slots=True)
 class LiveWorld:
     """table, chamber, sensor: the virtual instruments that know the truth, or None. recorders: called with the time before the world

@@ -61,15 +61,17 @@ class MessagePort:
     def _answer(self, message: str, write: Writer, hang_up: Callable[[], None]) -> None:
         self.last_speaker = write
         reply = self.controller.answer(message)
-        fault = self.board.of_reply(self.name, message, self.now()) if reply is not None else None
         if reply is None:
             return
         data = self.manner.framed(reply)
-        match fault.fault if fault else "":
+        fault = self.board.of_reply(self.name, message, self.now())
+        if fault is None:
+            write(data)
+            return
+        match fault.fault:
             case "silent":
                 return
             case "late":
-                assert fault is not None
                 self._later(fault.delay.value, data, write)
             case "partial":
                 write(data[: max(1, len(data) // 2)])
@@ -80,8 +82,6 @@ class MessagePort:
             case "wrong model":
                 same = reply == self.controller.identity
                 write(self.manner.framed("Somebody Else,Model X,0,0") if same else data)
-            case _:
-                write(data)
 
     def _later(self, seconds: float, data: bytes, write: Writer) -> None:
         async def wait() -> None:

@@ -13,10 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from planrunner.instruments.interfaces import InstrumentError
+
 _HELD = 65536  # bytes that a socket keeps for a slow reader
 
 
-class PortError(Exception):
+class PortError(InstrumentError):
     """An address cannot be served. The message says which and why."""
 
 

@@ -9,9 +9,24 @@ from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParam
 from planrunner.instruments.virtual.world import World
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
-from planrunner.simulators.live_world import LiveWorld, SteppedClock
+from planrunner.simulators.live_world import LiveWorld
 
 SITE = Site(0.698, 9.80154)
+
+
+class SteppedClock:
+    """Time that somebody moves by hand, in place of a running clock."""
+
+    speed = 1.0
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
 
 
 def axis(name: str, direction: str, rate: float, acceleration: float, **limits: str) -> AxisSpec:

@@ -240,7 +240,9 @@ def test_benches_that_cannot_be_simulated_are_told(tmp_path: Path, capsys: pytes
     def refused(changed: str) -> tuple[int, str]:
         bench.write_text(changed, encoding="utf-8")
         code = main(["simulate-bench", str(bench)])
-        return code, "".join(capsys.readouterr())
+        told = "".join(capsys.readouterr())
+        assert "internal error" not in told
+        return code, told
 
     assert refused(text.replace("simulation: {", "# {"))[0] == WRONG_INPUT
     code, told = refused(text.replace("bench: virtual,", "bench: virtual_gyro_triad,"))
