@@ -12,6 +12,7 @@ from typing import Any
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import Bench, driver_of, runs_on_virtual_clock, site_of
+from planrunner.bench.opening import real_clock
 from planrunner.instruments.interfaces import Alive, InstrumentError, Readable, Surroundings, Watched
 
 TIMES = 3
@@ -46,7 +47,7 @@ class Ping:
 def ping(bench: Bench, shown: str, data_root: Path | None = None) -> list[Ping]:
     """Connect to every instrument in the order of the bench's file, ask, and let go; one that fails does not keep the next from being
     asked. shown: the bench's file, for messages. Raises `InputError` when a run holds the bench."""
-    clock = VirtualClock() if runs_on_virtual_clock(bench) else WallClock()
+    clock = VirtualClock() if runs_on_virtual_clock(bench) else real_clock(bench)
     surroundings = Surroundings(clock, site_of(bench), data_root, bench.seed, real_time=isinstance(clock, WallClock))
     answers = []
     with bench_lock(bench, shown, "a ping"):

@@ -40,9 +40,7 @@ def watch_of(state: Mapping[str, Any]) -> Watch | None:
     )
 
 
-def check_measured(
-    state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, add: Add
-) -> None:
+def check_measured(state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
     """A limit on something that no instrument of the bench can measure is an error; `add` takes code, place, message and hint."""
     for name in ("soak", "settle", "watch"):
         stated = state.get(name)

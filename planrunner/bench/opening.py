@@ -110,7 +110,7 @@ class OpenBench:
             raise NotSafeError(message) from error
 
 
-def _real_clock(bench: Bench) -> WallClock:
+def real_clock(bench: Bench) -> WallClock:
     """The wall's, or that of the process which simulates the bench."""
     if bench.simulation is None:
         return WallClock()
@@ -133,7 +133,7 @@ def open_bench(
     could not be connected; those before it are then safe and closed.
     """
     virtual = runs_on_virtual_clock(bench)
-    clock = clock or (VirtualClock() if virtual else _real_clock(bench))
+    clock = clock or (VirtualClock() if virtual else real_clock(bench))
     site = site_of(bench)
     chosen_seed = bench.seed if seed is None else seed
     surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=not virtual)

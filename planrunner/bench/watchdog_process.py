@@ -24,8 +24,9 @@ from typing import Any
 from planrunner.bench.clock import WallClock
 from planrunner.bench.lock import RESCUE, bench_lock
 from planrunner.bench.model import Bench, driver_of, parse_bench, real_instruments, site_of
+from planrunner.bench.opening import real_clock
 from planrunner.bench.watchdog import REPORT
-from planrunner.instruments.interfaces import Surroundings
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.plan import source
 from planrunner.plan.findings import InputError
 
@@ -133,7 +134,8 @@ def _made_safe(charge: Charge, name: str) -> str:
 
 def _make_safe(charge: Charge, name: str, done: list[str]) -> None:
     entry = charge.bench.instruments[name]
-    surroundings = Surroundings(WallClock(), site_of(charge.bench), charge.data_root, charge.bench.seed, real_time=True)
+    site = site_of(charge.bench)
+    surroundings = Surroundings(_clock(charge.bench), site, charge.data_root, charge.bench.seed, real_time=True)
     try:
         instrument = driver_of(entry).connect(entry.parameters, surroundings)
         try:
@@ -144,6 +146,13 @@ def _make_safe(charge: Charge, name: str, done: list[str]) -> None:
         done.append(f"NOT SAFE, {error or type(error).__name__}")
     else:
         done.append("safe")
+
+
+def _clock(bench: Bench) -> WallClock:
+    try:
+        return real_clock(bench)
+    except InstrumentError:  # the process that simulates the bench is gone, or others answer at its addresses
+        return WallClock()
 
 
 def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
