@@ -30,7 +30,7 @@ COMMANDS = {
     "report": "write the reports of an analysis again",
     "diagnose": "find what a recording holds beyond its simulation: where, which effect, how far the gap shrinks, what to measure next",
     "new": "list the shipped plans, or copy one to start from",
-    "bench": "list the shipped benches and the installed instrument drivers",
+    "bench": "list benches and installed drivers, or ask whether the instruments of a bench answer",
     "simulate-bench": "put simulated instruments behind a bench's addresses, and tell them to misbehave",
     "export": "export coefficients to CSV, MATLAB, YAML or a C header",
     "self-test": "check this installation against reference data with known answers",

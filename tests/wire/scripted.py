@@ -91,13 +91,17 @@ class Listener:
         with contextlib.suppress(OSError), connection:
             self._talk(connection)
 
+    def hang_up(self) -> None:
+        """On everybody who is connected."""
+        for connection in self._open:
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
-        for connection in self._open:
-            with contextlib.suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
+        self.hang_up()
         self._thread.join(2)
 
     def __enter__(self) -> Listener:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -137,6 +138,24 @@ def test_an_alarm_ends_waiting_and_does_not_keep_it_from_being_made_safe(
         chamber.make_safe()
         asked = {"SETP1,25", "TEMP,S25.0", ":SOURCE:CLOOP1:SPOINT 25"}
         assert asked & set(answers.heard)
+
+
+@pytest.mark.parametrize("driver", [WatlowF4t, EspecP300, Thermotron8800])
+def test_a_connection_that_was_lost_does_not_keep_the_chamber_from_ambient(driver: Any) -> None:
+    says, end, command = {
+        WatlowF4t: (F4T, "\n", lambda message: None),
+        EspecP300: (P300, "\r\n", lambda message: f"OK:{message}"),
+        Thermotron8800: (T8800, "\r", lambda message: "0"),
+    }[driver]
+    answers = Answers(end, {**says, ":SOURCE:CLOOP1:SPOINT?": "25.0"}, command)
+    with answering(answers, end.encode()) as server:
+        chamber = driver.connect(parameters(driver.Parameters, server.address, *RANGE), surroundings())
+        server.hang_up()
+        time.sleep(0.05)
+        chamber.make_safe()
+        chamber.close()
+        assert server.connections == 2
+        assert {"SETP1,25", "TEMP,S25.0", ":SOURCE:CLOOP1:SPOINT 25"} & set(answers.heard)
 
 
 def test_a_stop_at_the_panel_is_noticed() -> None:

@@ -14,6 +14,7 @@ import pytest
 from scripted import Listener, answering, messages
 
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.wire import links
 from planrunner.instruments.wire.links import LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import number, numbers, written
 
@@ -114,7 +115,7 @@ def test_a_flood_before_the_question_is_told() -> None:
             connection.sendall(echo(message))
 
     with Listener(talk) as server, link_to(server.address) as link:
-        fails(link, r"sends without (being asked|end)")
+        fails(link, r"sends without (being asked|end)|stopped in the middle")
 
 
 @pytest.mark.parametrize("garbage", [b"\xff\xfe\x00\x9a\n", b"\x00\x01\n"])
@@ -192,6 +193,24 @@ def test_threads_on_two_links_to_one_resource_do_not_mix_their_answers() -> None
             thread.join()
     assert len(answers) == 4 * 25 * 2
     assert all(answer == f"{question} heard" for question, answer in answers)
+
+
+def test_an_interrupted_question_does_not_leave_its_answer_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    def talk(connection: socket.socket) -> None:
+        for message in messages(connection, b"\n"):
+            if message == "SLOW?":
+                time.sleep(TIMEOUT / 2)
+            connection.sendall(echo(message))
+
+    def interrupted(self: links.Incoming) -> None:
+        raise KeyboardInterrupt
+
+    with Listener(talk) as server, link_to(server.address) as link:
+        with monkeypatch.context() as patched:
+            patched.setattr(links.Incoming, "_byte", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                link.query("SLOW?")
+        assert link.query("NEXT?") == "NEXT? heard"
 
 
 @contextmanager

@@ -235,6 +235,17 @@ def test_making_safe_is_quick_and_may_be_asked_again() -> None:
         assert table.holding()
 
 
+def test_a_connection_that_was_lost_does_not_keep_the_table_from_being_stopped() -> None:
+    with bench() as (controller, table, server):
+        table.begin_motion(Spin(math.radians(10)), 60.0)
+        server.hang_up()
+        time.sleep(0.05)
+        table.make_safe()
+        assert controller.rate[1] == 0.0
+        controller.wait_for(":int:open all")
+        assert server.connections == 2
+
+
 def test_a_dead_link_is_told_every_time_that_it_shall_be_made_safe() -> None:
     with bench() as (_, table, server):
         table.orient(turned(5.0))

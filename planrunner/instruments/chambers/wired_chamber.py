@@ -102,8 +102,13 @@ class WiredChamber:
 
     def make_safe(self) -> None:
         self._target = None
-        self._prepare()
-        self.commands.head_for(self.keys.ambient.value - ZERO_CELSIUS)
+        ambient = self.keys.ambient.value - ZERO_CELSIUS
+        try:
+            self._prepare()
+            self.commands.head_for(ambient)
+        except InstrumentError:  # a connection that was lost unnoticed is opened anew
+            self._prepare()
+            self.commands.head_for(ambient)
 
     def close(self) -> None:
         self.commands.close()

@@ -246,7 +246,12 @@ class AxisTable:
         self._call_off()
         self._forget()
         self._ready = False
-        self._stop_and_switch_off()
+        try:
+            trouble = self._stop_and_switch_off()
+        except InstrumentError:  # a connection that was lost unnoticed is opened anew
+            trouble = self._stop_and_switch_off()
+        if trouble:
+            raise InstrumentError(trouble)
 
     def close(self) -> None:
         self._call_off()
@@ -363,20 +368,15 @@ class AxisTable:
         if thread is not None:
             thread.join()
 
-    def _stop_and_switch_off(self) -> None:
+    def _stop_and_switch_off(self) -> str:
+        """What is wrong with the table now, or nothing."""
         self.commands.stop()
         slowest = max(axis.max_rate / axis.max_acceleration for axis in self.axes)
         deadline = self.clock.now() + slowest + 2.0
-        while True:
-            _, rates = self._measured()
-            fastest = float(np.max(np.abs(rates)))
-            if fastest <= STOPPED:
-                break
-            if self.clock.now() >= deadline:
-                self.commands.switch_off()
-                turning = f"{math.degrees(fastest):.4g} deg/s"
-                raise InstrumentError(
-                    f"the table still turns at {turning} after it was stopped: press its emergency stop"
-                )
+        while (fastest := float(np.max(np.abs(self._measured()[1])))) > STOPPED and self.clock.now() < deadline:
             self.clock.sleep(POLL)
         self.commands.switch_off()
+        if fastest <= STOPPED:
+            return ""
+        turning = f"{math.degrees(fastest):.4g} deg/s"
+        return f"the table still turns at {turning} after it was stopped: press its emergency stop"

@@ -218,6 +218,9 @@ class MessageLink:
             failure = LinkFailure(_in_words(error, settings, got))
             self._give_up()
             raise failure from None
+        except BaseException:  # interrupted: the answer may still come
+            self._give_up()
+            raise
         finally:
             self._last = time.monotonic()
 
