@@ -29,15 +29,18 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
     """The check of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits; an
     unsigned index spares it the question whether it counts from the end."""
+    if kind == XOR:
+        together = np.int64(0)
+        for item in range(length):
+            together ^= np.int64(data[np.uintp(start + item)])
+        return np.uint32(together)
     if kind != CRC:
-        total = np.uint32(0)
-        for place in range(start, start + length):
-            total = np.uint32(total ^ data[place]) if kind == XOR else np.uint32(total + data[place])
-        if kind == NEGATIVE_SUM:
-            total = np.uint32(256 - (total & 0xFF))
-        return np.uint32(total & 0xFF)
+        total = np.int64(0)
+        for item in range(length):
+            total += np.int64(data[np.uintp(start + item)])
+        return np.uint32((-total if kind == NEGATIVE_SUM else total) & 0xFF)
     register = np.uint32(initial << (32 - width))
-    place, end = np.uintp(start), np.uintp(start + length)  # type: ignore[assignment]
+    place, end = np.uintp(start), np.uintp(start + length)
     if not reflected:
         while place + np.uintp(8) <= end:
             first = np.uint32(
@@ -57,14 +60,14 @@ def value(data, start, length, padding, kind, width, tables, initial, reflected,
                 ^ tables[1, data[place + np.uintp(6)]]
                 ^ tables[0, data[place + np.uintp(7)]]
             )
-            place += np.uintp(8)  # type: ignore[assignment]
+            place += np.uintp(8)
     stop = end + np.uintp(padding)
     while place < stop:
         byte = np.uint32(data[place]) if place < end else np.uint32(0)
         if reflected:
             byte = _mirrored(byte, 8)
         register = np.uint32(np.uint32(register << 8) ^ tables[0, (register >> 24) ^ byte])
-        place += np.uintp(1)  # type: ignore[assignment]
+        place += np.uintp(1)
     register = np.uint32(register >> (32 - width))
     if reflected:
         register = _mirrored(register, width)
@@ -105,9 +108,10 @@ def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
             length = 7 + np.int64(data[place + 4]) * 256 + np.int64(data[place + 5])
         return length if length <= longest else 0
     for end in range(place + 1, min(place + longest, data.size)):
-        if data[end] == LINE_FEED:
+        byte = data[np.uintp(end)]
+        if byte == LINE_FEED:
             return end + 1 - place
-        if data[end] > 126:
+        if byte > 126:
             return 0
     return 0 if data.size - place >= longest else -1
 
