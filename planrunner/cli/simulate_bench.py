@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ready", metavar="FILE", type=Path, help="write addresses as JSON here when everything listens"
     )
-    parser.add_argument("--seed", type=int, help="seed of all that is simulated (default: the virtual bench's own)")
+    parser.add_argument("--seed", type=_seed, help="seed of all that is simulated (default: the virtual bench's own)")
     parser.add_argument(
         "--inject",
         metavar="FAULT",
@@ -43,6 +43,12 @@ def _speed(text: str) -> float:
     if not 0.01 <= value <= 1000:
         raise argparse.ArgumentTypeError(f"a speed is from 0.01 to 1000: {text}")
     return value
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a seed is a whole number, not negative: {text!r}")
+    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
