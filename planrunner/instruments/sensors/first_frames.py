@@ -9,7 +9,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.wire.framing import Framer, Piece
 
-TOLERANCE = math.log(1.2)
+TOLERANCE = math.log(1.4)
 ENOUGH = 20
 """Frames that a rate can be judged by."""
 BACKLOG = 0.1

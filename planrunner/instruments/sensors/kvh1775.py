@@ -30,7 +30,7 @@ LAST = {"A": 0x55, "B": 0x56, "C": 0x57}
 AXES = ("x", "y", "z")
 SETTLE = 0.5
 """Seconds in which a change of configuration takes effect; about two invalid frames come meanwhile."""
-BIT_SYNC = bytes.fromhex("fe8100aa")
+BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 
 
 class Kvh1775Parameters(SerialSensorParameters):
@@ -84,7 +84,7 @@ class Kvh1775(SerialSensor):
             link.write(f"{command}\r\n".encode("ascii"))
             clock.sleep(SETTLE / 5)
         clock.sleep(SETTLE)
-        return {"configured": ", ".join(commands[1:])}
+        return {"configured": ", ".join(commands[1:]), **ask_built_in_test(link, clock)}
 
 
 def layout(parameters: Kvh1775Parameters) -> FrameLayout:
@@ -142,8 +142,21 @@ class MultiplexedTemperature:
         return replace(samples, channels={**samples.channels, "sensor_temperature": temperature})
 
 
+def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
+    """The result of the built-in test, for the journal; nothing where the sensor does not answer."""
+    link.write(b"?bit\r\n")
+    heard, until = b"", clock.now() + 2 * SETTLE
+    while clock.now() < until:
+        clock.sleep(0.01)
+        heard += b"".join(piece.data for piece in link.take())
+        place = heard.find(BIT_SYNC)
+        if 0 <= place <= len(heard) - BIT_LENGTH:
+            return {"built_in_test": bytes(built_in_test(heard[place : place + BIT_LENGTH])).hex(" ")}
+    return {}
+
+
 def built_in_test(reply: bytes) -> tuple[int, ...]:
     """The six status bytes of a reply to `?bit`, of whose seven bits a clear one is a fault. Raises `InstrumentError`."""
-    if len(reply) != 11 or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
+    if len(reply) != BIT_LENGTH or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
         raise InstrumentError(f"no result of a built-in test: {reply[:16].hex(' ')}")
     return tuple(reply[4:10])

@@ -13,7 +13,7 @@ from planrunner.instruments.models import SensorModel
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
 from planrunner.instruments.sensors.samples import FrameLayout, Status, byte
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
-from planrunner.instruments.wire.checksums import CRC8_FF, CRC32_MPEG2
+from planrunner.instruments.wire.checksums import CRC32_MPEG2
 from planrunner.instruments.wire.columns import UNSIGNED, Field
 from planrunner.instruments.wire.framing import Framing
 from planrunner.instruments.wire.host_clock import Counter
@@ -141,8 +141,3 @@ def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: fl
     counter = Counter(1 / INTERNAL_RATE, INTERNAL_RATE / rate, 256)
     latency = Field(place + 1, 2, UNSIGNED, 1e-6)
     return FrameLayout(framing, fields, units, counter, byte(place), latency, tuple(statuses), means)
-
-
-def utility_line(text: str) -> bytes:
-    """A line of utility mode, such as `$isn,`, with its CRC-8 (over all of it, the last comma too) in decimal, and CR."""
-    return f"{text}{CRC8_FF.of(text.encode('ascii'))}\r".encode("ascii")

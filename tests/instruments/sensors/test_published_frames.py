@@ -44,7 +44,6 @@ def test_stim300_with_everything_on(vectors: dict[str, Any]) -> None:
 def test_stim300_lines_of_utility_mode(vectors: dict[str, Any]) -> None:
     for text, check in vectors["stim300_crc8"]:
         assert CRC8_FF.of(text.encode()) == check
-        assert stim300.utility_line(text) == f"{text}{check}\r".encode()
 
 
 def test_kvh_format_a(vectors: dict[str, Any]) -> None:

@@ -20,7 +20,8 @@ from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
 
-KEYS = "driver: stim300; sample_rate: 500 Hz; datagram: 0x91; silence: 0.4 s"
+KEYS = "driver: stim300; sample_rate: 500 Hz; datagram: 0x91; silence: 2 s"
+IMPATIENT = KEYS.replace("2 s", "0.4 s")
 
 
 def surroundings() -> Surroundings:
@@ -70,7 +71,7 @@ def test_a_segment_is_streamed() -> None:
 
 def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
     with SendingUnit(stim_frames, 500) as unit:
-        sensor = Stim300.connect(parameters_of(KEYS, unit.port), surroundings())
+        sensor = Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
         rows = 0
         stream = sensor.stream(segment(20.0))
         while rows < 150:
@@ -89,8 +90,8 @@ def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        (KEYS.replace("500 Hz", "250 Hz"), "good frames a second come from .* where the bench file says 250 Hz"),
-        (KEYS.replace("0x91", "0xA7"), "no frame that begins with A7 .*: look at `baud`"),
+        (IMPATIENT.replace("500 Hz", "250 Hz"), "good frames a second come from .* where the bench file says 250 Hz"),
+        (IMPATIENT.replace("0x91", "0xA7"), "no frame that begins with A7 .*: look at `baud`"),
     ],
 )
 def test_what_does_not_fit_is_told_when_connecting(keys: str, words: str) -> None:
@@ -102,25 +103,26 @@ def test_a_silent_line_and_a_simulated_clock_are_refused() -> None:
     with SendingUnit(stim_frames, 500) as unit:
         unit.silent = True
         with pytest.raises(InstrumentError, match=r"nothing comes from .* switched on"):
-            Stim300.connect(parameters_of(KEYS, unit.port), surroundings())
+            Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
         with pytest.raises(InstrumentError, match="clock: wall"):
-            Stim300.connect(parameters_of(KEYS, unit.port), Surroundings(VirtualClock(), Site(0.7, 9.8)))
+            Stim300.connect(parameters_of(IMPATIENT, unit.port), Surroundings(VirtualClock(), Site(0.7, 9.8)))
 
 
 def test_kvh_is_set_by_commands() -> None:
     def frames(first: int, end: int) -> bytes:
-        return kvh1775.Kvh1775("A").frames(triads(first, end), np.arange(first, end)).tobytes()
+        stream = kvh1775.Kvh1775("A").frames(triads(first, end), np.arange(first, end)).tobytes()
+        return stream + (
+            kvh1775.built_in_test(b"\x7f\x7f\x7e\x7b\x7f\x7f") if unit.heard.endswith(b"?bit\r\n") else b""
+        )
 
-    with SendingUnit(frames, 500) as unit:
+    unit = SendingUnit(frames, 500)
+    with unit:
         keys = "driver: kvh_1775; sample_rate: 500 Hz; configure: true; rotation: delta; temperature_unit: C_100"
-        Kvh1775.connect(parameters_of(keys, unit.port), surroundings()).close()
-        assert unit.heard.split(b"\r\n")[:-1] == [
-            b"=config,1",
-            b"=dr,500",
-            b"=rotfmt,delta",
-            b"=tempunits,C_100",
-            b"=config,0",
-        ]
+        sensor = Kvh1775.connect(parameters_of(keys, unit.port), surroundings())
+        sensor.close()
+        assert sensor.identify()["built_in_test"] == "7f 7f 7e 7b 7f 7f"
+        commands = [b"=config,1", b"=dr,500", b"=rotfmt,delta", b"=tempunits,C_100", b"=config,0", b"?bit"]
+        assert unit.heard.split(b"\r\n")[:-1] == commands
 
 
 class AnsweringMti(SendingUnit):
@@ -157,15 +159,14 @@ def test_xsens_is_set_by_messages_that_are_answered() -> None:
 
 
 def test_vectornav_is_set_by_a_line_that_it_echoes() -> None:
-    unit: SendingUnit
-
     def frames(first: int, end: int) -> bytes:
         columns = {"time_startup": np.arange(first, end) * 5e6, "imu": np.zeros((end - first, 6))}
         stream = vectornav.VectorNav(("time_startup", "imu")).frames(columns).tobytes()
         echo, unit.heard = unit.heard, b""
         return stream + echo
 
-    with SendingUnit(frames, 200) as unit:
+    unit = SendingUnit(frames, 200)
+    with unit:
         keys = "driver: vectornav; sample_rate: 200 Hz; fields: [time_startup, imu]; configure: port_1"
         sensor = VectorNav.connect(parameters_of(keys, unit.port), surroundings())
         assert sensor.identify()["configured"] == "time_startup, imu"
