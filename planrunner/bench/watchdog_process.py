@@ -91,14 +91,17 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Wait until the bench is safe (None) or must be made so: why."""
+    """Wait until the bench is safe (None) or must be made so: why. Silence counts from the first sign of life on: connecting takes its time,
+    and nothing has moved."""
+    begun = False
     while True:
         try:
-            line = lines.get(timeout=charge.silence).strip()
+            line = lines.get(timeout=charge.silence if begun else None).strip()
         except queue.Empty:
             return f"planrunner gave no sign of life for {charge.silence:g} s"
         if line == b"safe":
             return None
+        begun = begun or line == b"alive"
         if line == b"":
             return "planrunner ended without leaving the bench safe"
         if line.startswith(b"{"):

@@ -119,8 +119,16 @@ def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:
     """The bench file with the addresses that are served in place of its own."""
     from planrunner.bench.model import driver_of
 
-    text = data.decode("utf-8")
+    places = [(bench.simulation, "control", control, f"{serving.control.host}:{serving.control.port}")]
     for name, served in serving.addresses.items():
-        entry = bench.instruments[name]
-        text = text.replace(driver_of(entry).address(entry.parameters), served)
-    return text.replace(control, f"{serving.control.host}:{serving.control.port}").encode("utf-8")
+        parameters, driver = bench.instruments[name].parameters, driver_of(bench.instruments[name])
+        written = driver.address(parameters)
+        key = next(item for item in ("address", "port") if getattr(parameters, item, None) == written)
+        places.append((parameters, key, written, served))
+    lines = data.decode("utf-8").splitlines(keepends=True)
+    marked = [(record.at(key), written, served) for record, key, written, served in places]
+    for mark, written, served in sorted(marked, key=lambda item: (item[0].line, item[0].column), reverse=True):
+        before = "".join(lines[: mark.line - 1]) + lines[mark.line - 1][: mark.column - 1]
+        after = "".join(lines)[len(before) :]
+        lines = (before + after.replace(written, served, 1)).splitlines(keepends=True)
+    return "".join(lines).encode("utf-8")
