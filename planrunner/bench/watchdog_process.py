@@ -91,8 +91,8 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Wait until the bench is safe (None) or must be made so: why. Silence counts from the first sign of life on: connecting takes its time,
-    and nothing has moved."""
+    """Wait until the bench is safe (None) or must be made so: why. Silence counts from the first sign of life on: connecting takes its
+    time, and nothing has moved."""
     begun = False
     while True:
         try:

@@ -26,9 +26,9 @@ class Holding:
         self._begun = False
         self._seen: set[str] = set()
 
-    def check(self) -> None:
-        """Look after the bench. Raises `LimitPassedError`, and as `Lookout.look` does."""
-        self._lookout.look(fresh=not self._begun)
+    def check(self, fresh: bool = False) -> None:
+        """Look after the bench, when it is time to or now. Raises `LimitPassedError`, and as `Lookout.look` does."""
+        self._lookout.look(fresh=fresh or not self._begun)
         self._begun = True
         if self._looks == self._lookout.looks:
             return
@@ -45,7 +45,9 @@ class Holding:
             raise LimitPassedError("; ".join(passed))
 
     def finish(self) -> FrameCounts | None:
-        """What the sensor counted. Raises `LimitPassedError` when too many frames are lost or corrupt."""
+        """What the sensor counted, after a last look, so that nothing counts during which something failed. Raises as `check` does, and
+        `LimitPassedError` when too many frames are lost or corrupt."""
+        self.check(fresh=True)
         counts = self.counts()
         passed = [] if counts is None else frames_outside(self._watch, counts)
         if passed:

@@ -29,10 +29,10 @@ PLANRUNNER = [sys.executable, "-m", "planrunner", "simulate-bench"]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are not for Windows")
 
 
-def started(folder: Path, *more: str) -> tuple[subprocess.Popen[str], dict[str, Any]]:
+def started(folder: Path, *more: str, bench: str = "lab_simulated") -> tuple[subprocess.Popen[str], dict[str, Any]]:
     """A process that serves the shipped bench at addresses of its own, and what it says when it is ready."""
     ready = folder / "ready.json"
-    command = [*PLANRUNNER, "lab_simulated", "--copy", str(folder / "bench.yaml"), "--ready", str(ready), *more]
+    command = [*PLANRUNNER, bench, "--copy", str(folder / "bench.yaml"), "--ready", str(ready), *more]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     deadline = time.monotonic() + 60

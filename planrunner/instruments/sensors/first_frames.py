@@ -17,10 +17,11 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """seconds: between the first good frame and the last, but for what had waited in buffers."""
+    """seconds: between the first good frame and the last, but for what had waited in buffers. haste: seconds of the bench's clock in one
+    of the wall, which buffers keep to."""
 
-    def __init__(self, decoder: Decoder, rate: float):
-        self._decoder, self._rate = decoder, rate
+    def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
+        self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste
         self._framer = Framer(decoder.framing)
         self._begun = self._first = self._last = math.nan
         self._bytes = self._good = self._counted = 0
@@ -36,7 +37,7 @@ class FirstFrames:
             return
         self._good += received.size
         self._begun = float(received[0]) if math.isnan(self._begun) else self._begun
-        fresh = received[received > self._begun + BACKLOG]
+        fresh = received[received > self._begun + self._backlog]
         if fresh.size:
             self._first = float(fresh[0]) if self._counted == 0 else self._first
             self._last = float(fresh[-1])

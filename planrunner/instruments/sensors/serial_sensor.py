@@ -21,6 +21,8 @@ POLL = 0.05
 """Seconds between blocks: how long a stop may wait for the next one."""
 LISTENING = 0.5
 """Seconds of frames that the rate is judged by when connecting."""
+LISTENINGS = 3
+"""How often another rate must be heard until it is believed."""
 SKEW_TOLERANCE = 0.02
 
 
@@ -177,16 +179,28 @@ class SerialSensor:
             self._heard = self.clock.now()
 
     def _listen(self) -> None:
-        """Wait for good frames at the declared rate. Raises `InstrumentError` that says what came instead."""
-        first = FirstFrames(self.decoder, self.parameters.sample_rate.value)
+        """Wait for good frames at the declared rate. Raises `InstrumentError` that says what came instead; another rate must be heard
+        repeatedly, since a computer that stood still meanwhile gets in a burst what had waited."""
         self.link.ring.follow(True)
-        listening = LISTENING * self._speed
-        end = self.clock.now() + self._patience() + listening
         try:
-            while self.clock.now() < end and first.seconds < listening:
-                self.clock.sleep(POLL)
-                first.push(self.link.take())
+            for left in reversed(range(LISTENINGS)):
+                first = self._heard_first()
+                try:
+                    first.judge(self.parameters.port, self.parameters.baud)
+                except InstrumentError:
+                    if not left or first.seconds == 0.0:
+                        raise
+                else:
+                    break
         finally:
             self.link.ring.follow(False)
-        first.judge(self.parameters.port, self.parameters.baud)
         self._heard = self.clock.now()
+
+    def _heard_first(self) -> FirstFrames:
+        first = FirstFrames(self.decoder, self.parameters.sample_rate.value, self._speed)
+        listening = LISTENING * self._speed
+        end = self.clock.now() + self._patience() + listening
+        while self.clock.now() < end and first.seconds < listening:
+            self.clock.sleep(POLL)
+            first.push(self.link.take())
+        return first
