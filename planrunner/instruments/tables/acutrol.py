@@ -72,7 +72,8 @@ class AcutrolCommands:
         return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
-        self.link.query("*STB?", again=False)  # what was before does not concern us
+        # What was before does not concern us; a fault that still stands comes back at once.
+        self.link.query("*STB?", after=[":interlock:reset"], again=False)
         reach = numbers(self.link, f":limit:absolute? {axis}", 6)
         if bounds.rate > reach[0] or bounds.acceleration > reach[1]:
             able = f"{reach[0]:g} deg/s and {reach[1]:g} deg/s^2"
