@@ -92,7 +92,7 @@ class Paper:
         aside.replace(self.file)
 
     def fault(self) -> str:
-        """What is written in the instrument's faults file: `hang`, `exit`, `refuse`, or words for its condition."""
+        """What is written in the instrument's faults file: `hang`, `exit`, `refuse`, `hangs when made safe`, or words for its condition."""
         path = self.file.with_suffix(".faults")
         return path.read_text(encoding="utf-8").strip() if path.exists() else ""
 
@@ -102,6 +102,8 @@ class Paper:
     def make_safe(self) -> None:
         if self.fault() == "refuse":
             raise InstrumentError("it does not answer")
+        if self.fault() == "hangs when made safe":
+            time.sleep(3600)
         self.write(safe=True, rate=0.0, kelvin=298.15)
 
     def close(self) -> None:

@@ -195,6 +195,29 @@ def test_a_run_that_stands_still_is_taken_the_bench_from(planrunner: Planrunner,
     assert safe(tmp_path)
 
 
+@pytest.mark.slow
+def test_a_driver_that_hangs_while_it_is_made_safe_keeps_nobody_from_his_turn(
+    planrunner: Planrunner, tmp_path: Path
+) -> None:
+    """The chamber comes first, and its driver never returns, here and in the watchdog: after 5 s and 30 s the table has its turn."""
+    bench_file(tmp_path, "protection: {silence: 5 s}\nsafe_order: [chamber, table, sensor]\n")
+    run = started(planrunner, tmp_path)
+    (tmp_path / "chamber.faults").write_text("hangs when made safe", encoding="utf-8")
+    wait(lambda: (the_run(tmp_path) / "watchdog.txt").exists(), seconds=120)
+    report = (the_run(tmp_path) / "watchdog.txt").read_text(encoding="utf-8")
+    assert "no sign of life for 5 s" in report and "table: safe" in report
+    assert "chamber: NOT SAFE, it did not return within 30 s" in report
+    assert state(tmp_path, "table")["safe"] and state(tmp_path, "table")["rate"] == 0 and acknowledged(tmp_path) == 1
+    run.send_signal(signal.SIGKILL)
+    run.communicate()
+    (tmp_path / "chamber.faults").unlink()
+    resumed = planrunner("resume", str(the_run(tmp_path)), "--quiet")
+    wait(lambda: state(tmp_path, "table")["rate"] > 0.3, resumed, seconds=60)
+    resumed.send_signal(signal.SIGTERM)
+    resumed.communicate(timeout=60)
+    assert resumed.returncode == 130 and safe(tmp_path) and acknowledged(tmp_path) == 1
+
+
 def test_two_runs_cannot_share_a_bench(planrunner: Planrunner, tmp_path: Path) -> None:
     """Not under another name either; the lock ends with its process, however that ends."""
     run = started(planrunner, tmp_path)
