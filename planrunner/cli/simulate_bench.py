@@ -119,7 +119,9 @@ def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:
     """The bench file with the addresses that are served in place of its own."""
     from planrunner.bench.model import driver_of
 
-    places = [(bench.simulation, "control", control, f"{serving.control.host}:{serving.control.port}")]
+    places: list[tuple[Any, str, str, str]] = [
+        (bench.simulation, "control", control, f"{serving.control.host}:{serving.control.port}")
+    ]
     for name, served in serving.addresses.items():
         parameters, driver = bench.instruments[name].parameters, driver_of(bench.instruments[name])
         written = driver.address(parameters)

@@ -185,7 +185,8 @@ class Serving:
         raise ValueError("a request is one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Any]:
-        """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air [K], faults, the line's counts."""
+        """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air, where it goes and set point [K], faults, the
+        line's counts."""
         told: dict[str, Any] = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())
@@ -196,7 +197,8 @@ class Serving:
             told["chamber"] = {"air": air, "target": target}
         for item in self.simulated.spoken:
             if isinstance(item.controller.plant, ChamberPlant):
-                told["chamber"]["running"] = item.controller.plant.running
+                plant = item.controller.plant
+                told["chamber"] |= {"running": plant.running, "setpoint": plant.setpoint}
             else:
                 told["table"]["powered"] = [axis.powered for axis in item.controller.plant.axes]
         if self.line is not None:

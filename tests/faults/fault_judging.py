@@ -16,12 +16,12 @@ STANDS = 0.002
 
 
 def not_safe(bench: SmallBench) -> tuple[str, ...]:
-    """The instruments that are not in their safe state, by what is true of them: the table at rest and switched off, the chamber on its
-    way to ambient or off."""
+    """The instruments that are not in their safe state, by what is true of them: the table at rest and switched off, the chamber set to
+    ambient or off."""
     state = bench.state()
     table, chamber = state["table"], state["chamber"]
     moving = any(abs(rate) > STANDS for rate in table["rates"]) or any(table["powered"])
-    return ("table",) * moving + ("chamber",) * (abs(chamber["target"] - AMBIENT) > 0.01)
+    return ("table",) * moving + ("chamber",) * (chamber["running"] and abs(chamber["setpoint"] - AMBIENT) > 0.01)
 
 
 def run_folder(bench: SmallBench) -> Path | None:

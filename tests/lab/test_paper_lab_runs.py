@@ -63,7 +63,7 @@ def started(planrunner: Planrunner, folder: Path, *more: str) -> subprocess.Pope
     return run
 
 
-def wait(condition: Callable[[], bool], run: subprocess.Popen[str] | None = None, seconds: float = 20.0) -> None:
+def wait(condition: Callable[[], bool], run: subprocess.Popen[str] | None = None, seconds: float = 120.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         if run is not None and run.poll() is not None:

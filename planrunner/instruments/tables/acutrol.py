@@ -139,8 +139,19 @@ class AcutrolCommands:
         return AxisState(position, rate)
 
     def faults(self) -> Sequence[str]:
+        found = self._reported()
+        strayed = []
+        for axis, mode in self._modes.items():
+            said = self.link.query(f":mode? {axis}")
+            if MODES.get(said[:1].casefold(), said.casefold()) != mode:
+                strayed.append(f"axis {axis} went into the mode '{said}' by itself")
+        if strayed and not found:  # it happened between the two questions
+            found = self._reported()
+        return found + strayed
+
+    def _reported(self) -> list[str]:
         status = _byte(self.link.query(":status:stb?"))
-        found = [
+        return [
             f"{what}: look at the controller's display"
             for bit, what in (
                 (INTERLOCK, "an interlock is open or a trip has opened it"),
@@ -149,11 +160,6 @@ class AcutrolCommands:
             )
             if status & bit
         ]
-        for axis, mode in self._modes.items():
-            said = self.link.query(f":mode? {axis}")
-            if MODES.get(said[:1].casefold(), said.casefold()) != mode:
-                found.append(f"axis {axis} went into the mode '{said}' by itself")
-        return found
 
     def stop(self) -> None:
         self._modes = {}
