@@ -185,7 +185,7 @@ class Serving:
         raise ValueError("a request is one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Any]:
-        """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air, where it goes and set point [K], faults, the
+        """What is true now, for whoever judges a run: joint angles and rates [rad, rad/s], air, its target, set point [K], faults, the
         line's counts."""
         told: dict[str, Any] = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:

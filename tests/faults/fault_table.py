@@ -98,7 +98,7 @@ ROWS = (
     Row("killed on a ramp", "SIGKILL", WARMING, -9),
     Row("killed while it moves", "SIGKILL", MOVING, -9),
     Row("terminated", "SIGTERM", TURNING, 130, "Stopped at once"),
-    Row("stands still", "SIGSTOP", TURNING, 3, "watchdog process has ended"),
+    Row("stands still", "SIGSTOP", TURNING, 3, "no sign of life for 15 s"),
     Row("watchdog killed", "SIGKILL watchdog", TURNING, 3, "watchdog process has ended"),
     Row("simulated bench killed", "SIGKILL simulator", TURNING, 3, "NOT IN THE SAFE STATE", ("table", "chamber")),
     Row("disk full", "disk full", TURNING, 3, "No space left on device"),
