@@ -57,7 +57,7 @@ campaign: $(READY)
 	  --by stepwise-bic --by whitened-bic --by lasso --by stlsq
 	$(BIN)/python -m tests.blind score $(CAMPAIGN) --json $(CAMPAIGN)/score.json
 
-# Every fault of the table and 200 random ones on a simulated bench, in processes (an hour on two idle cores). See docs/fault-campaign.md.
+# Every fault of the table and 200 random ones on a simulated bench, in processes (an hour or so). See docs/fault-campaign.md.
 faults: $(READY)
 	PLANRUNNER_FAULTS=all $(BIN)/pytest -n $(JOBS) -m 'slow or not slow' tests/faults
 

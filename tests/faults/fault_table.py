@@ -104,8 +104,8 @@ ROWS = (
     Row("disk full", "disk full", TURNING, 3, "No space left on device"),
     Row("clock set back", "clock step", TURNING, 0),
 )
-FAST = ("killed while turning",)
 SAMPLE = (
+    "killed while turning",
     "table answers late once",
     "table always answers late",
     "table's port closes",
@@ -113,7 +113,6 @@ SAMPLE = (
     "chamber overshoots",
     "half corrupt",
     "unplugged and back",
-    "killed on a ramp",
     "disk full",
 )
 """What continuous integration runs; `make faults` runs all."""
