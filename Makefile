@@ -9,7 +9,7 @@ SEED ?= 41
 JOBS ?= 2
 CAMPAIGN ?= build/blind-$(SEED)-$(CASES)
 
-.PHONY: all demo test test-slow lint schemas catalogues wheel benchmark campaign clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel benchmark campaign faults clean
 
 all: $(READY)
 
@@ -56,6 +56,10 @@ campaign: $(READY)
 	$(BIN)/python -m tests.blind answer $(CAMPAIGN) --jobs $(JOBS) --by planrunner --by oracle \
 	  --by stepwise-bic --by whitened-bic --by lasso --by stlsq
 	$(BIN)/python -m tests.blind score $(CAMPAIGN) --json $(CAMPAIGN)/score.json
+
+# Every fault of the table and 200 random ones on a simulated bench, in processes (an hour or so). See docs/fault-campaign.md.
+faults: $(READY)
+	PLANRUNNER_FAULTS=all $(BIN)/pytest -n $(JOBS) -m 'slow or not slow' tests/faults
 
 wheel: $(READY)
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .

@@ -22,6 +22,8 @@ NAMES = (
     "strapdown",
     "navigation_72h",
     "tilted_scale_factor",
+    "sensor_decoding",
+    "sensor_streaming",
     "diagnosis",
 )
 START, END = "<!-- figures -->", "<!-- end of figures -->"

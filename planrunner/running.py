@@ -5,8 +5,8 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
@@ -17,17 +17,22 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
-from planrunner.bench.opening import OpenBench, open_bench
+from planrunner.attendance import check_unattended
+from planrunner.bench.guarding import guarded_bench
+from planrunner.bench.model import runs_on_virtual_clock
+from planrunner.bench.opening import NotSafeError, OpenBench
+from planrunner.bench.watchdog import REPORT
 from planrunner.certificates import is_certificate
 from planrunner.certifying import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
 from planrunner.checking import Sound, check_plan
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute
+from planrunner.execution.operator import Operator
 from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import Foresees, InstrumentError
-from planrunner.plan.findings import Finding, InputError, Mark
+from planrunner.plan.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.from_run import report_context
@@ -42,6 +47,14 @@ class Analysis:
     results: Results
     reports: tuple[Path, ...]
     withheld: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Retake:
+    """Recorded segments to set aside and take again, by label, and why."""
+
+    labels: tuple[str, ...]
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,19 +77,22 @@ def start(
     seed: int | None = None,
     durability: Durability = "durable",
     progress: ProgressCallback | None = None,
+    operator: Operator | None = None,
 ) -> tuple[Path, Outcome]:
     """Carry out a sound plan in a new run folder beneath `runs`; the folder and how it ended.
 
-    Disk space is checked and every instrument connected before the folder is made and anything moves.
-    Raises `InputError` and `InstrumentError` for what prevents the start.
+    Disk space is checked and every instrument connected before the folder is made and anything moves. operator: who answers the plan's
+    prompts; nobody is there without one. Raises `InputError` and `InstrumentError` for what prevents the start.
     """
+    operator = _attended(sound, operator)
     seed = sound.bench.seed if seed is None else seed
     require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
-    with _ready(sound, data_root, seed) as bench:
-        name = Path(sound.file).stem
-        with RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed) as writer:
-            outcome = execute(sound.schedule, bench, writer, stop=stop, progress=progress)
-    return writer.path, outcome
+    name = Path(sound.file).stem
+
+    def create() -> RunWriter:
+        return RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed)
+
+    return _carry_out(sound, data_root, seed, create, stop, progress, operator)
 
 
 def resume(
@@ -85,28 +101,106 @@ def resume(
     stop: StopRequest,
     data_root: Path | None = None,
     progress: ProgressCallback | None = None,
+    operator: Operator | None = None,
+    retake: Retake | None = None,
 ) -> Outcome:
-    """Go on with a run that was cut short, from its own plan and bench."""
-    seed = RunReader.open(run).run["seed"]
+    """Go on with a run that was cut short, from its own plan and bench; or take segments of it again, whether it is finished or not."""
+    reader = RunReader.open(run)
+    seed = reader.run["seed"]
     sound = sound_run(run, date.today())
-    with _ready(sound, data_root, seed) as bench, RunWriter.reopen(run) as writer:
-        return execute(sound.schedule, bench, writer, stop=stop, progress=progress, start_at=writer.next_segment)
+    again = () if retake is None else _chosen(reader, retake.labels)
+    operator = _attended(sound, operator)
+    reason = None if retake is None else retake.reason
+
+    def reopen() -> RunWriter:
+        writer = RunWriter.reopen(run, reason=reason)
+        try:
+            _take_report(writer)
+            for index in again:
+                writer.reject(index, reason or "")
+        except BaseException:
+            writer.close()
+            raise
+        return writer
+
+    return _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
+
+
+def _carry_out(
+    sound: Sound,
+    data_root: Path | None,
+    seed: int | None,
+    open_writer: Callable[[], RunWriter],
+    stop: StopRequest,
+    progress: ProgressCallback | None,
+    operator: Operator | None,
+) -> tuple[Path, Outcome]:
+    """Connect the bench, open the run folder and execute what is not yet recorded; how it ended outlives a bench that is not safe."""
+    ended: tuple[Path, Outcome] | None = None
+    try:
+        with _ready(sound, data_root, seed) as bench, open_writer() as writer:
+            if bench.watchdog is not None:
+                bench.watchdog.report_to(writer.path)
+            outcome = execute(
+                sound.schedule,
+                bench,
+                writer,
+                stop=stop,
+                progress=progress,
+                start_at=writer.next_segment,
+                operator=operator,
+            )
+            ended = writer.path, outcome
+    except NotSafeError as error:
+        if ended is None:
+            raise
+        path, outcome = ended
+        ended = path, replace(outcome, unsafe=outcome.unsafe or (str(error),))
+    return ended
+
+
+def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
+    """Who is asked: nobody on a simulated bench. Raises `InputError` when somebody is needed and nobody there."""
+    if runs_on_virtual_clock(sound.bench):
+        return None
+    if operator is None:
+        log = Findings()
+        check_unattended(sound.bench, sound.schedule, log)
+        if log.errors:
+            raise InputError(log)
+    return operator
+
+
+def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
+    """The segments that count and have these labels."""
+    known = {item.label: item.index for item in reader.acknowledged()}
+    for label in labels:
+        if label not in known:
+            message = f"this run has no recorded segment '{label}' to take again"
+            raise InputError.at(Mark(str(reader.path)), "run-no-segment", message, closest(label, known))
+    return tuple(sorted({known[label] for label in labels}))
+
+
+def _take_report(writer: RunWriter) -> None:
+    """What a watchdog did since, into the journal."""
+    report = writer.path / REPORT
+    if report.is_file():
+        writer.note("rescued", report=report.read_text(encoding="utf-8", errors="replace"))
+        report.unlink()
 
 
 @contextmanager
 def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[OpenBench]:
     """The bench, connected and able to serve the schedule. A recording that is not is wrong input: nothing can have moved."""
-    try:
-        opened = open_bench(sound.bench, data_root=data_root, seed=seed)
-    except InstrumentError as error:
-        raise _unfit(sound, error) from None
-    with opened as bench:
+    bench, file = sound.bench, sound.bench.origin.mark.file
+    with ExitStack() as stack:
         try:
-            if isinstance(bench.sensor, Foresees):
-                bench.sensor.foresee(sound.schedule.segments)
+            opened = stack.enter_context(guarded_bench(bench, sound.bench_bytes, file, data_root=data_root, seed=seed))
+            if isinstance(opened.sensor, Foresees):
+                opened.sensor.foresee(sound.schedule.segments)
         except InstrumentError as error:
             raise _unfit(sound, error) from None
-        yield bench
+        yield opened
 
 
 def _unfit(sound: Sound, error: InstrumentError) -> Exception:

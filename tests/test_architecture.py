@@ -63,6 +63,20 @@ def test_simulator_and_estimators_share_no_formula() -> None:
         ), path
 
 
+REAL = ("wire", "sensors", "tables", "chambers")
+
+
+def test_simulated_instruments_and_drivers_share_no_code() -> None:
+    """Each is written from the protocols alone, so that a shared misunderstanding cannot hide."""
+    drivers = [path for name in REAL for path in (PACKAGE / "instruments" / name).rglob("*.py")]
+    simulators = list((PACKAGE / "simulators").rglob("*.py"))
+    assert drivers and simulators
+    for path in drivers:
+        assert "planrunner.simulators" not in path.read_text(encoding="utf-8"), path
+    for path in simulators:
+        assert not {name for name in imported(path) if name in {f"instruments.{folder}" for folder in REAL}}, path
+
+
 HEAVY = (
     "GTC",
     "babel",
@@ -73,8 +87,10 @@ HEAVY = (
     "numba",
     "pint",
     "pyarrow",
+    "pyvisa",
     "rich",
     "scipy",
+    "serial",
 )
 
 

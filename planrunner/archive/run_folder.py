@@ -206,7 +206,7 @@ class RunWriter:
     def begin(self, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
         """Begin a segment; channels (name → unit) is empty when there is nothing to stream."""
         index = segment.index
-        self._attempt = self._point.attempts.get(index, 0) + 1
+        self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
         self._journal.append(
             "begun",
@@ -248,8 +248,10 @@ class RunWriter:
         *,
         truncated: bool = False,
         reason: str = "",
+        frames: Mapping[str, Any] | None = None,
     ) -> None:
-        """Finish the segment's files and acknowledge it. clock, states: from which the run can go on after it."""
+        """Finish the segment's files and acknowledge it. clock, states: from which the run can go on after it; frames: what the sensor
+        counted."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {
@@ -262,23 +264,30 @@ class RunWriter:
             "states": states,
             "truncated": truncated,
         }
-        self._journal.append("segment", {**event, "reason": reason} if truncated else event)
+        if truncated:
+            event["reason"] = reason
+        if frames is not None:
+            event["frames"] = frames
+        self._journal.append("segment", event)
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Any]) -> None:
         """The segment in progress, if any, was cut short: keep its samples, and count them if the plan says so."""
-        segment, samples = self._segment, self._samples
+        segment = self._segment
         if segment is None:
             return
-        if samples is not None and samples.rows:
-            try:
-                self._close_samples()
-            except OSError:  # what is finished is on the disk; the rest is lost
-                self._drop_samples()
-        parts = self._drop_samples()
+        parts = self._keep_what_there_is()
         if segment.on_break == "keep" and any(part.rows for part in parts):
             self.acknowledge(clock, states, {}, truncated=True, reason=reason)
             return
+        self.set_aside(reason)
+
+    def set_aside(self, reason: str, frames: Mapping[str, Any] | None = None) -> None:
+        """The segment in progress is no good and will be taken again: its data stay, with the reason."""
+        segment = self._segment
+        assert segment is not None
+        parts = self._keep_what_there_is()
+        told: dict[str, Any] = {} if frames is None else {"frames": frames}
         self._journal.append(
             "rejected",
             {
@@ -287,6 +296,7 @@ class RunWriter:
                 "attempt": self._attempt,
                 "parts": [part.to_json() for part in parts],
                 "reason": reason,
+                **told,
             },
         )
         self._account(parts)
@@ -328,6 +338,15 @@ class RunWriter:
             self._parts.extend(self._samples.close())
             self._samples = None
         return self._parts
+
+    def _keep_what_there_is(self) -> list[Part]:
+        """Finish the file in progress, as far as the disk lets it be; returns the segment's parts."""
+        if self._samples is not None and self._samples.rows:
+            try:
+                self._close_samples()
+            except OSError:  # what is finished is on the disk; the rest is lost
+                self._drop_samples()
+        return self._drop_samples()
 
     def _drop_samples(self) -> list[Part]:
         """Let go of the file in progress; returns the parts that are finished."""

@@ -32,20 +32,21 @@ class WallClock:
     """Real time, monotonic: it does not jump when the computer's clock is set.
 
     A sleep is interruptible: about every `slice` seconds the attending callback is called, and the sleep ends early
-    when it returns True.
+    when it returns True. speed: seconds of this clock in one of the wall, for a bench whose simulated instruments hasten.
     """
 
-    def __init__(self, slice: float = 0.1):
+    def __init__(self, slice: float = 0.1, speed: float = 1.0):
+        self.speed = speed
         self._origin = time.monotonic()
         self._slice = slice
         self._attend: Callable[[], bool] | None = None
 
     def now(self) -> float:
         """Seconds since the run began; the time for which it lay interrupted is not counted."""
-        return time.monotonic() - self._origin
+        return (time.monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
+        end = time.monotonic() + seconds / self.speed
         while (left := end - time.monotonic()) > 0:
             if self._attend is not None and self._attend():
                 return
@@ -53,7 +54,7 @@ class WallClock:
 
     def set(self, seconds: float) -> None:
         """Go on from a time, when a run is resumed."""
-        self._origin = time.monotonic() - seconds
+        self._origin = time.monotonic() - seconds / self.speed
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
         """Call `callback` during sleeps; it returns whether to end the sleep. None: nobody."""

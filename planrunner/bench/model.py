@@ -16,6 +16,9 @@ from typing import Any
 from planrunner import plugins
 from planrunner.bench.calibration import LINE, Calibration, check_dates
 from planrunner.bench.laboratory import Laboratory
+from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
+from planrunner.bench.simulation import Simulation
+from planrunner.instruments.interfaces import Counting, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
@@ -134,6 +137,13 @@ class Bench(Record):
         {"name": "Inertial calibration laboratory", "address": "1 Example Street, 00000 Example Town"},
         None,
     )
+    simulation: Simulation | None = key(
+        RecordOf(Simulation),
+        "What stands behind the bench's addresses under `planrunner simulate-bench`, whose clock a run then takes; a bench with real "
+        "instruments has none.",
+        {"bench": "virtual", "control": "127.0.0.1:9870"},
+        None,
+    )
     site: SiteSpec = key(
         RecordOf(SiteSpec), "Where the bench stands.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
     )
@@ -151,6 +161,12 @@ class Bench(Record):
         "The fixture that the sensor is mounted in.",
         {"asset": "FX-0007", "calibration": {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20"}},
         None,
+    )
+    protection: Protection = key(
+        PROTECTION,
+        "Limits of the bench, which its instruments hold by themselves where they can; plans may not ask beyond them.",
+        {"rate": "320 deg/s", "hottest": "75 degC"},
+        default_factory=Protection,
     )
     safe_order: tuple[str, ...] = key(
         ListOf(Text(NAME, "an instrument's name"), minimum=1),
@@ -172,7 +188,8 @@ class BenchModels:
     """What is known of a bench without connecting to it.
 
     replays: the sensor plays back a recording, so that orientations, rates and temperatures are those of the
-    recording and need no table or chamber.
+    recording and need no table or chamber. measures: whether some instrument has live readings; counts: whether the sensor counts its
+    lost and corrupt frames. Where time is simulated both count as given.
     """
 
     site: Site
@@ -180,6 +197,8 @@ class BenchModels:
     chamber: ChamberModel | None
     sensor: SensorModel | None
     replays: bool = False
+    measures: bool = True
+    counts: bool = True
 
 
 def driver_of(entry: InstrumentEntry) -> Any:
@@ -201,20 +220,34 @@ def site_of(bench: Bench) -> Site:
 
 
 def models(bench: Bench) -> BenchModels:
-    """The models that the bench's drivers declare."""
+    """The models that the bench's drivers declare, kept to the bench's protection."""
     found: dict[str, Any] = {}
-    replays = False
-    for entry in bench.instruments.values():
-        driver = driver_of(entry)
+    drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
+    for name, driver in drivers.items():
         if driver.role in SINGLE_ROLES:
-            found[driver.role] = driver.model(entry.parameters)
-            replays = replays or bool(getattr(driver, "replays", False))
-    return BenchModels(site_of(bench), found.get("table"), found.get("chamber"), found.get("sensor"), replays)
+            found[driver.role] = driver.model(bench.instruments[name].parameters)
+    table, chamber = found.get("table"), found.get("chamber")
+    table = None if table is None else kept_table(table, bench.protection)
+    chamber = None if chamber is None else kept_chamber(chamber, bench.protection)
+    replays = any(getattr(driver, "replays", False) for driver in drivers.values())
+    simulated = _virtual(bench, replays)
+    measures = simulated or any(issubclass(driver, Watched) for driver in drivers.values())
+    counts = simulated or any(driver.role == "sensor" and issubclass(driver, Counting) for driver in drivers.values())
+    return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts)
+
+
+def real_instruments(bench: Bench) -> tuple[str, ...]:
+    """Names of the instruments that are no simulation within this program, in the order in which they are made safe."""
+    return tuple(name for name in safe_order(bench) if not issubclass(driver_of(bench.instruments[name]), Resumable))
 
 
 def runs_on_virtual_clock(bench: Bench) -> bool:
     """As the bench says; where it says nothing, only a recording is played back faster than it was made."""
-    return bench.clock == "virtual" if bench.clock is not None else models(bench).replays
+    return _virtual(bench, any(getattr(driver_of(entry), "replays", False) for entry in bench.instruments.values()))
+
+
+def _virtual(bench: Bench, replays: bool) -> bool:
+    return bench.clock == "virtual" if bench.clock is not None else replays
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:

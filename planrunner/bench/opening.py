@@ -14,8 +14,15 @@ from typing import Any
 
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.model import SINGLE_ROLES, Bench, driver_of, runs_on_virtual_clock, safe_order, site_of
-from planrunner.instruments.interfaces import Clock, InstrumentError, Surroundings
+from planrunner.bench.protection import own_limits
+from planrunner.bench.simulation import attach
+from planrunner.bench.watchdog import Watchdog
+from planrunner.instruments.interfaces import Addressed, Clock, InstrumentError, OwnLimits, Surroundings
 from planrunner.physics.earth import Site
+
+
+class NotSafeError(InstrumentError):
+    """Something on the bench could not be brought to its safe state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +40,8 @@ class OpenBench:
     """A bench whose instruments are connected. A context manager: leaving it makes everything safe, then closes it.
 
     table, chamber, sensor: the instrument of that role, or None. monitors: every other instrument by name. instruments: all of them
-    by name.
+    by name. limits: what the instruments are to keep to by themselves. watchdog: of a guarded bench. safe: whether the bench was
+    brought to its safe state when that was last asked.
     """
 
     def __init__(self, bench: Bench, clock: Clock, site: Site):
@@ -45,6 +53,17 @@ class OpenBench:
         self.sensor: Any = None
         self.monitors: Any = {}
         self.instruments: Mapping[str, Any] = {}
+        self.watchdog: Watchdog | None = None
+        self.safe = False
+
+    @property
+    def limits(self) -> OwnLimits:
+        return own_limits(self.bench.protection)
+
+    def sign_of_life(self) -> None:
+        """Tell the watchdog that planrunner is at work. Raises `InstrumentError` when the watchdog is gone."""
+        if self.watchdog is not None:
+            self.watchdog.sign_of_life()
 
     def add(self, name: str, role: str, instrument: Any) -> None:
         """Take in a connected instrument."""
@@ -56,7 +75,10 @@ class OpenBench:
 
     def make_safe(self) -> list[SafetyFailure]:
         """Bring every instrument to its safe state, in the bench's order; returns those that failed."""
-        return self._each("make_safe")
+        self.safe = False
+        failures = self._each("make_safe")
+        self.safe = not failures
+        return failures
 
     def close(self) -> list[SafetyFailure]:
         """Disconnect every instrument; returns those that failed. May be called twice."""
@@ -85,7 +107,20 @@ class OpenBench:
         failures = self.make_safe() + self.close()
         if failures:
             message = "not everything could be made safe: " + "; ".join(map(str, failures))
-            raise InstrumentError(message) from error
+            raise NotSafeError(message) from error
+
+
+def real_clock(bench: Bench) -> WallClock:
+    """The wall's, or that of the process which simulates the bench."""
+    if bench.simulation is None:
+        return WallClock()
+    drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
+    addresses = {
+        name: driver.address(bench.instruments[name].parameters)
+        for name, driver in drivers.items()
+        if issubclass(driver, Addressed)
+    }
+    return attach(bench.simulation, addresses)
 
 
 def open_bench(
@@ -98,7 +133,7 @@ def open_bench(
     could not be connected; those before it are then safe and closed.
     """
     virtual = runs_on_virtual_clock(bench)
-    clock = clock or (VirtualClock() if virtual else WallClock())
+    clock = clock or (VirtualClock() if virtual else real_clock(bench))
     site = site_of(bench)
     chosen_seed = bench.seed if seed is None else seed
     surroundings = Surroundings(clock, site, data_root, chosen_seed, real_time=not virtual)
@@ -113,7 +148,8 @@ def open_bench(
                 raise
             also = "; and could not be made safe: " + "; ".join(map(str, failures)) if failures else ""
             reason = f"{error}" or type(error).__name__
-            raise InstrumentError(f"{name} ({entry.driver}) cannot be connected: {reason}{also}") from error
+            kind = NotSafeError if failures else InstrumentError
+            raise kind(f"{name} ({entry.driver}) cannot be connected: {reason}{also}") from error
         opened.add(name, driver.role, instrument)
         surroundings.instruments[driver.role] = instrument
     return opened

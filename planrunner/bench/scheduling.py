@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from planrunner.bench.holding import check_measured, wait_of, watch_of
 from planrunner.bench.model import BenchModels
 from planrunner.bench.motion_checks import TableState, no_table, start_motion
 from planrunner.physics.kinematics import Array, Unreachable, joint_angles, transition_time
@@ -72,7 +73,7 @@ class _Planner:
             return None
         mark_of = marks.get
         transition = self._change_temperature(kelvin, mark_of("temperature") or item.mark)
-        soak = _seconds(state, "soak") if kelvin is not None and kelvin != self._soaked else 0.0
+        soak, soaked = wait_of(state, "soak") if kelvin is not None and kelvin != self._soaked else (0.0, None)
         self._soaked = kelvin if kelvin is not None else self._soaked
         transition += self._move(orientation, mark_of("orientation") or item.mark)
         transition += self._start(motion, dwell, orientation, item)
@@ -80,9 +81,10 @@ class _Planner:
             self._check_temperature(ramp_to, marks["temperature"])
         self._check_mode(item)
         self._check_samples(item, dwell)
+        check_measured(state, marks, self.models, self._once)
         if len(self.log.errors) > before:
             return None
-        settle = _seconds(state, "settle")
+        settle, stable = wait_of(state, "settle")
         start = self.time + transition + soak + settle
         self.time = start + (dwell or 0.0)
         if ramp_to is not None:
@@ -102,9 +104,13 @@ class _Planner:
             sample_rate=rate.value if rate else None,
             mode=state.get("mode"),
             on_break=state.get("on_break", "retake"),
+            stable=stable,
+            soaked=soaked,
+            watch=watch_of(state),
+            prompts=tuple(text for text, _ in item.prompts),
             transition=transition,
             start=start,
-            marks={**marks, "": item.mark},
+            marks={**marks, "": item.mark, "prompt": item.prompts[0][1] if item.prompts else item.mark},
         )
 
     def return_time(self) -> float:
@@ -254,8 +260,3 @@ class _Planner:
         seen = None if orientation.attitude is None else self.input_axes @ orientation.attitude
         seconds, self.state = start_motion(motion, dwell, seen, self.state, self.models, at, self.log)
         return seconds
-
-
-def _seconds(state: Mapping[str, Any], name: str) -> float:
-    value = state.get(name)
-    return float(value.value) if value is not None else 0.0

@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 from planrunner import cli
-from planrunner.bench.model import safe_order
+from planrunner.attendance import check_unattended
+from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.checking import Checked, Sound, check_plan
+from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
@@ -21,10 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plans", nargs="+", metavar="PLAN", help="plan files")
     parser.add_argument("--bench", metavar="BENCH", help="hold the plans against this bench: a shipped name or a file")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
+    add_attendance(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     checks = [check_plan(Path(plan), bench=args.bench) for plan in args.plans]
+    for checked in checks:
+        if args.unattended and checked.bench is not None and checked.schedule is not None:
+            check_unattended(checked.bench, checked.schedule, checked.findings)
     if args.json:
         print_json([finding.to_json() for checked in checks for finding in checked.findings])
     else:
@@ -67,6 +73,9 @@ def summary(checked: Checked) -> str:
                     ]
                 )
             )
+    prompts = sum(len(segment.prompts) for segment in checked.schedule.segments)
+    if prompts and not runs_on_virtual_clock(checked.bench):
+        lines.append(f"  asks the operator {_count(prompts, 'time')}")
     lines.append("  safe state in this order: " + ", ".join(safe_order(checked.bench)))
     return "\n".join(lines)
 

@@ -1,27 +1,53 @@
-"""`planrunner resume`: go on where a run was cut short."""
+"""`planrunner resume`: go on where a run was cut short or waits, or take segments of it again."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from planrunner import cli
+from planrunner.archive import pausing
+from planrunner.cli.operator import operator_of
 from planrunner.cli.outcome import conclude, tell
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments
+from planrunner.plan.findings import InputError, Mark
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that recordings to play back lie beneath")
+    parser.add_argument(
+        "--retake",
+        metavar="LABEL",
+        action="append",
+        default=[],
+        help="set this recorded segment aside, whose data stay, and take it again (with --reason)",
+    )
+    parser.add_argument("--reason", metavar="TEXT", help="why, for --retake; kept in the run folder")
     add_run_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
+    folder: Path = args.run_folder
+    if bool(args.retake) != bool(args.reason):
+        raise InputError.at(Mark("<command line>"), "run-retake", "--retake and --reason belong together", "give both")
+    if pausing.take_back(folder):
+        print("The run goes on.")
+        return cli.DONE
     from planrunner import running
     from planrunner.execution.stopping import StopRequest
 
+    retake = running.Retake(tuple(args.retake), args.reason) if args.retake else None
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
-        outcome = running.resume(args.run_folder, stop=stop, data_root=args.data, progress=progress)
+        outcome = running.resume(
+            folder,
+            stop=stop,
+            data_root=args.data,
+            progress=progress,
+            operator=operator_of(args, notify),
+            retake=retake,
+        )
     if not outcome.ok:
-        return tell(args.run_folder, outcome)
-    return conclude(running.analyse_run(args.run_folder), as_json=args.json)
+        return tell(folder, outcome)
+    return conclude(running.analyse_run(folder), as_json=args.json)

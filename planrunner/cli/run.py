@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli.check import sound_plan
+from planrunner.cli.operator import add_attendance, operator_of
 from planrunner.cli.outcome import conclude, tell
 from planrunner.cli.progress import run_progress
 from planrunner.run_information import gather
@@ -33,6 +34,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """What every command that produces results takes."""
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_attendance(parser)
 
 
 def seed(text: str) -> int:
@@ -61,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             durability="flushed" if args.flushed else "durable",
             progress=progress,
+            operator=operator_of(args, notify),
         )
     if not outcome.ok:
         return tell(folder, outcome)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner import cli
+from planrunner.bench.model import safe_order
 from planrunner.cli.check import sound_plan
 from planrunner.cli.printing import write_file
 
@@ -18,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     sound = sound_plan(args.plan, args.bench)
+    order = ", ".join(safe_order(sound.bench))
     if args.html is not None:
         from planrunner.reporting.context import site_facts
         from planrunner.reporting.show_page import ShowContext, render_show
@@ -27,7 +29,12 @@ def run(args: argparse.Namespace) -> int:
             description=sound.plan.description,
             schedule=sound.schedule,
             designs=sound.designs,
-            facts={"Plan": sound.file, "Bench": sound.bench.name, **site_facts(sound.models.site)},
+            facts={
+                "Plan": sound.file,
+                "Bench": sound.bench.name,
+                **site_facts(sound.models.site),
+                "Safe state, in this order": order,
+            },
             warnings=tuple(finding.message for finding in sound.findings if finding.severity == "warning"),
         )
         write_file(args.html, render_show(context))
@@ -40,4 +47,5 @@ def run(args: argparse.Namespace) -> int:
     for name, design in sound.designs.items():
         if design.predicted:
             console.print(terminal.predicted_table(name, design))
+    print(f"Safe state in this order: {order}")
     return cli.DONE

@@ -2,22 +2,35 @@
 
 For each segment it brings the bench to the state (temperature, orientation, motion), settles, lets the sensor's
 samples through to the run folder, takes readings and comes to rest. It knows instruments only by what they can do,
-and time only by the bench's clock. Whatever happens, the bench is brought to its safe state before anything else.
+and time only by the bench's clock. A segment during which a limit of the plan is passed is set aside and taken again, as often as the
+plan allows. Whatever happens, the bench is brought to its safe state before anything else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any, Protocol
 
-import numpy as np
-
+from planrunner.archive.journal import finite
 from planrunner.archive.run_folder import RunWriter
+from planrunner.execution.continuity import Continuity
+from planrunner.execution.holding import Holding, LimitPassedError
+from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
+from planrunner.execution.operator import Boundary, Operator
 from planrunner.execution.outcome import Failure, Outcome
 from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind
-from planrunner.execution.reaching import Patience, Reaching, StoppedAtOnceError
+from planrunner.execution.reaching import Patience, Reaching
 from planrunner.execution.stopping import StopRequest
-from planrunner.instruments.interfaces import Clock, InstrumentError, Readable, Resumable, StreamsSamples
+from planrunner.instruments.interfaces import (
+    Clock,
+    FrameCounts,
+    InstrumentError,
+    OwnLimits,
+    Readable,
+    SelfLimiting,
+    StreamsSamples,
+)
 from planrunner.plan.schedule import Schedule, Segment
 
 SAFE_ATTEMPTS = 3
@@ -25,7 +38,7 @@ SAFE_ATTEMPTS = 3
 
 class OpenBench(Protocol):
     """A bench whose instruments are connected. `instruments` holds all of them by name, those named by role
-    included."""
+    included; `limits` is what they shall keep to by themselves."""
 
     clock: Any
     table: Any
@@ -34,8 +47,14 @@ class OpenBench(Protocol):
     monitors: Any
     instruments: Mapping[str, Any]
 
+    @property
+    def limits(self) -> OwnLimits: ...
+
     def make_safe(self) -> list[Any]:
         """Bring every instrument to its safe state; returns what failed."""
+
+    def sign_of_life(self) -> None:
+        """Called often; raises `InstrumentError` when nobody guards the bench any more."""
 
 
 def execute(
@@ -47,13 +66,15 @@ def execute(
     progress: ProgressCallback | None = None,
     start_at: int = 0,
     patience: Patience | None = None,
+    operator: Operator | None = None,
 ) -> Outcome:
     """Carry out the segments of `schedule` from `start_at` that `writer` has not acknowledged.
 
+    operator: who is asked what the plan prompts for; without one nobody is, as on a simulated bench.
     Never raises for what instruments or the disk do: failures are in the outcome, and the bench is safe. A finished
     run is sealed.
     """
-    return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience()).carry_out()
+    return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience(), operator).carry_out()
 
 
 class _Execution:
@@ -66,6 +87,7 @@ class _Execution:
         progress: ProgressCallback | None,
         start_at: int,
         patience: Patience,
+        operator: Operator | None,
     ):
         self.schedule, self.bench, self.writer, self.stop = schedule, bench, writer, stop
         self.clock: Clock = bench.clock
@@ -77,12 +99,14 @@ class _Execution:
         self.doing = "preparing the bench"
         self.streams = isinstance(bench.sensor, StreamsSamples)
         self.readable = {name: item for name, item in bench.instruments.items() if isinstance(item, Readable)}
-        self.resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}
         self.channels: Mapping[str, str] = {}
         self.meter: Meter | None = None
         if progress is not None:
             self.meter = Meter(schedule, progress, seconds_behind(schedule, self._done))
-        self.reaching = Reaching(bench, stop, patience, self._say)
+        self.lookout = Lookout(bench, stop, self._notice)
+        self.reaching = Reaching(bench, self.lookout, patience, self._say)
+        self.continuity = Continuity(bench, self.reaching)
+        self.boundary = Boundary(writer, self.lookout, stop, operator, self._wait_safely, self._protect)
 
     # -- from beginning to end -----------------------------------------------------------------------------------------
 
@@ -120,7 +144,7 @@ class _Execution:
             reason = str(failures[0]) if failures else f"stopped {stopped}: {self.stop.reason}"
             if not complete:
                 keeps = cut is not None and cut.on_break == "keep"
-                self.writer.break_off(reason, self.clock.now(), self._states_if_known() if keeps else {})
+                self.writer.break_off(reason, self.clock.now(), self.continuity.states_if_known() if keeps else {})
             else:
                 self.writer.finish()
                 finished = True
@@ -150,12 +174,26 @@ class _Execution:
                     f"'{name}' had serial {before} when the run began and has {now} now: put it back, or start a new run"
                 )
         self.channels = dict(self.bench.sensor.channels()) if self.streams else {}
-        self._restore()
+        if self.writer.resume_point.resumed:
+            self.doing = "going back to where the run broke off"
+            self.continuity.restore(self.writer.resume_point)
+        self.doing = "setting the instruments' own limits"
+        limits = self._protect()
         self.doing = "writing the run folder"
         self.writer.note("instruments", instruments=identities)
+        if limits:
+            self.writer.note("protected", limits=limits)
         resumed = self.writer.resume_point.resumed
         count = len(self.schedule.segments)
         self.writer.note("started", segments=count, start_at=self.start_at, clock=self.clock.now(), resumed=resumed)
+
+    def _protect(self) -> dict[str, list[str]]:
+        """Every instrument that can is told what it shall keep to by itself; what it now keeps to, by name."""
+        return {
+            name: [str(line) for line in item.limit(self.bench.limits)]
+            for name, item in self.bench.instruments.items()
+            if isinstance(item, SelfLimiting)
+        }
 
     # -- one segment after the other -----------------------------------------------------------------------------------
 
@@ -163,51 +201,82 @@ class _Execution:
         for segment in self.schedule.segments[self.start_at :]:
             if self.stop.after_segment:
                 return
-            if not self._done(segment.index):
-                self._segment(segment)
+            if self._done(segment.index):
+                continue
+            self.doing = f"before segment '{segment.label}'"
+            self.boundary.wait(segment, self.clock.now)
+            if self.stop.after_segment:
+                return
+            self._segment(segment)
         self.through = True
 
     def _segment(self, segment: Segment) -> None:
-        now = self.clock.now
+        """Take it, again when a limit is passed, as often as the plan allows."""
         self.segment = segment
         if self.meter is not None:
-            self.meter.begin(segment, now())
-        self._say("writing the run folder")
-        self.writer.begin(segment, now(), self.channels)
-        self.reaching.reach(segment)
-        self._dwell(segment)
+            self.meter.begin(segment, self.clock.now())
+        retakes = segment.watch.retakes if segment.watch else 0
+        for left in range(retakes, -1, -1):
+            self._say("writing the run folder")
+            self.writer.begin(segment, self.clock.now(), self.channels)
+            self.lookout.begin_segment()
+            self.reaching.reach(segment)
+            holding = Holding(self.bench, self.lookout, segment)
+            try:
+                self._dwell(segment, holding)
+                counts = holding.finish()
+            except LimitPassedError as error:
+                self.writer.set_aside(str(error), _frames(holding.counts()))
+                if not left:
+                    taken = f"; it was taken {retakes + 1} times" if retakes else ""
+                    raise InstrumentError(f"{error}{taken}. Look at the bench, then resume the run") from None
+                self.reaching.come_to_rest(segment)
+                continue
+            self._acknowledge(segment, holding, counts)
+            return
+
+    def _acknowledge(self, segment: Segment, holding: Holding, counts: FrameCounts | None) -> None:
+        for text in holding.unjudged():
+            self._notice("bench", text)
         readings = self._read()
         self.reaching.come_to_rest(segment)
+        self.lookout.hear()
         self._say("noting the instruments' state")
-        states = self._states()
+        states = self.continuity.states()
         self._say("writing the run folder")
-        self.writer.acknowledge(now(), states, readings)
+        self.writer.acknowledge(self.clock.now(), states, readings, frames=_frames(counts))
         self.completed += 1
         if self.meter is not None:
             self.meter.finish()
         self.segment = None
 
-    def _dwell(self, segment: Segment) -> None:
+    def _dwell(self, segment: Segment, holding: Holding) -> None:
         self._say("recording")
         if not self.streams:
-            if segment.dwell is None:
-                raise InstrumentError(
-                    f"'{segment.label}' lasts as long as its recording, but the sensor does not stream samples"
-                )
-            self.reaching.pause(segment.dwell)
+            self._stand(segment, holding)
             return
         stream = self.bench.sensor.stream(segment)
         try:
             for block in stream:
                 self._say("writing samples")
-                self.writer.append(block, self.clock.now())
-                if self.stop.at_once:
-                    raise StoppedAtOnceError
+                if block.time.size:
+                    self.writer.append(block, self.clock.now())
+                holding.check()
                 self._say("recording")
         finally:
             close = getattr(stream, "close", None)
             if close is not None:
                 close()
+
+    def _stand(self, segment: Segment, holding: Holding) -> None:
+        """A dwell of which nothing is streamed."""
+        if segment.dwell is None:
+            message = f"'{segment.label}' lasts as long as its recording, but the sensor does not stream samples"
+            raise InstrumentError(message)
+        end = self.clock.now() + segment.dwell
+        while (left := end - self.clock.now()) > 0:
+            self.lookout.pause(min(left, EVERY) if self.lookout.sees else left)
+            holding.check()
 
     def _read(self) -> dict[str, float]:
         """Readings of every instrument that has some, as `instrument.quantity_unit`."""
@@ -217,55 +286,6 @@ class _Execution:
         return {
             f"{name}.{key}": float(value) for name, item in self.readable.items() for key, value in item.read().items()
         }
-
-    # -- state that must come back after a crash -----------------------------------------------------------------------
-
-    def _states(self) -> dict[str, Any]:
-        """Empty on a real bench, whose state stands in the laboratory."""
-        if not self.resumable:
-            return {}
-        reaching, attitude = self.reaching, self.reaching.attitude
-        executor = {
-            "temperature": reaching.temperature,
-            "attitude": None if attitude is None else attitude.tolist(),
-            "soak_again": reaching.soak_again,
-            "mode": reaching.mode,
-            "moving_perhaps": reaching.moving_perhaps,
-        }
-        return {"executor": executor, "instruments": {name: item.checkpoint() for name, item in self.resumable.items()}}
-
-    def _states_if_known(self) -> dict[str, Any]:
-        self.reaching.forget()
-        try:
-            return self._states()
-        except BaseException:  # a driver that has failed need not know its state
-            return {}
-
-    def _restore(self) -> None:
-        point = self.writer.resume_point
-        if not point.resumed:
-            return
-        self.doing = "going back to where the run broke off"
-        self.clock.set(point.clock)  # type: ignore[attr-defined]
-        self.reaching.forget()
-        # What is simulated is as it was, to the second: as new, when nothing was acknowledged.
-        simulated_table = isinstance(self.bench.table, Resumable)
-        simulated_chamber = isinstance(self.bench.chamber, Resumable)
-        self.reaching.moving_perhaps = not simulated_table
-        if not point.states:
-            return
-        executor, instruments = point.states["executor"], point.states["instruments"]
-        for name, item in self.resumable.items():
-            if name in instruments:
-                item.restore(instruments[name])
-        if simulated_table:
-            attitude = executor["attitude"]
-            self.reaching.attitude = None if attitude is None else np.array(attitude, dtype=np.float64)
-            self.reaching.moving_perhaps = executor["moving_perhaps"]
-        if isinstance(self.bench.sensor, Resumable):
-            self.reaching.mode = executor["mode"]
-        if simulated_chamber:
-            self.reaching.temperature, self.reaching.soak_again = executor["temperature"], executor["soak_again"]
 
     # -- words for people ----------------------------------------------------------------------------------------------
 
@@ -281,12 +301,27 @@ class _Execution:
         """Called by a real clock while it sleeps; ends the sleep when the run is to stop at once."""
         if self.meter is not None:
             self.meter.advance(self.clock.now(), self.activity)
-        return self.stop.at_once
+        return self.lookout.tick()
+
+    def _notice(self, instrument: str, text: str) -> None:
+        where = {} if self.segment is None else {"label": self.segment.label}
+        self.writer.note("noticed", instrument=instrument, text=text, **where)
+
+    def _wait_safely(self) -> None:
+        """The safe state before somebody goes to the bench; what was commanded no longer holds."""
+        self.reaching.forget()
+        failures = [str(failure) for failure in self.bench.make_safe()]
+        if failures:
+            raise InstrumentError("the bench cannot be made safe to approach: " + "; ".join(failures))
 
     def _attend(self, callback: Callable[[], bool] | None) -> None:
         attend = getattr(self.clock, "attend", None)
         if attend is not None:
             attend(callback)
+
+
+def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:
+    return None if counts is None else {**asdict(counts), "details": finite(counts.details)}
 
 
 def _make_safe(bench: OpenBench) -> list[str]:

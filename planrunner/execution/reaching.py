@@ -1,8 +1,9 @@
 """Getting the bench into a segment's state and out of it again: temperature, orientation, motion, settling.
 
 Commands return at once with the seconds they are expected to take; these are slept on the bench's clock, then the
-instrument is asked until it holds, up to a time-out. Temperature is set only when it changes, orientation only when
-it changes or after a motion.
+instrument is asked until it holds, up to a time-out. Settling ends when the readings have settled, where the plan says
+of what and the instruments have readings. Temperature is set only when it changes, orientation only when it changes or
+after a motion.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from planrunner.execution.stopping import StopRequest
+from planrunner.execution.lookout import EVERY, Lookout
+from planrunner.execution.readings import outside, readings_of, unread
 from planrunner.instruments.interfaces import (
     Array,
     HasModes,
@@ -23,12 +25,8 @@ from planrunner.instruments.interfaces import (
     InstrumentError,
     Moves,
 )
-from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.schedule import Rest, Segment, Spin, Stability
 from planrunner.plan.units import ZERO_CELSIUS
-
-
-class StoppedAtOnceError(Exception):
-    """The operator wants the run to end now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +41,10 @@ class Patience:
 class Reaching:
     """Knows what was last commanded, so that nothing is moved without need."""
 
-    def __init__(self, bench: Any, stop: StopRequest, patience: Patience, say: Callable[[str], None]):
+    def __init__(self, bench: Any, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
+        self._bench = bench
         self._clock = bench.clock
-        self._stop = stop
+        self._lookout = lookout
         self._patience = patience
         self._say = say
         self._chamber = bench.chamber
@@ -76,7 +75,8 @@ class Reaching:
         if isinstance(motion, Rest) or self._table is None:
             self._settle(segment)
         elif isinstance(motion, Spin):
-            self._begin_motion(segment, segment.settle + dwell)
+            settling = segment.stable.patience if segment.stable and self._lookout.sees else segment.settle
+            self._begin_motion(segment, settling + dwell)
             self._settle(segment)
         else:  # a profile is recorded from its beginning
             self._settle(segment)
@@ -97,16 +97,35 @@ class Reaching:
         )
 
     def pause(self, seconds: float) -> None:
-        """Sleep on the bench's clock; raises `StoppedAtOnceError` when that was asked for."""
-        if seconds > 0:
-            self._clock.sleep(seconds)
-        if self._stop.at_once:
-            raise StoppedAtOnceError
+        """Sleep on the bench's clock, looking after the bench; raises as `Lookout.look` does."""
+        self._lookout.pause(seconds)
 
     def _settle(self, segment: Segment) -> None:
         if segment.settle > 0:
             self._say("settling")
-            self.pause(segment.settle)
+            self._wait_until_settled(segment, segment.settle, segment.stable)
+
+    def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
+        """Wait for a time, or, where the plan says of what and the instruments have readings, until these have stayed within their
+        limits for that time."""
+        if stability is None or not self._lookout.sees:
+            self.pause(seconds)
+            return
+        momentary = {name: limit for name, limit in stability.limits.items() if name != "temperature_drift"}
+        readings = readings_of(self._bench, segment, stability.duration)
+        begun = within_since = self._clock.now()
+        while True:
+            self._lookout.look(fresh=True)
+            now = self._clock.now()
+            values = readings.take(now, self._lookout.conditions)
+            if unread(momentary, values) or outside(momentary, values):
+                within_since = now
+            wrong = unread(stability.limits, values) + outside(stability.limits, values)
+            if not wrong and now - within_since >= stability.duration:
+                return
+            if now - begun >= stability.patience:
+                raise InstrumentError(_unsettled(segment, stability, wrong))
+            self.pause(min(EVERY, stability.duration / 5))
 
     def _reach_temperature(self, segment: Segment) -> None:
         kelvin = segment.temperature
@@ -119,7 +138,7 @@ class Reaching:
         self._wait(expected, self._chamber.at_temperature, what, self._patience.chamber)
         if segment.soak > 0 and (expected > 0 or self.soak_again):
             self._say("soaking")
-            self.pause(segment.soak)
+            self._wait_until_settled(segment, segment.soak, segment.soaked)
         self.temperature, self.soak_again = kelvin, False
 
     def _enter_mode(self, segment: Segment) -> None:
@@ -188,3 +207,11 @@ class Reaching:
                     "Look at its display, cables, interlocks and limits, then resume the run"
                 )
             self.pause(self._patience.poll)
+
+
+def _unsettled(segment: Segment, stability: Stability, wrong: list[str]) -> str:
+    why = "; ".join(wrong) or f"the readings do not stay within their limits for {stability.duration:g} s"
+    return (
+        f"'{segment.label}' has not settled within {stability.patience:g} s: {why}. Look at the instruments and what acts on them, or "
+        "allow more time or wider limits in the plan, then resume the run"
+    )

@@ -74,6 +74,13 @@ class Driver(Protocol):
 
 
 @runtime_checkable
+class Addressed(Protocol):
+    @classmethod
+    def address(cls, parameters: Any) -> str:
+        """What a real instrument is reached by and two runs cannot share, such as a VISA resource or a serial port."""
+
+
+@runtime_checkable
 class Instrument(Protocol):
     """What every instrument can do."""
 
@@ -81,7 +88,10 @@ class Instrument(Protocol):
         """Manufacturer, model, serial …, as it says itself."""
 
     def make_safe(self) -> None:
-        """Bring it to its safe state (table stopped, chamber to ambient). Never raises twice for the same reason; idempotent."""
+        """Bring it to its safe state (table stopped, chamber to ambient). Idempotent; raises `InstrumentError` every time that it does not
+        succeed, because whoever asks last decides whether a watchdog must act.
+
+        Commands may follow: a run that waits for its operator waits in the safe state."""
 
     def close(self) -> None: ...
 
@@ -144,7 +154,92 @@ class StreamsSamples(Protocol):
         """Channel name → unit, in the order of the recording's columns."""
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        """The samples of one segment's dwell as blocks of bounded size, as they come. Ends when the dwell is over."""
+        """The samples of one segment's dwell as blocks of bounded size, as they come. Ends when the dwell is over.
+
+        In real time a block comes at least every second, without rows when no sample came, so that the bench is looked after meanwhile;
+        a sensor that stays silent is an `InstrumentError`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What an instrument sees of itself now.
+
+    values: live quantities in SI units by name; where one fits, `position_error` [rad] (following error, the largest of its axes),
+    `rate_error` [rad/s], `temperature` [K]. faults: why it cannot go on, in words (interlock open, over-temperature, axis fault): they
+    end the run. doubts: why its samples may be no good (status bits): the plan says what follows.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class Watched(Protocol):
+    """Has live readings: settling is judged by them, and they are held against limits while a segment dwells."""
+
+    def watch(self) -> Condition:
+        """Its condition now, in one short exchange or from what the last frame said; asked about once a second, between the blocks of
+        a stream too. A value that is not known at the moment is left out."""
+
+
+@runtime_checkable
+class Alive(Protocol):
+    """Can tell that its link stands. What is `Watched` tells it by its readings and need not have this."""
+
+    def heartbeat(self) -> None:
+        """The shortest exchange there is, every few seconds while nothing else is asked. Raises `InstrumentError` when no answer comes."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnLimits:
+    """What an instrument shall keep to by itself, whatever becomes of the computer. None: what its driver knows from its own parameters,
+    as it does of travel.
+
+    rate [rad/s], acceleration [rad/s²], position_error [rad]: of every axis. coldest, hottest: K. silence: s without a word from the
+    computer after which it makes itself safe.
+    """
+
+    rate: float | None = None
+    acceleration: float | None = None
+    position_error: float | None = None
+    coldest: float | None = None
+    hottest: float | None = None
+    silence: float | None = None
+
+
+@runtime_checkable
+class SelfLimiting(Protocol):
+    def limit(self, limits: OwnLimits) -> Sequence[str]:
+        """Set the limits and time-outs that the instrument has, before the first move and again after a wait in the safe state; a line
+        each for the journal of what is now set.
+        What it does not have is left out. Raises `InstrumentError` when a limit that it has cannot be set."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCounts:
+    """Frames of one segment's stream. lost: missing by counter; corrupt: wrong checksum; overflowed: dropped by the computer because
+    nobody took them in time; skipped_bytes: between frames. details: what else is worth keeping (latency_s, clock_skew_ppm …)."""
+
+    received: int = 0
+    lost: int = 0
+    corrupt: int = 0
+    overflowed: int = 0
+    skipped_bytes: int = 0
+    details: Mapping[str, float] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Counting(Protocol):
+    def counts(self) -> FrameCounts:
+        """Of the segment that is being streamed, or was streamed last."""
+
+
+@runtime_checkable
+class Remarking(Protocol):
+    def remarks(self) -> Sequence[str]:
+        """What was out of the ordinary since it was last asked, a line each (an exchange tried again, a link opened anew), for the
+        journal."""
 
 
 @runtime_checkable

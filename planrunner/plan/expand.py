@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from planrunner.plan.findings import Findings, Mark, closest
-from planrunner.plan.model import STATE_KEYS, Plan, SegmentSpec, State
+from planrunner.plan.model import Plan
+from planrunner.plan.segments import STATE_KEYS, SegmentSpec, State
 from planrunner.plan.sweep import SweepValue
 
 # What a night's plan needs at most, with room; a file of a few lines can ask for any number.
@@ -21,6 +22,7 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 class StatedSegment:
     """One segment with all that it inherited: key → value as read, and where each value stands.
 
+    prompts: what the operator is asked before it, in order, and where that stands.
     sound: False where it would inherit a value from `defaults` that could not be read, so that its state is not known.
     """
 
@@ -29,6 +31,7 @@ class StatedSegment:
     marks: Mapping[str, Mark]
     mark: Mark
     sound: bool = True
+    prompts: tuple[tuple[str, Mark], ...] = ()
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
@@ -139,11 +142,14 @@ def _expand(
             for name, value in zip(keys, row, strict=True):
                 _set(name, value.value, value.mark, own_state, own_marks)
             own = path + _label_parts(spec, keys, row, turn, log)
+            prompts = _prompts(spec, keys, row, turn, log)
             if spec.steps:
                 for step in spec.steps:
-                    yield from _expand(step, own, own_state, own_marks, log)
+                    for segment in _expand(step, own, own_state, own_marks, log):
+                        yield replace(segment, prompts=prompts + segment.prompts)
+                        prompts = ()
             elif own:
-                yield _stated("/".join(own), own_state, own_marks, spec.origin.mark)
+                yield replace(_stated("/".join(own), own_state, own_marks, spec.origin.mark), prompts=prompts)
             else:
                 log.error(
                     "meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`"
@@ -157,6 +163,18 @@ def _label_parts(
     values = dict(zip(keys, row, strict=True))
     parts: list[str] = []
     used: set[str] = set()
+    if spec.label is not None:
+        parts.append(_filled(spec, "label", values, turn, used, log))
+    if spec.repeat > 1 and "repeat" not in used:
+        parts.append(f"r{turn}")
+    parts.extend(value.name for name, value in values.items() if name not in used)
+    return tuple(parts)
+
+
+def _filled(
+    spec: SegmentSpec, key: str, values: Mapping[str, SweepValue], turn: int, used: set[str], log: Findings
+) -> str:
+    """The text of `key` with its {placeholders} replaced; `used` takes in what they named."""
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]
@@ -167,17 +185,20 @@ def _label_parts(
             used.add(name)
             return values[name].short
         known = [*values, "repeat"]
-        log.error(
-            "meaning-label", spec.at("label"), f"{{{name[:40]}}} in the label is not swept here", closest(name, known)
-        )
+        message = f"{{{name[:40]}}} in the {key} is not swept here"
+        log.error("meaning-label", spec.at(key), message, closest(name, known))
         return name
 
-    if spec.label is not None:
-        parts.append(_PLACEHOLDER.sub(fill, spec.label))
-    if spec.repeat > 1 and "repeat" not in used:
-        parts.append(f"r{turn}")
-    parts.extend(value.name for name, value in values.items() if name not in used)
-    return tuple(parts)
+    return _PLACEHOLDER.sub(fill, getattr(spec, key))
+
+
+def _prompts(
+    spec: SegmentSpec, keys: list[str], row: tuple[SweepValue, ...], turn: int, log: Findings
+) -> tuple[tuple[str, Mark], ...]:
+    if spec.prompt is None:
+        return ()
+    values = dict(zip(keys, row, strict=True))
+    return ((_filled(spec, "prompt", values, turn, set(), log), spec.at("prompt")),)
 
 
 def _check_unique(segments: list[StatedSegment], log: Findings) -> None:

@@ -14,7 +14,6 @@ from planrunner.plan import source
 from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.kinds import (
-    ByShape,
     Choice,
     Kind,
     ListOf,
@@ -30,10 +29,9 @@ from planrunner.plan.kinds import (
     key,
 )
 from planrunner.plan.motion_spec import MOVE, POSITION, Motion, RockSpec, Turns
-from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, parse_symmetric
+from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
 from planrunner.plan.selection import Detection, SelectionKind
-from planrunner.plan.sweep import ForEachKind, Sweep
 from planrunner.plan.validate_spec import MonteCarloSpec
 
 __all__ = [
@@ -60,7 +58,6 @@ __all__ = [
     "Turns",
 ]
 
-NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 FILE_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}"
 
 
@@ -97,123 +94,6 @@ class MountedAxis(Record):
         angle, azimuth = self.angle.value, self.azimuth.value if self.azimuth else 0.0
         across = math.sin(angle)
         return across * math.cos(azimuth), across * math.sin(azimuth), math.cos(angle)
-
-
-# -- segments --------------------------------------------------------------------------------------------------------
-
-
-class Ramp(Record):
-    """A temperature that moves while the segment records."""
-
-    ramp_to: Quantity = key(QuantityOf("temperature"), "Set this temperature as recording begins.", "60 degC")
-
-
-class State(Record):
-    """A state to reach and hold. Nested steps inherit what they do not say."""
-
-    orientation: Orientation | None = key(
-        OrientationKind(),
-        "Where the sensor's axes point, in words or as a rotation; 'unknown' for hand-held recordings.",
-        {"x": "up", "y": "north", "z": "west"},
-        None,
-    )
-    rate: Quantity | None = key(
-        QuantityOf("angular rate"), "Constant rate about up; short for motion: {rate: …}.", "10 deg/s", None
-    )
-    motion: Motion | None = key(
-        WordOr(("rest",), RecordOf(Motion)),
-        "What the table does while recording; at rest without it.",
-        {"rate": "10 deg/s"},
-        None,
-    )
-    temperature: Quantity | Ramp | None = key(
-        ByShape(QuantityOf("temperature"), RecordOf(Ramp), what="a temperature or {ramp_to: …}"),
-        "Chamber temperature to hold, or a ramp that is recorded while it happens.",
-        "25 degC",
-        None,
-    )
-    soak: Quantity | None = key(
-        QuantityOf("time", "not negative"), "Wait after a new temperature is reached.", "60 min", None
-    )
-    settle: Quantity | None = key(
-        QuantityOf("time", "not negative"), "Wait after the motion is steady, before recording.", "30 s", None
-    )
-    dwell: Quantity | Turns | str | None = key(
-        WordOr(
-            ("recorded",),
-            ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time, {turns: …} or {cycles: …}"),
-        ),
-        "How long to record: a time, whole turns or cycles, or 'recorded' for as long as a played-back segment lasts.",
-        "2 min",
-        None,
-    )
-    sample_rate: Quantity | None = key(
-        QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None
-    )
-    mode: str | None = key(
-        Text(NAME, "a mode's name"),
-        "Operating mode that the sensor records in, where its driver offers modes (such as caged and navigation).",
-        "navigation",
-        None,
-    )
-    on_break: str | None = key(
-        Choice(("retake", "keep")),
-        "What to do with a segment cut short by a crash when the run is resumed.",
-        "keep",
-        None,
-    )
-
-
-class SegmentKind:
-    """A segment, whose steps are segments again."""
-
-    def read(self, node: source.Node, log: Findings) -> Any:
-        before = len(log.errors)
-        spec = RecordOf(SegmentSpec).read(node, log)
-        if spec is not None and len(log.errors) > before:
-            trouble = len(log.errors) - before
-            object.__setattr__(spec, "trouble", trouble)
-            object.__setattr__(spec, "sound", False)
-            object.__setattr__(spec, "own_sound", trouble == sum(step.trouble for step in spec.steps))
-        return spec
-
-    def schema(self) -> Schema:
-        return {"$ref": "#/$defs/segment"}
-
-
-class SegmentSpec(State):
-    """One entry of `segments`: a state, or a sweep over states, or steps that share one."""
-
-    label: str | None = key(
-        Text(r"[^\x00-\x1f]{1,80}", "a label"),
-        "Name of the segment; {rate}, {temperature} … stand for the swept value.",
-        "start-zero",
-        None,
-    )
-    for_each: Sweep | None = key(
-        ForEachKind(),
-        "Repeat for every value; several keys multiply, the first changing slowest.",
-        {"rate": "±300, ±150 deg/s"},
-        None,
-    )
-    order: str = key(
-        Choice(("as_written", "reversed", "serpentine", "shuffled")),
-        "Order of the sweep: serpentine reverses every other inner pass; shuffled draws from 'shuffle_seed'.",
-        "as_written",
-        "as_written",
-    )
-    shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, 0)
-    repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, 1)
-    steps: tuple[SegmentSpec, ...] = key(
-        ListOf(SegmentKind(), minimum=1),
-        "Segments that share this state.",
-        [{"label": "start-zero", "dwell": "60 s"}],
-        default_factory=tuple,
-    )
-    # Whether all of it could be read; whether all but its steps could; and how many errors it holds.
-    sound: bool = field(default=True, compare=False)
-    own_sound: bool = field(default=True, compare=False)
-    trouble: int = field(default=0, compare=False)
 
 
 # -- what is learnt --------------------------------------------------------------------------------------------------
@@ -392,17 +272,3 @@ class Plan(Record):
         ["report.html", "summary.md"],
         ("report.html", "summary.md"),
     )
-
-
-STATE_KEYS = (
-    "orientation",
-    "rate",
-    "motion",
-    "temperature",
-    "soak",
-    "settle",
-    "dwell",
-    "sample_rate",
-    "mode",
-    "on_break",
-)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from planrunner import plugins
-from planrunner.plan import diagnosis_spec, model, selection
+from planrunner.plan import diagnosis_spec, holding_spec, model, selection
 from planrunner.plan.kinds import (
     Boolean,
     ByShape,
@@ -51,6 +51,8 @@ _SECTIONS: tuple[tuple[str, str, Any], ...] = (
     ("`motion`: `rock`", "", model.RockSpec),
     ("`temperature`: a ramp", "", model.Ramp),
     ("`dwell`: whole turns or cycles", "", model.Turns),
+    ("`settle`, `soak`: by what is measured", "", holding_spec.Stability),
+    ("`watch`", "", holding_spec.Watch),
     ("An estimate", "", model.EstimateSpec),
     ("`segments` found in the data", "", selection.Detection),
     ("A limit", "", model.Limit),
@@ -155,6 +157,8 @@ _RECORDS = {
     "RockSpec": "rocking",
     "Ramp": "a ramp",
     "Turns": "whole turns or cycles",
+    "Stability": "readings that must settle",
+    "Watch": "limits",
     "EstimateSpec": "an estimate",
     "Limit": "a limit",
 }

@@ -63,6 +63,28 @@ Motion = Rest | Spin | Rock | Cycle
 
 
 @dataclass(frozen=True, slots=True)
+class Stability:
+    """limits: reading → largest value, SI, such as `temperature_drift` in K/s. duration: s at a stretch within them; patience: s after
+    which the readings should have settled."""
+
+    limits: Mapping[str, float]
+    duration: float
+    patience: float
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What must hold while a segment records. limits: as for `Stability`; lost, corrupt: share of the frames, None: any; doubts:
+    whether an instrument's doubts about its samples count as a passed limit; retakes: how often the segment is then taken again."""
+
+    limits: Mapping[str, float] = field(default_factory=dict)
+    lost: float | None = None
+    corrupt: float | None = None
+    doubts: bool = False
+    retakes: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Segment:
     """One state to reach and hold while recording.
 
@@ -73,6 +95,8 @@ class Segment:
         the run began. sample_rate: Hz, None for the sensor's own.
     mode: of the sensor; None where the plan does not say.
     on_break: what happens to a segment cut short by a crash: 'retake' it or 'keep' what there is.
+    stable, soaked: what must have settled after settling and soaking, where not the time alone says so; watch: what must hold during
+        the dwell; prompts: what the operator is asked before the segment.
     marks: where the plan says so, by key, for messages.
     """
 
@@ -89,6 +113,10 @@ class Segment:
     sample_rate: float | None = None
     mode: str | None = None
     on_break: str = "retake"
+    stable: Stability | None = None
+    soaked: Stability | None = None
+    watch: Watch | None = None
+    prompts: tuple[str, ...] = ()
     transition: float = 0.0
     start: float = 0.0
     marks: Mapping[str, Mark] = field(default_factory=dict, compare=False, repr=False)

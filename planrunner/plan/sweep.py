@@ -82,7 +82,7 @@ SWEPT = ("orientation", "rate", "motion", "temperature", "soak", "settle", "dwel
 
 
 def _state_fields() -> dict[str, Any]:
-    from planrunner.plan.model import State
+    from planrunner.plan.segments import State
 
     state: type[Record] = State
     return {name: item for name, item in keys_of(state).items() if name in SWEPT}

@@ -30,6 +30,7 @@ def planrunner(folder: Path) -> Planrunner:
 
 def test_the_docs_show_the_code_that_is_tested() -> None:
     assert shown_whole("writing-a-driver.md", "logged_thermometer")
+    assert shown_whole("writing-a-driver.md", "votsch_chamber")
 
 
 def test_its_readings_stand_in_every_segment(folder: Path, planrunner: Planrunner) -> None:
@@ -57,3 +58,17 @@ def test_its_keys_and_name_are_checked(folder: Path, planrunner: Planrunner) -> 
     assert "did you mean 'file'?" in planrunner("check", "plan.yaml", "--bench", "key.yaml").stderr
     assert "did you mean 'logged_thermometer'?" in planrunner("check", "plan.yaml", "--bench", "name.yaml").stderr
     assert "monitor: A thermometer that another program reads and logs." in planrunner("bench", "list").stdout
+
+
+def test_the_documented_chamber_is_installed_checked_and_asked(tmp_path: Path) -> None:
+    chamber = installed("votsch_chamber", tmp_path)
+    bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
+    head = bench[: bench.index("instruments:")].replace("safe_order: [table, chamber, gyro]\n", "")
+    own = 'instruments:\n  chamber: {driver: votsch, address: "%s", lowest: -40 degC, highest: 130 degC, ramp: 3 K/min}\n'
+    (tmp_path / "wrong.yaml").write_text(head + own % "192.168.0.6:2049", encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(head + own % "ASRL/dev/no-such-port::INSTR", encoding="utf-8")
+    assert "chamber: A chamber that speaks ASCII-2, as Vötsch ones do." in chamber("bench", "list").stdout
+    assert "'192.168.0.6:2049' is not a VISA resource name" in chamber("bench", "ping", "wrong.yaml").stderr
+    asked = chamber("bench", "ping", "mine.yaml")
+    assert asked.returncode == 3, asked.stderr
+    assert "FAILED: ASRL/dev/no-such-port::INSTR, asked '$01I', cannot be reached" in asked.stdout

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.bench.clock import VirtualClock
-from planrunner.instruments.interfaces import Block, InstrumentError
+from planrunner.instruments.interfaces import Block, InstrumentError, OwnLimits
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Schedule, Segment, Spin
 
 UP = np.eye(3)
@@ -173,6 +173,9 @@ class Bench:
     instruments: dict[str, Any] = field(default_factory=dict)
     calls: Calls = field(default_factory=Calls)
     safe_fails: bool = False
+    limits: OwnLimits = field(default_factory=OwnLimits)
+
+    def sign_of_life(self) -> None: ...
 
     def make_safe(self) -> list[str]:
         for instrument in self.instruments.values():

@@ -10,7 +10,7 @@ where the drifts D(X) and D(Y) have a constant part and parts proportional to th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -151,13 +151,13 @@ class VirtualFlexureGyro:
 
     def stream(self, segment: Segment) -> Iterator[Block]:
         sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "gyro")
-        draw = generator(self.world.seed, segment.index)
+        return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
+
+    def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
+        """What gives samples first … first + length − 1 of a sampling; to be asked for all of them, in their order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
-        still = self.world.course.still(sampling.start)
-        return sampling.blocks(
-            self.world, lambda first, length: self._block(sampling.times(first, length), sampling, still, draw)
-        )
+        return lambda first, length: self._block(sampling.times(first, length), sampling, draw)
 
     def read(self) -> Mapping[str, float]:
         kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
@@ -181,8 +181,9 @@ class VirtualFlexureGyro:
 
     # -- how it does it --------------------------------------------------------------------------------------------
 
-    def _block(self, time: Array, sampling: Sampling, still: bool, draw: np.random.Generator) -> Block:
+    def _block(self, time: Array, sampling: Sampling, draw: np.random.Generator) -> Block:
         """The samples at `time`."""
+        still = self.world.course.still(float(time[0]))
         length, rate, hold = time.size, sampling.rate, sampling.hold
         nodes = -(-length // hold)
         node_times = time[::hold]

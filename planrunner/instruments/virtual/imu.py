@@ -7,7 +7,7 @@ shares no formula with the estimators.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,7 +45,7 @@ _SWITCH_ON = 1  # second part of the key of a generator: apart from those of seg
 class _Dwell:
     """One segment's recording. chances: (axes, 2), drawn at switch-on for bias and scale factor; counters: of counted outputs."""
 
-    segment: Segment
+    segment: Segment | None
     sampling: Sampling
     draw: np.random.Generator
     chances: Array
@@ -112,6 +112,17 @@ class VirtualImu:
     def stream(self, segment: Segment) -> Iterator[Block]:
         sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "sensor")
         draw = generator(self.world.seed, segment.index)
+        return sampling.blocks(self.world, self.sampler(sampling, draw, segment))
+
+    def sampler(
+        self, sampling: Sampling, draw: np.random.Generator, segment: Segment | None = None
+    ) -> Callable[[int, int], Block]:
+        """What gives samples first … first + length − 1 of a sampling; to be asked for all of them, in their order.
+
+        Raises `InstrumentError` where what is recorded hangs on the segment's motion and none is named.
+        """
+        if segment is None and (self.parameters.table_angle or self.world.added is not None):
+            raise InstrumentError("a sensor that runs freely knows no table angle and takes no effects: leave them out")
         for axis in self.axes:
             self.flicker[axis.name].begin(sampling.start, draw)
             self.walk[axis.name].begin(sampling.start, draw)
@@ -120,7 +131,7 @@ class VirtualImu:
         }
         chances = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
         dwell = _Dwell(segment, sampling, draw, chances, counters)
-        return sampling.blocks(self.world, lambda first, length: self._block(dwell, first, length))
+        return lambda first, length: self._block(dwell, first, length)
 
     def read(self) -> Mapping[str, float]:
         kelvin = float(self.world.sensor(np.array([self.world.now()]))[0])
@@ -176,7 +187,7 @@ class VirtualImu:
         thermometer = Readout(self.parameters.thermometer_noise.value)
         readings[THERMOMETER] = thermometer.samples(dwell.draw, kelvin - ZERO_CELSIUS, length, sampling.hold)
         time = sampling.times(first, length, delay=1)
-        if self.parameters.table_angle:
+        if self.parameters.table_angle and dwell.segment is not None:
             readings[ENCODER] = np.degrees(mean_angle(self.world, dwell.segment, time, 1 / sampling.rate))
         if self.parameters.reference:
             truth = zip(REFERENCE.items(), self.world.position(time), strict=True)
@@ -230,7 +241,7 @@ class VirtualImu:
     ) -> dict[str, Array]:
         """The same of all axes, with what is added to their levels and their noise."""
         added, sampling = self.world.added, dwell.sampling
-        assert added is not None
+        assert added is not None and dwell.segment is not None
         hold = sampling.hold
         levels = {}
         for axis, chance in zip(self.axes, dwell.chances, strict=True):

@@ -13,118 +13,32 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
+from planrunner.instruments.table_keys import TableKeys
 from planrunner.instruments.virtual import courses
 from planrunner.instruments.virtual.world import World
 from planrunner.physics.kinematics import (
     TableAxis,
     Unreachable,
-    check_geometry,
     joint_angles,
     joint_directions,
     rotation_about,
     spin_axis,
 )
-from planrunner.plan import source
-from planrunner.plan.findings import Findings
-from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
-from planrunner.plan.orientation import DIRECTIONS
+from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
 
 Array = NDArray[np.float64]
 
 
-class AxisSpec(Record):
-    """One axis of a table."""
-
-    name: str = key(Text(r"[^\x00-\x1f]{1,40}", "a name"), "Name of the axis.", "outer")
-    direction: str = key(
-        Choice(tuple(DIRECTIONS)), "Where the axis points when all joints stand at zero and the azimuth is zero.", "up"
-    )
-    max_rate: Quantity = key(QuantityOf("angular rate", "positive"), "Highest rate.", "400 deg/s")
-    max_acceleration: Quantity = key(
-        QuantityOf("angular acceleration", "positive"), "Highest acceleration.", "200 deg/s^2"
-    )
-    lowest: Quantity | None = key(
-        QuantityOf("angle"), "Lower joint limit; without limits the axis is continuous (slip rings).", "-100 deg", None
-    )
-    highest: Quantity | None = key(QuantityOf("angle"), "Upper joint limit.", "100 deg", None)
-
-    def axis(self) -> TableAxis:
-        east, north, up = DIRECTIONS[self.direction]
-        return TableAxis(
-            self.name,
-            (float(east), float(north), float(up)),
-            self.max_rate.value,
-            self.max_acceleration.value,
-            -math.inf if self.lowest is None else self.lowest.value,
-            math.inf if self.highest is None else self.highest.value,
-        )
-
-
-class AxesKind:
-    """The axes of a table, outermost first: one to three, each at right angles to the one that carries it."""
-
-    _list = ListOf(RecordOf(AxisSpec), minimum=1)
-
-    def read(self, node: source.Node, log: Findings) -> tuple[AxisSpec, ...] | None:
-        before = len(log.errors)
-        specs: tuple[AxisSpec, ...] | None = self._list.read(node, log)
-        if specs is None or len(log.errors) > before:
-            return None
-        for spec in specs:
-            if spec.lowest is not None and spec.highest is not None and spec.lowest.value >= spec.highest.value:
-                log.error("meaning-axis-limits", spec.at("lowest"), "lowest is not below highest", "exchange them")
-            elif spec.axis().lowest > 0 or spec.axis().highest < 0:
-                log.error(
-                    "meaning-axis-limits", spec.origin.mark, "the limits leave out joint angle zero", "include 0 deg"
-                )
-        names = [spec.name for spec in specs]
-        for index, spec in enumerate(specs):
-            if spec.name in names[:index]:
-                message = f"two axes are called '{spec.name}'"
-                log.error("meaning-table-axes", spec.at("name"), message, "give each a name of its own")
-        try:
-            check_geometry([spec.axis() for spec in specs])
-        except Unreachable as error:
-            log.error("meaning-table-axes", node.mark, str(error), "list the axes outermost first")
-        return None if len(log.errors) > before else specs
-
-    def schema(self) -> Schema:
-        return {**self._list.schema(), "maxItems": 3}
-
-
-class VirtualTableParameters(Record):
+class VirtualTableParameters(TableKeys):
     """A simulated table."""
 
-    axes: tuple[AxisSpec, ...] = key(
-        AxesKind(),
-        "The axes, outermost first, one to three.",
-        [{"name": "outer", "direction": "up", "max_rate": "400 deg/s", "max_acceleration": "200 deg/s^2"}],
-    )
-    position_uncertainty: Quantity = key(
-        QuantityOf("angle", "not negative"),
-        "Declared standard uncertainty of an orientation.",
-        "3 arcsec",
-        parse_quantity("0 arcsec"),
-    )
     position_error: Quantity = key(
         QuantityOf("angle", "not negative"),
         "Standard deviation, about each sensor axis, of the pointing error that is simulated; the same at the same orientation.",
         "2 arcsec",
         parse_quantity("0 arcsec"),
-    )
-    orthogonality: Quantity = key(
-        QuantityOf("angle", "not negative"),
-        "Declared standard uncertainty of the right angles between neighbouring axes; nothing of it is simulated.",
-        "5 arcsec",
-        parse_quantity("0 arcsec"),
-    )
-    rate_stability: Quantity = key(
-        QuantityOf("ratio", "not negative"),
-        "Declared relative standard uncertainty of a rate.",
-        "10 ppm",
-        parse_quantity("0 ppm"),
     )
     rate_error: Quantity = key(
         QuantityOf("ratio", "not negative"),
@@ -149,9 +63,7 @@ class VirtualTable:
 
     @classmethod
     def model(cls, parameters: VirtualTableParameters) -> TableModel:
-        axes = tuple(spec.axis() for spec in parameters.axes)
-        p = parameters
-        return TableModel(axes, p.position_uncertainty.value, p.rate_stability.value, p.orthogonality.value)
+        return parameters.model()
 
     @classmethod
     def connect(cls, parameters: VirtualTableParameters, surroundings: Surroundings) -> VirtualTable:
@@ -169,7 +81,7 @@ class VirtualTable:
         except Unreachable as error:
             raise InstrumentError(f"the table cannot take this orientation: {error}") from None
         course = courses.travel(self.axes, now, angles.tolist(), target.tolist())
-        self.world.skew = self._pointing_error(attitude)
+        self.world.skew = self.pointing_error(attitude)
         return self._set_course(course, course.arrival)
 
     def holding(self) -> bool:
@@ -246,7 +158,7 @@ class VirtualTable:
         axis = self.axes[joint]
         self._within("the rate", motion.rate, None, axis)
         along = float(joint_directions(self.axes, angles, azimuth)[joint] @ np.asarray(motion.about))
-        rate = math.copysign(1.0, along) * motion.rate * (1 + self._rate_error(motion.rate))
+        rate = math.copysign(1.0, along) * motion.rate * (1 + self.rate_error(motion.rate))
         first = self.world.joints(now)[1][joint]
         spinning = courses.Spinning(now, angles, joint, float(first), rate, axis.max_acceleration)
         return self._set_course(spinning, spinning.steady)
@@ -273,7 +185,7 @@ class VirtualTable:
             needed = f"{math.degrees(acceleration):g} deg/s^2"
             raise InstrumentError(f"{what} needs {needed} of the axis '{axis.name}', which reaches {limit}")
 
-    def _pointing_error(self, attitude: Array) -> Array:
+    def pointing_error(self, attitude: Array) -> Array:
         """A small rotation that depends on the seed and the commanded attitude alone."""
         size = self.parameters.position_error.value
         if size == 0.0:
@@ -282,7 +194,8 @@ class VirtualTable:
         angle = float(np.linalg.norm(vector))
         return rotation_about(tuple(vector / angle), angle)
 
-    def _rate_error(self, rate: float) -> float:
+    def rate_error(self, rate: float) -> float:
+        """The relative error of a rate [rad/s]; it depends on the seed and the rate alone."""
         size = self.parameters.rate_error.value
         return size * float(self._drawn(np.rint(np.array([rate]) * 1e9).astype(np.int64), 1)[0]) if size else 0.0
 

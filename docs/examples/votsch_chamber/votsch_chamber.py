@@ -1,0 +1,88 @@
+"""Chambers that speak ASCII-2, as Vötsch ones do: one query tells everything, one command sets everything."""
+
+from planrunner.instruments.chamber_keys import ChamberKeys
+from planrunner.instruments.chambers.wired_chamber import WiredChamber
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
+from planrunner.plan.kinds import Number, key
+
+RUNNING = 1  # place of the bit that starts and stops it
+
+
+class VotschParameters(LinkKeys, ChamberKeys):
+    """A chamber that speaks ASCII-2."""
+
+    station: int = key(Number(1, 99, integer=True), "Its number on the line.", 1, 1)
+
+
+class Votsch:
+    """A chamber that speaks ASCII-2, as Vötsch ones do."""
+
+    role = "chamber"
+    Parameters = VotschParameters
+
+    @classmethod
+    def model(cls, parameters):
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters):
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters, surroundings):
+        return WiredChamber.connect(VotschCommands(parameters), parameters)
+
+
+class VotschCommands:
+    """How it is told; what `AirCommands` asks for."""
+
+    def __init__(self, parameters):
+        settings = LinkSettings(
+            parameters.address, parameters.timeout.value, "\r\n", baud=parameters.baud, idle=b"\r\n 0"
+        )
+        self.link = MessageLink(settings, Lines(b"\r\n"))
+        self.station = f"${parameters.station:02d}"
+
+    def identify(self):
+        self._values()  # it does not say who it is, but nothing else answers like this
+        return {"manufacturer": "Vötsch", "model": "ASCII-2"}
+
+    def prepare(self, ramp):
+        """Its ramp is set at its panel."""
+
+    def limit(self, coldest, hottest):
+        return []  # its own limits are set at its panel
+
+    def head_for(self, celsius):
+        values, bits = self._values()
+        wanted = [celsius, *values[2::2]]  # set points only; those of its other channels stay
+        bits = bits[:RUNNING] + "1" + bits[RUNNING + 1 :]
+        self.link.write(" ".join([f"{self.station}E", *(f"{value:06.1f}" for value in wanted), bits]))
+        kept, bits = self._values()
+        if abs(kept[0] - celsius) > 0.1 or bits[RUNNING] != "1":
+            raise InstrumentError(f"the chamber stays at set point {kept[0]:g} degC: is it in remote operation?")
+
+    def air(self):
+        return self._values()[0][1]
+
+    def faults(self):
+        return []  # its alarm bits differ from model to model
+
+    def remarks(self):
+        return self.link.remarks()
+
+    def close(self):
+        self.link.close()
+
+    def _values(self):
+        """Set and measured value of every channel in turn, and the bits."""
+        said = self.link.query(f"{self.station}I")
+        *values, bits = said.split() or [""]
+        try:
+            if len(values) < 2 or len(values) % 2 or set(bits) - {"0", "1"} or len(bits) <= RUNNING:
+                raise ValueError
+            return [float(value) for value in values], bits
+        except ValueError:
+            raise InstrumentError(f"'{said[:60]}' is no answer in ASCII-2: look at address and station") from None

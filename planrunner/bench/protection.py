@@ -1,0 +1,104 @@
+"""What a bench is kept to whatever happens: limits that its instruments hold by themselves and that plans may not ask beyond.
+
+The instruments that can are told these limits before the first move; the computer holds what it reads against them too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from planrunner.instruments.interfaces import OwnLimits
+from planrunner.instruments.models import ChamberModel, TableModel
+from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+SHORTEST_SILENCE, LONGEST_SILENCE = 5.0, 3600.0
+
+
+class Protection(Record):
+    """Limits of the bench. What is not stated, every instrument takes from its own keys."""
+
+    rate: Quantity | None = key(
+        QuantityOf("angular rate", "positive"), "Rate that no axis of the table may pass.", "320 deg/s", None
+    )
+    acceleration: Quantity | None = key(
+        QuantityOf("angular acceleration", "positive"),
+        "Acceleration that no axis of the table may pass.",
+        "200 deg/s^2",
+        None,
+    )
+    position_error: Quantity | None = key(
+        QuantityOf("angle", "positive"),
+        "Following error at which the table is stopped, with whatever it carries.",
+        "2 deg",
+        None,
+    )
+    coldest: Quantity | None = key(
+        QuantityOf("temperature"), "Temperature below which nothing on the bench may get.", "-50 degC", None
+    )
+    hottest: Quantity | None = key(
+        QuantityOf("temperature"), "Temperature above which nothing on the bench may get.", "75 degC", None
+    )
+    silence: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Time without a sign of life from planrunner, from 5 s to 1 h, after which the watchdog, and every instrument that can, makes the "
+        "bench safe.",
+        "60 s",
+        parse_quantity("60 s"),
+    )
+
+
+def _check(protection: Protection, log: Findings) -> None:
+    if not SHORTEST_SILENCE <= protection.silence.value <= LONGEST_SILENCE:
+        message = f"a silence of {protection.silence} is out of range"
+        log.error("meaning-range", protection.at("silence"), message, "from 5 s to 1 h")
+    coldest, hottest = protection.coldest, protection.hottest
+    if coldest is not None and hottest is not None and coldest.value >= hottest.value:
+        message = "the coldest temperature is not below the hottest"
+        log.error("meaning-range", protection.at("coldest"), message, "exchange them")
+
+
+PROTECTION = RecordOf(Protection, _check)
+
+
+def kept_table(table: TableModel, protection: Protection) -> TableModel:
+    """The table as plans may use it."""
+    rate = math.inf if protection.rate is None else protection.rate.value
+    acceleration = math.inf if protection.acceleration is None else protection.acceleration.value
+    axes = tuple(
+        replace(
+            axis,
+            max_rate=min(axis.max_rate, rate),
+            max_acceleration=min(axis.max_acceleration, acceleration),
+        )
+        for axis in table.axes
+    )
+    return replace(table, axes=axes)
+
+
+def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
+    """The chamber as plans may use it."""
+    coldest, hottest = protection.coldest, protection.hottest
+    return replace(
+        chamber,
+        lowest=chamber.lowest if coldest is None else max(chamber.lowest, coldest.value),
+        highest=chamber.highest if hottest is None else min(chamber.highest, hottest.value),
+    )
+
+
+def own_limits(protection: Protection) -> OwnLimits:
+    """What the instruments are told to keep to by themselves."""
+
+    def si(quantity: Quantity | None) -> float | None:
+        return None if quantity is None else quantity.value
+
+    return OwnLimits(
+        si(protection.rate),
+        si(protection.acceleration),
+        si(protection.position_error),
+        si(protection.coldest),
+        si(protection.hottest),
+        si(protection.silence),
+    )

@@ -1,0 +1,136 @@
+"""The watchdog, as planrunner sees it: a process of its own that makes the bench safe when planrunner no longer can.
+
+It is started before the first instrument is connected, hears a sign of life about every second, and ends when it is told that the
+bench is safe. Whatever else ends the connection (planrunner killed or crashed, the bench not brought to its safe state), or a silence
+longer than the bench allows, makes it act: `planrunner.bench.watchdog_process`.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import IO, Any
+
+from planrunner.instruments.interfaces import InstrumentError
+
+STARTING = 60.0
+LEAVING = 5.0
+ENDING = 120.0
+"""Seconds that the watchdog may take to start, to leave when it is told to, and to make a bench safe that planrunner could not."""
+EVERY = 1.0
+"""Seconds between two signs of life."""
+REPORT = "watchdog.txt"
+"""File in the run folder that tells what the watchdog did, until the run is resumed."""
+
+
+class Watchdog:
+    """A running watchdog process. Raises `InstrumentError` when it cannot be started."""
+
+    def __init__(self, bench_file: bytes, shown: str, data_root: Path | None, silence: float):
+        self._told = 0.0
+        self._process = _start()
+        told = {
+            "bench": base64.b64encode(bench_file).decode(),
+            "shown": shown,
+            "data_root": None if data_root is None else str(data_root.absolute()),
+            "silence": silence,
+            "parent": os.getpid(),
+        }
+        try:
+            self._tell(json.dumps(told))
+            answer = _first_line(self._process, STARTING)
+        except OSError as error:
+            answer = error.strerror or "its pipe is broken"
+        if answer != "ready":
+            self._process.kill()
+            self._part(LEAVING)
+            raise InstrumentError(
+                f"the watchdog that makes the bench safe should planrunner be killed does not start: {answer}"
+            )
+        with contextlib.suppress(OSError, AttributeError):  # a watchdog that stands still must not hold planrunner up
+            os.set_blocking(self._stdin.fileno(), False)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def sign_of_life(self) -> None:
+        """Tell it that planrunner is at work; often, at little cost. Raises `InstrumentError` when the watchdog is gone."""
+        now = time.monotonic()
+        if now - self._told < EVERY:
+            return
+        self._told = now
+        try:
+            self._tell("alive")
+        except OSError:
+            raise InstrumentError(
+                "the watchdog process has ended, or made the bench safe after a silence: look whether the computer stood still or "
+                "somebody ended it, then resume the run"
+            ) from None
+
+    def report_to(self, folder: Path) -> None:
+        """The run folder that it reports in, should it have to act."""
+        with contextlib.suppress(OSError):  # the next sign of life tells
+            self._tell(json.dumps({"report": str(folder.absolute())}))
+
+    def stand_down(self) -> None:
+        """The bench is safe: nothing is left to be done."""
+        with contextlib.suppress(OSError):
+            self._tell("safe")
+        self._part(LEAVING)
+
+    def let_act(self) -> None:
+        """The bench could not be made safe from here: let the watchdog try over connections of its own, and wait for it."""
+        self._part(ENDING)
+
+    @property
+    def _stdin(self) -> IO[bytes]:
+        assert self._process.stdin is not None
+        return self._process.stdin
+
+    def _tell(self, line: str) -> None:
+        """Raises `OSError` when nobody reads, or nobody has read for long."""
+        data = memoryview(f"{line}\n".encode())
+        while data:
+            written = self._stdin.write(data)
+            if written is None:
+                raise BlockingIOError
+            data = data[written:]
+
+    def _part(self, patience: float) -> None:
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError, AttributeError):
+                pipe.close()  # type: ignore[union-attr]
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(patience)
+
+
+def _start() -> subprocess.Popen[bytes]:
+    apart: dict[str, Any] = {"start_new_session": True}  # Ctrl-C in the terminal is not for it
+    if os.name == "nt":  # pragma: no cover (not the platform of continuous integration)
+        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined,unused-ignore]
+    command = [sys.executable, "-m", "planrunner.bench.watchdog_process"]
+    pipe = subprocess.PIPE
+    try:
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, **apart)
+    except OSError as error:
+        raise InstrumentError(f"the watchdog process cannot be started: {error.strerror or error}") from None
+
+
+def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:
+    """What it says first, or why it says nothing; waited for in a thread, since a pipe cannot be waited on everywhere."""
+    assert process.stdout is not None
+    found: list[bytes] = []
+    reader = threading.Thread(target=lambda: found.append(process.stdout.readline()), daemon=True)  # type: ignore[union-attr]
+    reader.start()
+    reader.join(patience)
+    if not found:
+        return f"no answer within {patience:.0f} s"
+    return found[0].decode("utf-8", "replace").strip() or "it ended at once"

@@ -1,0 +1,177 @@
+"""The watchdog process: `python -m planrunner.bench.watchdog_process`, started by `planrunner.bench.watchdog`.
+
+It reads what to guard from its standard input, then signs of life. When they end without the word `safe`, or stay away for too long, it
+connects to every real instrument anew, from the bench file alone, makes it safe, and reports to the run folder and to standard error.
+An instrument that hangs or fails does not keep it from the next.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from planrunner.bench.clock import WallClock
+from planrunner.bench.lock import RESCUE, bench_lock
+from planrunner.bench.model import Bench, driver_of, parse_bench, real_instruments, site_of
+from planrunner.bench.opening import real_clock
+from planrunner.bench.watchdog import REPORT
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.plan import source
+from planrunner.plan.findings import InputError
+
+ATTEMPTS = 3
+BETWEEN = 1.0
+"""Tries with each instrument, and seconds between them."""
+PATIENCE = 30.0
+"""Seconds after which an instrument that does not return is left, so that the next has its turn."""
+
+
+@dataclass(slots=True)
+class Charge:
+    """What is guarded. parent: planrunner's process; report: the run folder, once there is one."""
+
+    bench: Bench
+    shown: str
+    data_root: Path | None
+    silence: float
+    parent: int
+    report: Path | None = None
+
+
+def main() -> int:
+    _be_deaf()
+    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(lines,), daemon=True).start()
+    try:
+        charge = _read_charge(lines.get(timeout=PATIENCE))
+    except (queue.Empty, ValueError, KeyError, InputError) as error:
+        print(f"{error or type(error).__name__}".splitlines()[0], flush=True)
+        return 2
+    print("ready", flush=True)
+    reason = _guard(charge, lines)
+    if reason is not None:
+        _tell(charge, reason, rescue(charge))
+    return 0
+
+
+def _be_deaf() -> None:
+    """Signals that end planrunner are not for the process that is to make up for it."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+        number = getattr(signal, name, None)
+        if number is not None:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _listen(lines: queue.SimpleQueue[bytes]) -> None:
+    """Every line, and an empty one when nobody is left to write."""
+    for line in iter(sys.stdin.buffer.readline, b""):
+        lines.put(line)
+    lines.put(b"")
+
+
+def _read_charge(line: bytes) -> Charge:
+    told: dict[str, Any] = json.loads(line)
+    shown = told["shown"]
+    bench, log = parse_bench(source.parse(source.decode(base64.b64decode(told["bench"]), shown), shown))
+    if bench is None or log.errors:
+        raise InputError(log)
+    root = None if told["data_root"] is None else Path(told["data_root"])
+    return Charge(bench, shown, root, told["silence"], told["parent"])
+
+
+def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
+    """Wait until the bench is safe (None) or must be made so: why. Silence counts from the first sign of life on: connecting takes its
+    time, and nothing has moved."""
+    begun = False
+    while True:
+        try:
+            line = lines.get(timeout=charge.silence if begun else None).strip()
+        except queue.Empty:
+            return f"planrunner gave no sign of life for {charge.silence:g} s"
+        if line == b"safe":
+            return None
+        begun = begun or line == b"alive"
+        if line == b"":
+            return "planrunner ended without leaving the bench safe"
+        if line.startswith(b"{"):
+            charge.report = Path(json.loads(line)["report"])
+
+
+def rescue(charge: Charge) -> list[str]:
+    """Make every real instrument safe, in the bench's order; a line for each, or why the bench was left alone."""
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(bench_lock(charge.bench, charge.shown, RESCUE))
+        except InputError as error:
+            text = str(error)
+            if f"process {charge.parent} of" not in text:  # planrunner itself may live and hold it
+                return [f"left alone: {text.splitlines()[0]}"]
+        return [f"{name}: {_made_safe(charge, name)}" for name in real_instruments(charge.bench)]
+
+
+def _made_safe(charge: Charge, name: str) -> str:
+    told = "not asked"
+    for attempt in range(ATTEMPTS):
+        if attempt:
+            time.sleep(BETWEEN)
+        done: list[str] = []
+        thread = threading.Thread(target=_make_safe, args=(charge, name, done), daemon=True)
+        thread.start()
+        thread.join(PATIENCE)
+        told = done[0] if done else f"NOT SAFE, it did not return within {PATIENCE:g} s"
+        if told == "safe" or not done:
+            break
+    return told
+
+
+def _make_safe(charge: Charge, name: str, done: list[str]) -> None:
+    entry = charge.bench.instruments[name]
+    site = site_of(charge.bench)
+    surroundings = Surroundings(_clock(charge.bench), site, charge.data_root, charge.bench.seed, real_time=True)
+    try:
+        instrument = driver_of(entry).connect(entry.parameters, surroundings)
+        try:
+            instrument.make_safe()
+        finally:
+            instrument.close()
+    except BaseException as error:  # whatever a driver raises, the next one has its turn
+        done.append(f"NOT SAFE, {error or type(error).__name__}")
+    else:
+        done.append("safe")
+
+
+def _clock(bench: Bench) -> WallClock:
+    try:
+        return real_clock(bench)
+    except InstrumentError:  # the process that simulates the bench is gone, or others answer at its addresses
+        return WallClock()
+
+
+def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
+    when = datetime.now().astimezone().isoformat(timespec="seconds")
+    text = "\n".join([f"{when} watchdog: {reason}", *(f"  {line}" for line in lines)]) + "\n"
+    with contextlib.suppress(OSError, ValueError):  # nobody may be there to read it
+        sys.stderr.write(text)
+    if charge.report is not None:
+        with contextlib.suppress(OSError), (charge.report / REPORT).open("a", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+if __name__ == "__main__":
+    code = main()
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.flush()
+    os._exit(code)  # whatever an instrument's driver, or the thread that listens, still does

@@ -1,0 +1,50 @@
+"""The operator at the terminal: prompts of a plan, answered with Enter."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+from collections.abc import Callable
+
+
+def add_attendance(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--unattended", action="store_true", help="nobody is there: refuse a plan that asks the operator for something"
+    )
+
+
+class TerminalOperator:
+    """notify: shows a line. Answers are read in a thread, so that the run goes on looking after the bench and hears Ctrl-C; straight
+    from the descriptor, whose buffer a thread that still waits at the end would keep locked."""
+
+    def __init__(self, notify: Callable[[str], None]):
+        self._notify = notify
+        self._answers = 0
+        self._reading = False
+
+    def ask(self, prompt: str) -> Callable[[], bool]:
+        self.tell(f"{prompt}\nPress Enter when that is done; Ctrl-C ends the run.")
+        before = self._answers
+        if not self._reading:
+            self._reading = True
+            threading.Thread(target=self._read, daemon=True).start()
+        return lambda: self._answers > before
+
+    def tell(self, text: str) -> None:
+        self._notify(text)
+
+    def _read(self) -> None:
+        """One line a question; a terminal that was closed answers nothing."""
+        try:
+            while piece := os.read(sys.stdin.fileno(), 1024):
+                self._answers += piece.count(b"\n")
+        except (OSError, ValueError):
+            return
+
+
+def operator_of(args: argparse.Namespace, notify: Callable[[str], None]) -> TerminalOperator | None:
+    """Whoever sits at the terminal; None away from one and in unattended runs."""
+    present = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() and not args.unattended
+    return TerminalOperator(notify) if present else None

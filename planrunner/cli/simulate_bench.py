@@ -1,0 +1,136 @@
+"""`planrunner simulate-bench`: simulated instruments behind a bench file's addresses, and faults for them."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+from pathlib import Path
+from typing import Any
+
+from planrunner import cli
+from planrunner.bench.model import Bench, read_bench
+from planrunner.bench.simulation import ask
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bench", metavar="BENCH", help="bench with `simulation`: a shipped name or a file")
+    parser.add_argument(
+        "--speed", type=_speed, default=1.0, help="seconds of the bench in one of the wall (default: 1)"
+    )
+    parser.add_argument("--faults", metavar="FILE", type=Path, help="fault script: what goes wrong, and when")
+    parser.add_argument(
+        "--copy", metavar="FILE", type=Path, help="serve at free addresses and write the bench file with them here"
+    )
+    parser.add_argument(
+        "--ready", metavar="FILE", type=Path, help="write addresses as JSON here when everything listens"
+    )
+    parser.add_argument("--seed", type=_seed, help="seed of all that is simulated (default: the virtual bench's own)")
+    parser.add_argument(
+        "--inject",
+        metavar="FAULT",
+        help="declare a fault to a running simulated bench: '{instrument: table, fault: silent}'",
+    )
+    parser.add_argument("--clear", metavar="NUMBER", help="end a fault of a running simulated bench, or `all`")
+    parser.add_argument("--stop", action="store_true", help="end a running simulated bench")
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"a speed is a number: {text!r}") from None
+    if not 0.01 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"a speed is from 0.01 to 1000: {text}")
+    return value
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a seed is a whole number, not negative: {text!r}")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    bench, data, shown = read_bench(args.bench)
+    request = _request(args)
+    if request is not None:
+        return _tell(bench, request)
+    import asyncio
+
+    return asyncio.run(_serve(args, bench, data, shown))
+
+
+def _request(args: argparse.Namespace) -> dict[str, Any] | None:
+    if args.inject is not None:
+        return {"inject": args.inject}
+    if args.clear is not None:
+        return {"clear": args.clear}
+    return {"stop": True} if args.stop else None
+
+
+def _tell(bench: Bench, request: dict[str, Any]) -> int:
+    from planrunner.simulators.from_bench import simulation_of
+
+    reply = ask(simulation_of(bench).control, request)
+    print(", ".join(f"{name}: {value}" for name, value in reply.items()))
+    return cli.DONE
+
+
+async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str) -> int:
+    import asyncio
+
+    from planrunner.simulators.faults import read_script
+    from planrunner.simulators.from_bench import simulated, simulation_of
+    from planrunner.simulators.live_world import RunningClock
+    from planrunner.simulators.serving import Serving, ready_note
+
+    control = simulation_of(bench).control
+    made = simulated(bench, args.bench, RunningClock(args.speed), args.seed)
+    script = read_script(args.faults, made.roles) if args.faults else ()
+    host, _, port = control.rpartition(":")
+    folder = args.copy.parent if args.copy else None
+    serving = Serving(made, (host, 0 if folder else int(port)), args.speed, folder)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError):  # Windows: Ctrl-C ends it all the same
+            asyncio.get_running_loop().add_signal_handler(number, serving.ended.set)
+    try:
+        await serving.open()
+        serving.declare(script)
+        if args.copy:
+            args.copy.write_bytes(_copied(data, bench, control, serving))
+        for name, address in serving.addresses.items():
+            print(f"{name:<16} {bench.instruments[name].driver:<16} {address}")
+        print(f"{'control':<33} {serving.control.host}:{serving.control.port}")
+        print(f"ready, at {args.speed:g} times real time; Ctrl-C ends it", flush=True)
+        if args.ready:
+            waiting = args.ready.with_name(args.ready.name + ".new")
+            waiting.write_text(ready_note(serving), encoding="utf-8")
+            waiting.replace(args.ready)
+        await serving.run()
+    finally:
+        serving.close()
+        if args.ready:
+            args.ready.unlink(missing_ok=True)
+    return cli.DONE
+
+
+def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:
+    """The bench file with the addresses that are served in place of its own."""
+    from planrunner.bench.model import driver_of
+
+    places: list[tuple[Any, str, str, str]] = [
+        (bench.simulation, "control", control, f"{serving.control.host}:{serving.control.port}")
+    ]
+    for name, served in serving.addresses.items():
+        parameters, driver = bench.instruments[name].parameters, driver_of(bench.instruments[name])
+        written = driver.address(parameters)
+        key = next(item for item in ("address", "port") if getattr(parameters, item, None) == written)
+        places.append((parameters, key, written, served))
+    lines = data.decode("utf-8").splitlines(keepends=True)
+    marked = [(record.at(key), written, served) for record, key, written, served in places]
+    for mark, written, served in sorted(marked, key=lambda item: (item[0].line, item[0].column), reverse=True):
+        before = "".join(lines[: mark.line - 1]) + lines[mark.line - 1][: mark.column - 1]
+        after = "".join(lines)[len(before) :]
+        lines = (before + after.replace(written, served, 1)).splitlines(keepends=True)
+    return "".join(lines).encode("utf-8")

@@ -1,0 +1,71 @@
+"""What must come back after a crash: the state of simulated instruments and what the executor knows, stored with every segment.
+
+The state of a real bench stands in the laboratory; after a break nothing of it is taken for granted.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planrunner.archive.resuming import ResumePoint
+from planrunner.execution.reaching import Reaching
+from planrunner.instruments.interfaces import Resumable
+
+
+class Continuity:
+    """States of a bench and of `reaching` to go on from."""
+
+    def __init__(self, bench: Any, reaching: Reaching):
+        self._bench = bench
+        self._reaching = reaching
+        self._resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}
+
+    def states(self) -> dict[str, Any]:
+        """As JSON data; empty on a real bench."""
+        if not self._resumable:
+            return {}
+        reaching, attitude = self._reaching, self._reaching.attitude
+        executor = {
+            "temperature": reaching.temperature,
+            "attitude": None if attitude is None else attitude.tolist(),
+            "soak_again": reaching.soak_again,
+            "mode": reaching.mode,
+            "moving_perhaps": reaching.moving_perhaps,
+        }
+        return {
+            "executor": executor,
+            "instruments": {name: item.checkpoint() for name, item in self._resumable.items()},
+        }
+
+    def states_if_known(self) -> dict[str, Any]:
+        """After a failure, with nothing taken for granted."""
+        self._reaching.forget()
+        try:
+            return self.states()
+        except BaseException:  # a driver that has failed need not know its state
+            return {}
+
+    def restore(self, point: ResumePoint) -> None:
+        """Go back to where a run broke off."""
+        self._bench.clock.set(point.clock)
+        self._reaching.forget()
+        # What is simulated is as it was, to the second: as new, when nothing was acknowledged.
+        simulated_table = isinstance(self._bench.table, Resumable)
+        simulated_chamber = isinstance(self._bench.chamber, Resumable)
+        self._reaching.moving_perhaps = not simulated_table
+        if not point.states:
+            return
+        executor, instruments = point.states["executor"], point.states["instruments"]
+        for name, item in self._resumable.items():
+            if name in instruments:
+                item.restore(instruments[name])
+        if simulated_table:
+            attitude = executor["attitude"]
+            self._reaching.attitude = None if attitude is None else np.array(attitude, dtype=np.float64)
+            self._reaching.moving_perhaps = executor["moving_perhaps"]
+        if isinstance(self._bench.sensor, Resumable):
+            self._reaching.mode = executor["mode"]
+        if simulated_chamber:
+            self._reaching.temperature, self._reaching.soak_again = executor["temperature"], executor["soak_again"]

@@ -1,0 +1,64 @@
+"""Holding a segment's state while it records: every look at the bench is held against the plan's limits, and the frames at the end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from planrunner.execution.lookout import Lookout
+from planrunner.execution.readings import DRIFT_OVER, frames_outside, outside, readings_of, unread
+from planrunner.instruments.interfaces import Counting, FrameCounts
+from planrunner.plan.schedule import Segment, Watch
+
+
+class LimitPassedError(Exception):
+    """A limit that the plan sets was passed while a segment recorded. The message says which."""
+
+
+class Holding:
+    """One attempt at one segment, from the beginning of its dwell."""
+
+    def __init__(self, bench: Any, lookout: Lookout, segment: Segment):
+        self._clock, self._sensor, self._lookout = bench.clock, bench.sensor, lookout
+        self._watch = segment.watch or Watch()
+        self._readings = readings_of(bench, segment, DRIFT_OVER)
+        self._moves = segment.ramp_to is not None
+        self._looks = lookout.looks
+        self._begun = False
+        self._seen: set[str] = set()
+
+    def check(self, fresh: bool = False) -> None:
+        """Look after the bench, when it is time to or now. Raises `LimitPassedError`, and as `Lookout.look` does."""
+        self._lookout.look(fresh=fresh or not self._begun)
+        self._begun = True
+        if self._looks == self._lookout.looks:
+            return
+        self._looks = self._lookout.looks
+        conditions = self._lookout.conditions
+        values = self._readings.take(self._clock.now(), conditions)
+        self._seen.update(values)
+        passed = outside(self._watch.limits, values)
+        if self._watch.doubts:
+            passed += [
+                f"'{name}' doubts its samples ({doubt})" for name, now in conditions.items() for doubt in now.doubts
+            ]
+        if passed:
+            raise LimitPassedError("; ".join(passed))
+
+    def finish(self) -> FrameCounts | None:
+        """What the sensor counted, after a last look, so that nothing counts during which something failed. Raises as `check` does, and
+        `LimitPassedError` when too many frames are lost or corrupt."""
+        self.check(fresh=True)
+        counts = self.counts()
+        passed = [] if counts is None else frames_outside(self._watch, counts)
+        if passed:
+            raise LimitPassedError("; ".join(passed))
+        return counts
+
+    def counts(self) -> FrameCounts | None:
+        return self._sensor.counts() if isinstance(self._sensor, Counting) else None
+
+    def unjudged(self) -> list[str]:
+        """In words, limited readings that were not seen during the dwell, on a bench that has readings."""
+        if not self._looks or self._moves:
+            return []
+        return unread(self._watch.limits, self._seen)

@@ -1,0 +1,150 @@
+"""Looking after the bench through every wait of a run: links, faults, the bench's own limits, the watchdog, and the operator's wish.
+
+About once a second, on the bench's clock, every instrument that can say something of itself is asked. What is out of the ordinary goes
+into the journal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from planrunner.execution.stopping import StopRequest
+from planrunner.instruments.interfaces import (
+    Alive,
+    Condition,
+    InstrumentError,
+    OwnLimits,
+    Remarking,
+    Watched,
+)
+from planrunner.plan.units import ZERO_CELSIUS
+
+EVERY = 1.0
+"""Seconds between two looks."""
+Notice = Callable[[str, str], None]
+
+
+class StoppedAtOnceError(Exception):
+    """The operator wants the run to end now."""
+
+
+class Lookout:
+    """notice: takes an instrument's name and what is out of the ordinary, in words."""
+
+    def __init__(self, bench: Any, stop: StopRequest, notice: Notice):
+        self._clock = bench.clock
+        self._stop = stop
+        self._notice = notice
+        self._limits: OwnLimits = bench.limits
+        self._sign_of_life: Callable[[], None] = bench.sign_of_life
+        items = bench.instruments.items()
+        self._watched: dict[str, Watched] = {name: item for name, item in items if isinstance(item, Watched)}
+        self._alive = {name: item for name, item in items if isinstance(item, Alive) and name not in self._watched}
+        self._remarking = {name: item for name, item in items if isinstance(item, Remarking)}
+        self._last = -math.inf
+        self._doubts: set[tuple[str, str]] = set()
+        self._lost: InstrumentError | None = None
+        self.conditions: Mapping[str, Condition] = {}
+        self.looks = 0
+        """How often the instruments were asked."""
+
+    @property
+    def sees(self) -> bool:
+        """Whether some instrument has live readings."""
+        return bool(self._watched)
+
+    def pause(self, seconds: float) -> None:
+        """Sleep on the bench's clock, looking after the bench. Raises as `look` does."""
+        if not (self._watched or self._alive):
+            if seconds > 0:
+                self._clock.sleep(seconds)
+            self.look()
+            return
+        end = self._clock.now() + seconds
+        while (left := end - self._clock.now()) > 0:
+            self._clock.sleep(min(left, EVERY))
+            self.look()
+        self.look()
+
+    def look(self, fresh: bool = False) -> None:
+        """Ask the instruments when it is time to, or now. Raises `StoppedAtOnceError` and `InstrumentError`."""
+        if self._stop.at_once:
+            raise StoppedAtOnceError
+        if self._lost is not None:
+            raise self._lost
+        self._sign_of_life()
+        if not fresh and self._clock.now() - self._last < EVERY:
+            return
+        self._last = self._clock.now()
+        for item in self._alive.values():
+            item.heartbeat()
+        self.conditions = {name: item.watch() for name, item in self._watched.items()}
+        self.looks += 1
+        self.hear()
+        for name, condition in self.conditions.items():
+            self._judge(name, condition)
+
+    def idle(self) -> None:
+        """Keep the links alive while the bench waits in its safe state, where an open interlock or a lost link is no fault."""
+        self._sign_of_life()
+        if self._clock.now() - self._last < EVERY:
+            return
+        self._last = self._clock.now()
+        for name, ask in [(name, item.watch) for name, item in self._watched.items()] + [
+            (name, item.heartbeat) for name, item in self._alive.items()
+        ]:
+            try:
+                ask()
+            except InstrumentError as error:
+                self._once(name, str(error))
+
+    def hear(self) -> None:
+        """Take what the drivers had to do again into the journal."""
+        for name, item in self._remarking.items():
+            for text in item.remarks():
+                self._notice(name, text)
+
+    def tick(self) -> bool:
+        """Called by a real clock while it sleeps, also within a driver; returns whether the sleep is to end."""
+        try:
+            self._sign_of_life()
+        except InstrumentError as error:
+            self._lost = error
+        return self._stop.at_once or self._lost is not None
+
+    def begin_segment(self) -> None:
+        """Doubts are told anew."""
+        self._doubts.clear()
+        self._last = -math.inf
+
+    def _once(self, name: str, text: str) -> None:
+        if (name, text) not in self._doubts:
+            self._doubts.add((name, text))
+            self._notice(name, text)
+
+    def _judge(self, name: str, condition: Condition) -> None:
+        for doubt in condition.doubts:
+            self._once(name, doubt)
+        if condition.faults:
+            raise InstrumentError(f"'{name}' cannot go on: {'; '.join(condition.faults)}")
+        values, limits = condition.values, self._limits
+        kelvin = values.get("temperature")
+        if kelvin is not None and limits.hottest is not None and kelvin > limits.hottest:
+            raise InstrumentError(_beyond(name, "hotter", kelvin, limits.hottest))
+        if kelvin is not None and limits.coldest is not None and kelvin < limits.coldest:
+            raise InstrumentError(_beyond(name, "colder", kelvin, limits.coldest))
+        error = abs(values.get("position_error", 0.0))
+        if limits.position_error is not None and error > limits.position_error:
+            raise InstrumentError(
+                f"'{name}' follows with an error of {error:.3g} rad, more than the {limits.position_error:.3g} rad of the bench's "
+                "protection: look for what holds it or for a load out of balance"
+            )
+
+
+def _beyond(name: str, what: str, kelvin: float, limit: float) -> str:
+    return (
+        f"'{name}' reads {kelvin - ZERO_CELSIUS:.1f} degC, {what} than the {limit - ZERO_CELSIUS:.1f} degC of the bench's protection: "
+        "look at the chamber and its setpoint"
+    )

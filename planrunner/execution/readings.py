@@ -1,0 +1,110 @@
+"""What the instruments read of the state that is held, in a plan's words, and whether it has settled or passes a limit."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planrunner.instruments.interfaces import Condition, FrameCounts
+from planrunner.plan.schedule import Segment, Watch
+
+DRIFT_OVER = 60.0
+"""Seconds over which a temperature's drift is judged while a segment records."""
+SHOWN = {
+    "position_error": ("arcsec", 180 * 3600 / math.pi),
+    "rate_error": ("deg/s", 180 / math.pi),
+    "temperature_error": ("K", 1.0),
+    "temperature_drift": ("K/min", 60.0),
+}
+
+
+@dataclass(slots=True)
+class Readings:
+    """Follows the readings of one state. over: s that a drift is judged over; chamber: the name of the instrument whose temperature is
+    held against `setpoint` [K]; drifting: names of those whose temperature may not drift."""
+
+    over: float
+    chamber: str | None = None
+    setpoint: float | None = None
+    drifting: tuple[str, ...] = ()
+    _courses: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
+
+    def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
+        """Reading → value now, SI, of those that are known: the worst of the instruments that say it."""
+        found: dict[str, float] = {}
+        for name, condition in conditions.items():
+            for reading in ("position_error", "rate_error"):
+                if reading in condition.values:
+                    found[reading] = max(found.get(reading, 0.0), abs(condition.values[reading]))
+            kelvin = condition.values.get("temperature")
+            if kelvin is None:
+                continue
+            if name == self.chamber and self.setpoint is not None:
+                found["temperature_error"] = abs(kelvin - self.setpoint)
+            drift = self._drift(name, now, kelvin) if name in self.drifting else None
+            if drift is not None:
+                found["temperature_drift"] = max(found.get("temperature_drift", 0.0), drift)
+        return found
+
+    def _drift(self, name: str, now: float, kelvin: float) -> float | None:
+        """|dT/dt| [K/s], a straight line through the last `over` seconds; None until they have passed."""
+        course = self._courses.setdefault(name, deque())
+        course.append((now, kelvin))
+        while course and now - course[0][0] > self.over * (1 + 1e-9) and now - course[1][0] >= self.over:
+            course.popleft()
+        if now - course[0][0] < self.over * (1 - 1e-9):
+            return None
+        time, temperature = np.array(course).T
+        time = time - time.mean()
+        return float(abs(time @ temperature) / (time @ time))
+
+
+def readings_of(bench: Any, segment: Segment, over: float) -> Readings:
+    """Readings of a segment's state. A temperature that is to move has no error and no drift."""
+    if segment.ramp_to is not None:
+        return Readings(over)
+    names = {id(item): name for name, item in bench.instruments.items()}
+    held = [names[id(item)] for item in (bench.chamber, bench.sensor) if id(item) in names]
+    return Readings(over, names.get(id(bench.chamber)), segment.temperature, tuple(held))
+
+
+def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
+    """In words, what is beyond its limit; a reading that is not known is left out."""
+    return [
+        f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
+        for name, limit in limits.items()
+        if name in values and values[name] > limit
+    ]
+
+
+def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
+    """In words, the limited readings that no instrument has said."""
+    return [f"no instrument says the {name.replace('_', ' ')}" for name in limits if name not in values]
+
+
+def frames_outside(watch: Watch, counts: FrameCounts) -> list[str]:
+    """In words, which share of a segment's frames is beyond its limit; what the computer dropped is lost as well."""
+    whole = counts.received + counts.lost + counts.corrupt + counts.overflowed
+    shares = {
+        "lost": (watch.lost, counts.lost + counts.overflowed),
+        "corrupt": (watch.corrupt, counts.corrupt),
+    }
+    return [
+        f"{count} of {whole} frames were {name} ({count / whole:.3g}), more than the {limit:.3g} that the plan allows"
+        for name, (limit, count) in shares.items()
+        if limit is not None and whole and count > limit * whole
+    ]
+
+
+def _shown(name: str, value: float) -> str:
+    return f"{name.replace('_', ' ')} {_amount(name, value)}"
+
+
+def _amount(name: str, value: float) -> str:
+    unit, factor = SHOWN[name]
+    return f"{value * factor:.4g} {unit}"

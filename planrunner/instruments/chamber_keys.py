@@ -1,0 +1,55 @@
+"""Keys of a chamber in the bench file that every chamber has, simulated or real: its range, its ramp and its stated uncertainty."""
+
+from __future__ import annotations
+
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.models import ChamberModel
+from planrunner.plan.kinds import QuantityOf, Record, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.units import ZERO_CELSIUS
+
+
+class ChamberKeys(Record):
+    """What a chamber is, for whoever plans for it."""
+
+    lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature it reaches.", "-55 degC")
+    highest: Quantity = key(QuantityOf("temperature"), "Highest temperature it reaches.", "85 degC")
+    ramp: Quantity = key(QuantityOf("temperature rate", "positive"), "Rate of its setpoint.", "3 K/min")
+    ambient: Quantity = key(
+        QuantityOf("temperature"), "Temperature it starts from and is left at.", "25 degC", parse_quantity("25 degC")
+    )
+    lag: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Time constant of the air behind the setpoint.",
+        "2 min",
+        parse_quantity("2 min"),
+    )
+    tolerance: Quantity = key(
+        QuantityOf("temperature", "positive"),
+        "How near the air must be to count as there.",
+        "0.5 K",
+        parse_quantity("0.5 K"),
+    )
+    temperature_uncertainty: Quantity = key(
+        QuantityOf("temperature", "not negative"),
+        "Declared standard uncertainty of the air's temperature, beside the tolerance.",
+        "0.1 K",
+        parse_quantity("0 K"),
+    )
+
+    def model(self) -> ChamberModel:
+        return ChamberModel(
+            self.lowest.value,
+            self.highest.value,
+            self.ramp.value,
+            self.ambient.value,
+            self.lag.value,
+            self.tolerance.value,
+            self.temperature_uncertainty.value,
+        )
+
+    def check_reach(self, kelvin: float) -> None:
+        """Raises `InstrumentError` for a temperature beyond the chamber's range."""
+        if not self.lowest.value <= kelvin <= self.highest.value:
+            shown, low, high = (value - ZERO_CELSIUS for value in (kelvin, self.lowest.value, self.highest.value))
+            raise InstrumentError(f"{shown:g} degC is beyond the chamber, which reaches {low:g} to {high:g} degC")

@@ -1,0 +1,118 @@
+"""Chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
+
+Every command is answered, with `OK:` and the command or with `NA:` and the reason. Its upper and lower temperature alarms are set
+before it first runs, so that it stops by itself. Sources: P300 communication manual; the maker's open library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from planrunner.instruments.chamber_keys import ChamberKeys
+from planrunner.instruments.chambers.wired_chamber import WiredChamber
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.models import ChamberModel
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import parsed
+from planrunner.plan.kinds import Number, key
+
+REASONS = {
+    "CMD ERR": "it does not know the command",
+    "ADDR ERR": "the address is wrong",
+    "DATA OUT OF RANGE": "the value is beyond its range",
+    "PROTECT ON": "its settings are protected at the panel",
+    "CHB NOT READY": "the chamber is not ready, as after an alarm",
+}
+
+
+class EspecP300Parameters(LinkKeys, ChamberKeys):
+    """A chamber with an Espec P300 or SCP-220 controller."""
+
+    station: int | None = key(
+        Number(1, 16, integer=True), "Its address on a line that several chambers share (RS-485).", 1, None
+    )
+
+
+class EspecP300:
+    """A chamber with an Espec P300 or SCP-220 controller, over TCP or a serial line."""
+
+    role = "chamber"
+    Parameters = EspecP300Parameters
+
+    @classmethod
+    def model(cls, parameters: EspecP300Parameters) -> ChamberModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: EspecP300Parameters) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: EspecP300Parameters, surroundings: Surroundings) -> WiredChamber:
+        return WiredChamber.connect(EspecP300Commands(parameters), parameters)
+
+
+class EspecP300Commands:
+    """How a P300 is told; an `AirCommands`."""
+
+    def __init__(self, parameters: EspecP300Parameters):
+        self.parameters = parameters
+        settings = LinkSettings(parameters.address, parameters.timeout.value, "\r\n", baud=parameters.baud)
+        self.link = MessageLink(settings, Lines(b"\r\n"))
+        self.station = "" if parameters.station is None else f"{parameters.station},"
+
+    def identify(self) -> Mapping[str, str]:
+        """What it has: sensors, controller, highest temperature. It tells neither maker nor serial number."""
+        said = self._ask("TYPE?")
+        self.parameters.check_identity(said, "")
+        if said.count(",") not in (2, 3):
+            raise InstrumentError(
+                f"{self.parameters.address} answers 'TYPE?' with '{said[:60]}', as no P300 does: look at the address"
+            )
+        return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
+
+    def prepare(self, ramp: float) -> None:
+        """In constant operation it ramps as fast as it can."""
+
+    def limit(self, coldest: float, hottest: float) -> Sequence[str]:
+        self._do(f"TEMP,H{hottest:.1f}")
+        self._do(f"TEMP,L{coldest:.1f}")
+        return [f"the chamber alarms below {coldest:.1f} and above {hottest:.1f} degC"]
+
+    def head_for(self, celsius: float) -> None:
+        self._do(f"TEMP,S{celsius:.1f}")
+        self._do("POWER,ON")
+        self._do("MODE,CONSTANT")
+
+    def air(self) -> float:
+        return parsed(self._ask("TEMP?"), "TEMP?", 4, self.parameters.address)[0]
+
+    def faults(self) -> Sequence[str]:
+        said = self._ask("MON?")
+        alarms = said.split(",")[-1].strip()
+        if not alarms.isdecimal():
+            raise InstrumentError(
+                f"{self.parameters.address} answers 'MON?' with '{said[:60]}', without a number of alarms"
+            )
+        return [] if int(alarms) == 0 else [f"alarms of the P300 (number, codes): {self._ask('ALARM?')[:60]}"]
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()
+
+    def _do(self, command: str) -> None:
+        said = self._ask(command, again=False)
+        if said.replace(" ", "").casefold() != f"OK:{command}".casefold():
+            raise InstrumentError(
+                f"{self.parameters.address} answers '{command}' with '{said[:60]}' instead of OK:{command}"
+            )
+
+    def _ask(self, text: str, again: bool = True) -> str:
+        said = self.link.query(self.station + text, again=again)
+        if said.startswith("NA:"):
+            reason = REASONS.get(said[3:].strip(), "its manual has the reason")
+            raise InstrumentError(f"{self.parameters.address} refuses '{text}' with '{said[:60]}': {reason}")
+        return said

@@ -1,0 +1,117 @@
+"""Chambers with a Thermotron 8800 controller, over TCP (port 8888).
+
+Operations are answered 0. The stop code says whether it runs, else why it stopped. Limits of its own are set at its panel. Source:
+Thermotron, 8800 interface command descriptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from planrunner.instruments.chamber_keys import ChamberKeys
+from planrunner.instruments.chambers.wired_chamber import WiredChamber
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.models import ChamberModel
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import number, written
+from planrunner.plan.kinds import Number, key
+
+RUNNING = 1
+STOP_CODES = {
+    0: "it was started with empty memory",
+    2: "its stop key was pressed",
+    3: "its test came to an end",
+    4: "an external input stopped it",
+    5: "it was stopped from a computer",
+    6: "a sensor is open",
+    7: "a process alarm",
+    8: "its system monitor tripped",
+    9: "the power failed",
+    10: "Therm-Alarm tripped",
+}
+TRIPS = {6, 7, 8, 10}
+"""What must be seen to before it may run again."""
+ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high process"}
+"""Bits of the alarm status."""
+
+
+class Thermotron8800Parameters(LinkKeys, ChamberKeys):
+    """A chamber with a Thermotron 8800 controller."""
+
+    channel: int = key(Number(1, 4, integer=True), "Channel of the air temperature.", 1, 1)
+
+
+class Thermotron8800:
+    """A chamber with a Thermotron 8800 controller, over TCP."""
+
+    role = "chamber"
+    Parameters = Thermotron8800Parameters
+
+    @classmethod
+    def model(cls, parameters: Thermotron8800Parameters) -> ChamberModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: Thermotron8800Parameters) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: Thermotron8800Parameters, surroundings: Surroundings) -> WiredChamber:
+        return WiredChamber.connect(Thermotron8800Commands(parameters), parameters)
+
+
+class Thermotron8800Commands:
+    """How an 8800 is told; an `AirCommands`."""
+
+    def __init__(self, parameters: Thermotron8800Parameters):
+        self.parameters = parameters
+        settings = LinkSettings(parameters.address, parameters.timeout.value, "\r", baud=parameters.baud)
+        self.link = MessageLink(settings, Lines(b"\r"))
+        self._started = False
+
+    def identify(self) -> Mapping[str, str]:
+        said = self.link.query("IDEN?")
+        self.parameters.check_identity(said, "8800")
+        return {"manufacturer": "Thermotron", "model": said}
+
+    def prepare(self, ramp: float) -> None:
+        self._do(f"MRMP{self.parameters.channel},{written(ramp)}")
+
+    def limit(self, coldest: float, hottest: float) -> Sequence[str]:
+        return []
+
+    def head_for(self, celsius: float) -> None:
+        self._do(f"SETP{self.parameters.channel},{written(celsius)}")
+        if self._stop_code() != RUNNING:
+            self._do("RUNM")
+        self._started = True
+
+    def air(self) -> float:
+        return number(self.link, f"PVAR{self.parameters.channel}?")
+
+    def faults(self) -> Sequence[str]:
+        code, found = self._stop_code(), []
+        if code in TRIPS or (self._started and code != RUNNING):
+            found.append(f"the 8800 has stopped: {STOP_CODES.get(code, f'code {code}')}")
+        status = int(number(self.link, f"ALRM{self.parameters.channel}?"))
+        found += [
+            f"{what} alarm of channel {self.parameters.channel}" for bit, what in ALARMS.items() if status >> bit & 1
+        ]
+        return found
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()
+
+    def _stop_code(self) -> int:
+        return int(number(self.link, "SCOD?"))
+
+    def _do(self, command: str) -> None:
+        said = self.link.query(command, again=False)
+        if said != "0":
+            raise InstrumentError(
+                f"{self.parameters.address} answers '{command}' with '{said[:40]}' instead of 0: look at its panel"
+            )

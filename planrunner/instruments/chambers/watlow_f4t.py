@@ -1,0 +1,95 @@
+"""Chambers with a Watlow F4T controller, over its SCPI port (TCP 5025).
+
+Writes are not answered, so a set point is read back. Limits of its own are set at its panel; SCPI has none. Source: F4T setup and
+operation manual, SCPI commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from planrunner.instruments.chamber_keys import ChamberKeys
+from planrunner.instruments.chambers.wired_chamber import WiredChamber
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.models import ChamberModel
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import number, written
+from planrunner.plan.kinds import Number, key
+
+PACE = 0.1
+"""s between two messages; its users wait between writes."""
+
+
+class WatlowF4tParameters(LinkKeys, ChamberKeys):
+    """A chamber with a Watlow F4T controller."""
+
+    loop: int = key(Number(1, 4, integer=True), "Control loop of the air temperature.", 1, 1)
+    output: int = key(Number(1, 12, integer=True), "Output, or event, that switches conditioning on.", 1, 1)
+
+
+class WatlowF4t:
+    """A chamber with a Watlow F4T controller, over SCPI."""
+
+    role = "chamber"
+    Parameters = WatlowF4tParameters
+
+    @classmethod
+    def model(cls, parameters: WatlowF4tParameters) -> ChamberModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: WatlowF4tParameters) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: WatlowF4tParameters, surroundings: Surroundings) -> WiredChamber:
+        return WiredChamber.connect(WatlowF4tCommands(parameters), parameters)
+
+
+class WatlowF4tCommands:
+    """How an F4T is told; an `AirCommands`."""
+
+    def __init__(self, parameters: WatlowF4tParameters):
+        self.parameters = parameters
+        self.link = MessageLink(LinkSettings(parameters.address, parameters.timeout.value, "\n", PACE, parameters.baud))
+        self.loop = f":SOURCE:CLOOP{parameters.loop}"
+
+    def identify(self) -> Mapping[str, str]:
+        said = self.link.query("*IDN?")
+        self.parameters.check_identity(said, "F4T")
+        return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+
+    def prepare(self, ramp: float) -> None:
+        self.link.write(":UNIT:TEMPERATURE C")
+        unit = self.link.query(":UNIT:TEMPERATURE?")
+        if unit.upper() != "C":
+            raise InstrumentError(f"the F4T stays with the unit '{unit[:20]}' instead of C: set it at its panel")
+        self.link.write(f"{self.loop}:RSCALE MINUTES")
+        self.link.write(f"{self.loop}:RRATE {written(ramp)}")
+        self.link.write(f"{self.loop}:RACTION SETPOINT")
+
+    def limit(self, coldest: float, hottest: float) -> Sequence[str]:
+        return []
+
+    def head_for(self, celsius: float) -> None:
+        self.link.write(f"{self.loop}:SPOINT {written(celsius)}")
+        kept = number(self.link, f"{self.loop}:SPOINT?")
+        if abs(kept - celsius) > 0.1:
+            raise InstrumentError(
+                f"the F4T keeps the set point {kept:g} instead of {celsius:g} degC: look at its set point limits"
+            )
+        self.link.write(f":OUTPUT{self.parameters.output}:STATE ON")
+
+    def air(self) -> float:
+        return number(self.link, f"{self.loop}:PVALUE?")
+
+    def faults(self) -> Sequence[str]:
+        said = self.link.query(f"{self.loop}:ERROR?")
+        return [] if said.upper() == "NONE" else [f"control loop {self.parameters.loop} of the F4T reports {said[:40]}"]
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()

@@ -1,0 +1,123 @@
+"""What every real chamber does, whoever made it: temperatures within its range, whether the air is there, the safe state.
+
+How a controller is told stands in a file of its own, as `AirCommands`; this file knows no vendor. The safe state is ambient temperature,
+held: a chamber that is switched off at −40 degC would wet what is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from planrunner.instruments.chamber_keys import ChamberKeys
+from planrunner.instruments.interfaces import Condition, InstrumentError, OwnLimits
+from planrunner.plan.schedule import Segment
+from planrunner.plan.units import ZERO_CELSIUS
+
+MARGIN = 5.0
+"""K beyond the bench file's range at which a chamber shall stop by itself, where it can."""
+
+
+class AirCommands(Protocol):
+    """How a controller is told; temperatures in degC. Every failure is an `InstrumentError`."""
+
+    def identify(self) -> Mapping[str, str]: ...
+    def prepare(self, ramp: float) -> None:
+        """Units and the rate of the set point [K/min], as far as the controller has them."""
+
+    def limit(self, coldest: float, hottest: float) -> Sequence[str]:
+        """Set the temperatures at which it stops by itself; a line for each limit that is set now."""
+
+    def head_for(self, celsius: float) -> None:
+        """Set point, and running."""
+
+    def air(self) -> float: ...
+    def faults(self) -> Sequence[str]:
+        """Why it cannot go on, in words; empty while all is well."""
+
+    def remarks(self) -> Sequence[str]: ...
+    def close(self) -> None: ...
+
+
+class WiredChamber:
+    """A real chamber behind its `AirCommands`."""
+
+    def __init__(self, commands: AirCommands, keys: ChamberKeys):
+        self.commands, self.keys = commands, keys
+        self._target: float | None = None
+        self._prepared = self._limited = False
+
+    @classmethod
+    def connect(cls, commands: AirCommands, keys: ChamberKeys) -> WiredChamber:
+        """Ask who it is; lets go of the link when that fails. What is wrong with it does not keep it from being made safe."""
+        try:
+            commands.identify()
+        except BaseException:
+            commands.close()
+            raise
+        return cls(commands, keys)
+
+    def identify(self) -> Mapping[str, str]:
+        return self.commands.identify()
+
+    def limit(self, limits: OwnLimits) -> Sequence[str]:
+        coldest = self.keys.lowest.value - MARGIN if limits.coldest is None else limits.coldest
+        hottest = self.keys.highest.value + MARGIN if limits.hottest is None else limits.hottest
+        told = self.commands.limit(coldest - ZERO_CELSIUS, hottest - ZERO_CELSIUS)
+        self._limited = True
+        return told
+
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        """Raises `InstrumentError` when it reports a fault before anything has begun."""
+        self._raise(self.commands.faults())
+
+    def set_temperature(self, kelvin: float) -> float:
+        self.keys.check_reach(kelvin)
+        self._raise(self.commands.faults())
+        self._prepare()
+        if not self._limited:
+            self.limit(OwnLimits())
+        away = kelvin - ZERO_CELSIUS - self.commands.air()
+        self.commands.head_for(kelvin - ZERO_CELSIUS)
+        self._target = kelvin
+        return self.keys.model().seconds_to_change(away)
+
+    def at_temperature(self) -> bool:
+        condition = self.watch()
+        self._raise(condition.faults)
+        return (
+            self._target is not None
+            and abs(condition.values["temperature"] - self._target) <= self.keys.tolerance.value
+        )
+
+    def watch(self) -> Condition:
+        faults = tuple(self.commands.faults())
+        return Condition({"temperature": self.commands.air() + ZERO_CELSIUS}, faults)
+
+    def read(self) -> Mapping[str, float]:
+        return {"air_degC": self.commands.air()}
+
+    def remarks(self) -> Sequence[str]:
+        return self.commands.remarks()
+
+    def make_safe(self) -> None:
+        self._target = None
+        ambient = self.keys.ambient.value - ZERO_CELSIUS
+        try:
+            self._prepare()
+            self.commands.head_for(ambient)
+        except InstrumentError:  # a connection that was lost unnoticed is opened anew
+            self._prepare()
+            self.commands.head_for(ambient)
+
+    def close(self) -> None:
+        self.commands.close()
+
+    def _prepare(self) -> None:
+        if not self._prepared:
+            self.commands.prepare(self.keys.ramp.value * 60)
+            self._prepared = True
+
+    def _raise(self, faults: Sequence[str]) -> None:
+        if faults:
+            raise InstrumentError("the chamber: " + "; ".join(faults))

@@ -1,0 +1,1 @@
+"""Drivers of inertial sensors that stream frames over a serial line, one file a family."""

@@ -1,0 +1,209 @@
+"""A sensor that has no driver: its frames are described in the bench file, field by field.
+
+imu:
+  driver: declared_frame
+  port: /dev/ttyUSB0
+  sample_rate: 200 Hz
+  sync: A5 5A
+  length: 20
+  fields:
+    gyro_x: {at: 2, type: i16, scale: 0.02, unit: deg/s}
+  counter: {at: 14, type: u8}
+  checksum: {type: crc16_modbus, from: 2}
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.models import SensorModel
+from planrunner.instruments.recording_keys import NAME, UnitText
+from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
+from planrunner.instruments.sensors.samples import FrameLayout, Status
+from planrunner.instruments.sensors.serial_sensor import SerialSensor
+from planrunner.instruments.wire import checksums
+from planrunner.instruments.wire.columns import FLOAT, SIGNED, UNSIGNED, Field
+from planrunner.instruments.wire.framing import Framing
+from planrunner.instruments.wire.host_clock import Counter
+from planrunner.plan.findings import InputError
+from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, RecordOf, Text, key
+
+TYPES = {
+    f"{letter}{8 * width}": (width, kind)
+    for letter, kind in (("u", UNSIGNED), ("i", SIGNED))
+    for width in (1, 2, 3, 4, 8)
+}
+TYPES |= {"f32": (4, FLOAT), "f64": (8, FLOAT)}
+WHOLE = tuple(name for name in TYPES if name[0] == "u" and name != "u64")
+CHECKSUMS = {
+    "crc32": checksums.CRC32,
+    "crc32_mpeg2": checksums.CRC32_MPEG2,
+    "crc16_modbus": checksums.CRC16_MODBUS,
+    "crc16_xmodem": checksums.CRC16_XMODEM,
+    "crc16_ccitt_false": checksums.CRC16_CCITT_FALSE,
+    "crc8": checksums.CRC8,
+    "sum8": checksums.SUM8,
+    "zero_sum8": checksums.ZERO_SUM8,
+    "xor8": checksums.XOR8,
+}
+LONGEST = 4096
+
+
+class FieldOfFrame(Record):
+    """A number in a frame."""
+
+    place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte, counted from 0 at the sync.", 2, name="at")
+    type: str = key(Choice(tuple(TYPES)), "Its type: u unsigned, i signed, f floating point, and its bits.", "i16")
+    scale: float = key(Number(), "What it is multiplied by.", 0.02, 1.0)
+    zero: float = key(Number(), "What is added then.", 25.0, 0.0)
+    unit: str = key(UnitText(), "Unit of the result.", "deg/s")
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+
+
+class CounterOfFrame(Record):
+    """The counter of a frame, which runs through all values of its type, or below `modulus`."""
+
+    place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 14, name="at")
+    type: str = key(Choice(WHOLE), "Its type.", "u8", "u8")
+    step: int = key(Number(1, 2**31, integer=True), "Counts from one frame to the next.", 1, 1)
+    modulus: int | None = key(Number(2, 2**32, integer=True), "It starts anew at this value.", 128, None)
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+
+
+class StatusOfFrame(Record):
+    """A status word of a frame; set bits speak against it."""
+
+    place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 15, name="at")
+    type: str = key(Choice(WHOLE), "Its type.", "u8", "u8")
+    bits: dict[str, int] = key(
+        MapOf(Number(0, 31, integer=True)), "What a set bit says → the bit, from 0 for the lowest.", {"overload": 4}
+    )
+    set_is_good: bool = key(Boolean(), "Whether bits are clear when they speak against the frame.", True, False)
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+
+
+class ChecksumOfFrame(Record):
+    """The checksum at the end of a frame."""
+
+    type: str = key(Choice(tuple(CHECKSUMS)), "How it is computed.", "crc16_modbus")
+    start: int = key(Number(0, LONGEST - 1, integer=True), "The first byte that it covers.", 2, 0, name="from")
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+
+
+class DeclaredFrameParameters(SerialSensorParameters):
+    """A sensor whose frames are described here."""
+
+    sync: str = key(
+        Text(r"[0-9A-Fa-f]{2}( ?[0-9A-Fa-f]{2}){0,15}", "bytes in hexadecimal", "put them in quotes, such as 'A5 5A'"),
+        "The bytes that every frame begins with.",
+        "A5 5A",
+    )
+    length: int = key(Number(2, LONGEST, integer=True), "Bytes of a frame, sync and checksum included.", 20)
+    fields: dict[str, FieldOfFrame] = key(
+        MapOf(RecordOf(FieldOfFrame), pattern=NAME),
+        "Channel → where it stands.",
+        {"gyro_x": {"at": 2, "type": "i16", "scale": 0.02, "unit": "deg/s"}},
+    )
+    checksum: ChecksumOfFrame | None = key(
+        RecordOf(ChecksumOfFrame),
+        "Its checksum. Without one a corrupt frame cannot be told from a good one.",
+        {"type": "crc16_modbus", "from": 2},
+        None,
+    )
+    counter: CounterOfFrame | None = key(
+        RecordOf(CounterOfFrame),
+        "Its counter. Without one, lost frames are only seen as silences longer than 0.1 s.",
+        {"at": 14},
+        None,
+    )
+    status: StatusOfFrame | None = key(
+        RecordOf(StatusOfFrame), "Its status word.", {"at": 15, "bits": {"overload": 4}}, None
+    )
+    modes: dict[str, str] = key(
+        MapOf(Text(r"[\x20-\x7e]{1,60}", "a line of text"), pattern=NAME),
+        "Operating mode → the line, ended by CR, that switches into it; frames go on in every mode.",
+        {"powered": "POWER ON", "unpowered": "POWER OFF"},
+        default_factory=dict,
+    )
+
+
+class DeclaredFrame(SerialSensor):
+    """A sensor on a serial line whose frames the bench file describes."""
+
+    Parameters = DeclaredFrameParameters
+    manufacturer = "declared in the bench file"
+    product = "sensor"
+
+    @classmethod
+    def model(cls, parameters: Any) -> SensorModel:
+        _check(parameters)
+        layout = cls.decoder_of(parameters)
+        resolutions = {name: abs(item.scale) for name, item in layout.fields.items() if item.kind != FLOAT}
+        return replace(sensor_model(parameters, layout.units, resolutions), modes=tuple(parameters.modes))
+
+    def set_mode(self, mode: str) -> float:
+        modes: dict[str, str] = self.parameters.modes
+        if mode not in modes:
+            raise InstrumentError(f"it has no mode '{mode}'; the bench file names {', '.join(modes) or 'none'}")
+        self.link.write(modes[mode].encode("ascii") + b"\r")
+        return 0.0
+
+    @classmethod
+    def decoder_of(cls, parameters: Any) -> FrameLayout:
+        rate = parameters.sample_rate.value
+        fields = {name: _field(item, item.scale) for name, item in parameters.fields.items()}
+        units = {name: item.unit for name, item in parameters.fields.items()}
+        zeros = {name: item.zero for name, item in parameters.fields.items() if item.zero}
+        counts: Field | None = None
+        statuses: tuple[Status, ...] = ()
+        counter = Counter(1 / rate)
+        if parameters.counter is not None:
+            counts, step = _field(parameters.counter), parameters.counter.step
+            counter = Counter(1 / rate / step, step, parameters.counter.modulus or 1 << 8 * counts.width)
+        if parameters.status is not None:
+            words = {bit: text for text, bit in parameters.status.bits.items()}
+            statuses = (Status(_field(parameters.status), "status", words, parameters.status.set_is_good),)
+        return FrameLayout(_framing(parameters), fields, units, counter, counts, statuses=statuses, zeros=zeros)
+
+
+def _field(item: Any, scale: float = 1.0) -> Field:
+    width, kind = TYPES[item.type]
+    return Field(item.place, width, kind, scale, item.little_endian)
+
+
+def _framing(parameters: DeclaredFrameParameters) -> Framing:
+    sync, told = bytes.fromhex(parameters.sync), parameters.checksum
+    if told is None:
+        return Framing(sync, parameters.length)
+    kind = CHECKSUMS[told.type]
+    return Framing(
+        sync,
+        parameters.length,
+        checksum=kind,
+        check_bytes=kind.width // 8,
+        covered_from=told.start,
+        little=told.little_endian,
+    )
+
+
+def _check(parameters: DeclaredFrameParameters) -> None:
+    """Everything lies within the frame. Raises `InputError`."""
+    check = CHECKSUMS[parameters.checksum.type].width // 8 if parameters.checksum is not None else 0
+    places: dict[str, tuple[Any, int]] = {name: (item, TYPES[item.type][0]) for name, item in parameters.fields.items()}
+    for name, other in (("counter", parameters.counter), ("status", parameters.status)):
+        if other is not None:
+            places[name] = (other, TYPES[other.type][0])
+    sync = len(bytes.fromhex(parameters.sync))
+    for name, (item, width) in places.items():
+        if item.place < sync or item.place + width > parameters.length - check:
+            message = f"'{name}' does not lie between the sync and the checksum of a frame of {parameters.length} bytes"
+            hint = f"`at` is counted from 0: from {sync} to {parameters.length - check - width}"
+            raise InputError.at(item.origin.at("at"), "meaning-range", message, hint)
+    if not parameters.fields:
+        hint = "add for example `fields: {gyro_x: {at: 2, type: i16, scale: 0.02, unit: deg/s}}`"
+        raise InputError.at(parameters.at("fields"), "form-size", "a frame without fields gives no samples", hint)
+    if parameters.checksum is not None and parameters.checksum.start >= parameters.length - check:
+        message = f"the checksum of a frame of {parameters.length} bytes covers nothing"
+        raise InputError.at(parameters.checksum.origin.at("from"), "meaning-range", message, "let it begin earlier")

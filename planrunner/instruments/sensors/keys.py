@@ -1,0 +1,110 @@
+"""What the bench file says of any sensor on a serial line: its port, its rate, and what is known of its noise and full scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.instruments.parameters import QuantityLike
+from planrunner.plan.kinds import Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.units import unit
+
+KIND = r"[a-z][a-z0-9-]{0,39}"
+PORT = r"[^\x00-\x1f]{1,200}"
+FASTEST_BAUD = 20_000_000
+RATES, ACCELERATIONS = ("deg/s", "rad/s"), ("g", "m/s^2")
+
+
+class GyroKnowledge(Record):
+    """What is known of the gyros before they are tested: of each alike."""
+
+    full_scale: Quantity | None = key(
+        QuantityOf("angular rate", "positive"),
+        "Largest rate, either sign; plans are held against it.",
+        "400 deg/s",
+        None,
+    )
+    angle_random_walk: Quantity | None = key(
+        QuantityLike("deg/sqrt(h)", "not negative"),
+        "White noise N: a mean over T scatters by N/√T. `check` and `design` predict uncertainties from it.",
+        "0.15 deg/sqrt(h)",
+        None,
+    )
+    bias_instability: Quantity | None = key(
+        QuantityOf("angular rate", "not negative"), "Flicker floor of the output.", "0.3 deg/h", None
+    )
+
+
+class AccelerometerKnowledge(Record):
+    """What is known of the accelerometers before they are tested: of each alike."""
+
+    full_scale: Quantity | None = key(
+        QuantityOf("acceleration", "positive"), "Largest specific force, either sign.", "10 g", None
+    )
+    velocity_random_walk: Quantity | None = key(
+        QuantityLike("m/s/sqrt(h)", "not negative"),
+        "White noise N: a mean over T scatters by N/√T.",
+        "0.07 m/s/sqrt(h)",
+        None,
+    )
+    bias_instability: Quantity | None = key(
+        QuantityOf("acceleration", "not negative"), "Flicker floor of the output.", "0.05 mg", None
+    )
+
+
+class SerialSensorParameters(Record):
+    """Keys of every sensor on a serial line."""
+
+    port: str = key(
+        Text(PORT, "a port's name"),
+        "Serial port, or a URL that pyserial knows, such as socket://127.0.0.1:4001.",
+        "/dev/ttyUSB0",
+    )
+    baud: int = key(Number(1200, FASTEST_BAUD, integer=True), "Bits a second on the line.", 921600, 921600)
+    kind: str = key(Text(KIND, "a sensor kind"), "Kind of sensor, as plans name it.", "imu", "imu")
+    sample_rate: Quantity = key(
+        QuantityOf("frequency", "positive"),
+        "Frames a second that the sensor is set to; held against what comes.",
+        "1000 Hz",
+    )
+    silence: Quantity = key(
+        QuantityOf("time", "positive"),
+        "How long it may take until a good frame comes; more ends the run.",
+        "1 s",
+        parse_quantity("1 s"),
+    )
+    gyros: GyroKnowledge | None = key(
+        RecordOf(GyroKnowledge), "What is known of the gyros.", {"angle_random_walk": "0.15 deg/sqrt(h)"}, None
+    )
+    accelerometers: AccelerometerKnowledge | None = key(
+        RecordOf(AccelerometerKnowledge), "What is known of the accelerometers.", {"full_scale": "10 g"}, None
+    )
+
+
+def sensor_model(
+    parameters: SerialSensorParameters, channels: Mapping[str, str], resolutions: Mapping[str, float]
+) -> SensorModel:
+    """The model of a sensor with these channels (name → unit). resolutions: one count of a channel, in its unit."""
+    outputs = tuple(_output(name, text, resolutions.get(name, 0.0), parameters) for name, text in channels.items())
+    nominal = {f"K_{name}": 1.0 for name, text in channels.items() if text in (*RATES, *ACCELERATIONS)}
+    return SensorModel(parameters.kind, outputs, parameters.sample_rate.value, nominal)
+
+
+def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters) -> OutputModel:
+    known: GyroKnowledge | AccelerometerKnowledge | None = None
+    walk: Quantity | None = None
+    if text in RATES and parameters.gyros is not None:
+        known, walk = parameters.gyros, parameters.gyros.angle_random_walk
+    elif text in ACCELERATIONS and name.startswith("accel") and parameters.accelerometers is not None:
+        known, walk = parameters.accelerometers, parameters.accelerometers.velocity_random_walk
+    if known is None:
+        return OutputModel(name, text, noise=NoiseModel(resolution=resolution))
+    factor = unit(text).factor
+
+    def amount(quantity: Quantity | None, otherwise: float) -> float:
+        return otherwise if quantity is None else quantity.value / factor
+
+    noise = NoiseModel(amount(walk, 0.0), amount(known.bias_instability, 0.0), resolution)
+    return OutputModel(name, text, amount(known.full_scale, math.inf), noise)

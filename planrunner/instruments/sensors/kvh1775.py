@@ -1,0 +1,162 @@
+"""KVH 1775 and DSP-1760: rotations and accelerations as floats, in the binary output formats A, B and C.
+
+All formats are a sync, six numbers, status, sequence number and a CRC-32. B has a time stamp before the status; C sends temperature and
+the magnetic field in turn, in the order of the sequence number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from dataclasses import field as data_field
+from typing import Any
+
+import numpy as np
+
+from planrunner.instruments.interfaces import Clock, InstrumentError
+from planrunner.instruments.models import SensorModel
+from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
+from planrunner.instruments.sensors.samples import Array, Decoder, FrameLayout, Samples, Status, byte
+from planrunner.instruments.sensors.serial_sensor import SerialSensor
+from planrunner.instruments.wire.checksums import CRC32_MPEG2, SUM8
+from planrunner.instruments.wire.columns import FLOAT, Field
+from planrunner.instruments.wire.framing import Frames, Framing
+from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.serial_stream import SerialStream
+from planrunner.plan.kinds import Boolean, Choice, key
+
+LENGTHS = {"A": 36, "B": 40, "C": 38}
+LAST = {"A": 0x55, "B": 0x56, "C": 0x57}
+AXES = ("x", "y", "z")
+SETTLE = 0.5
+"""Seconds in which a change of configuration takes effect; about two invalid frames come meanwhile."""
+BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
+
+
+class Kvh1775Parameters(SerialSensorParameters):
+    """A KVH 1775 or DSP-1760 on a serial line."""
+
+    format: str = key(Choice(("A", "B", "C")), "Output format.", "A", "A")
+    rotation: str = key(
+        Choice(("rate", "delta")),
+        "What it sends of the gyros. Deltas are recorded as the mean rate over the frame.",
+        "rate",
+        "rate",
+    )
+    angle_unit: str = key(Choice(("rad", "deg")), "Unit of its angles.", "rad", "rad")
+    temperature_unit: str = key(Choice(("C", "C_100")), "Whole or hundredths of degrees, of formats A and B.", "C", "C")
+    configure: bool = key(
+        Boolean(),
+        "Whether rate, rotation and temperature unit are set when connecting; else it must be set so.",
+        True,
+        False,
+    )
+
+
+class Kvh1775(SerialSensor):
+    """A KVH 1775 or DSP-1760 on a serial line."""
+
+    Parameters = Kvh1775Parameters
+    manufacturer = "KVH Industries"
+    product = "1775"
+
+    @classmethod
+    def model(cls, parameters: Any) -> SensorModel:
+        return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
+
+    @classmethod
+    def decoder_of(cls, parameters: Any) -> Decoder:
+        plain = layout(parameters)
+        return MultiplexedTemperature(plain) if parameters.format == "C" else plain
+
+    @classmethod
+    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+        if not parameters.configure:
+            return {}
+        rotation, temperature = parameters.rotation, parameters.temperature_unit
+        commands = [
+            "=config,1",
+            f"=dr,{parameters.sample_rate.value:.0f}",
+            f"=rotfmt,{rotation}",
+            f"=tempunits,{temperature}",
+        ]
+        for command in [*commands, "=config,0"]:
+            link.write(f"{command}\r\n".encode("ascii"))
+            clock.sleep(SETTLE / 5)
+        clock.sleep(SETTLE)
+        return {"configured": ", ".join(commands[1:]), **ask_built_in_test(link, clock)}
+
+
+def layout(parameters: Kvh1775Parameters) -> FrameLayout:
+    """Where everything stands in a frame."""
+    rate, name = parameters.sample_rate.value, parameters.format
+    scale = 1.0 if parameters.rotation == "rate" else rate
+    fields = {f"gyro_{axis}": Field(4 + 4 * place, 4, FLOAT, scale) for place, axis in enumerate(AXES)}
+    fields |= {f"accel_{axis}": Field(16 + 4 * place, 4, FLOAT) for place, axis in enumerate(AXES)}
+    units = {f"gyro_{axis}": f"{parameters.angle_unit}/s" for axis in AXES} | {f"accel_{axis}": "g" for axis in AXES}
+    status = 28 if name == "A" else 32
+    if name == "C":
+        fields["sensor_temperature"] = Field(28, 4, FLOAT)
+    else:
+        hundredths = parameters.temperature_unit == "C_100"
+        fields["sensor_temperature"] = Field(status + 2, 2, scale=0.01 if hundredths else 1.0)
+    units["sensor_temperature"] = "degC"
+    statuses = (
+        Status(byte(status), "gyro", {place: f"{axis} invalid" for place, axis in enumerate(AXES)}, set_is_good=True),
+        Status(
+            byte(status), "accel", {4 + place: f"{axis} invalid" for place, axis in enumerate(AXES)}, set_is_good=True
+        ),
+    )
+    sync = bytes([0xFE, 0x81, 0xFF, LAST[name]])
+    framing = Framing(sync, LENGTHS[name], checksum=CRC32_MPEG2, check_bytes=4)
+    return FrameLayout(framing, fields, units, Counter(1 / rate, 1, 128), byte(status + 1), statuses=statuses)
+
+
+@dataclass
+class MultiplexedTemperature:
+    """Format C: every fourth frame, by its sequence number, holds the temperature; the others keep the last one."""
+
+    plain: FrameLayout
+    _last: float = data_field(default=np.nan)
+
+    @property
+    def framing(self) -> Framing:
+        return self.plain.framing
+
+    @property
+    def counter(self) -> Counter:
+        return self.plain.counter
+
+    def channels(self) -> Mapping[str, str]:
+        return self.plain.units
+
+    def decode(self, frames: Frames) -> Samples:
+        samples = self.plain.decode(frames)
+        told = np.concatenate([[self._last], samples.channels["sensor_temperature"]])
+        holds = np.concatenate([[not np.isnan(self._last)], samples.counter % 4 == 0])
+        if not holds.any():
+            return samples.part(slice(0, 0))
+        latest = np.maximum.accumulate(np.where(holds, np.arange(holds.size), int(np.argmax(holds))))
+        temperature: Array = told[latest][1:]
+        self._last = float(told[latest][-1])
+        return replace(samples, channels={**samples.channels, "sensor_temperature": temperature})
+
+
+def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
+    """The result of the built-in test, for the journal; nothing where the sensor does not answer."""
+    link.write(b"?bit\r\n")
+    heard, until = b"", clock.now() + 2 * SETTLE
+    while clock.now() < until:
+        clock.sleep(0.01)
+        heard += b"".join(piece.data for piece in link.take())
+        place = heard.find(BIT_SYNC)
+        if 0 <= place <= len(heard) - BIT_LENGTH:
+            return {"built_in_test": bytes(built_in_test(heard[place : place + BIT_LENGTH])).hex(" ")}
+    return {}
+
+
+def built_in_test(reply: bytes) -> tuple[int, ...]:
+    """The six status bytes of a reply to `?bit`, of whose seven bits a clear one is a fault. Raises `InstrumentError`."""
+    if len(reply) != BIT_LENGTH or not reply.startswith(BIT_SYNC) or SUM8.of(reply[:-1]) != reply[-1]:
+        raise InstrumentError(f"no result of a built-in test: {reply[:16].hex(' ')}")
+    return tuple(reply[4:10])

@@ -1,0 +1,130 @@
+"""What the decoder of a sensor makes of frames: columns of samples with their counter, the sensor's own latency and its doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.wire.columns import UNSIGNED, Field, numbers, whole_numbers
+from planrunner.instruments.wire.framing import Frames, Framing
+from planrunner.instruments.wire.host_clock import Counter
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """One row a frame. received: s; counter: as sent; latency: s, by the sensor's own word; channels: name → (n,); doubtful: whether a
+    status bit speaks against the frame; doubts: what those bits say; refused: frames that cannot be read although their checksum fits."""
+
+    received: Array
+    counter: Whole
+    latency: Array
+    channels: Mapping[str, Array]
+    doubtful: NDArray[np.bool_]
+    doubts: tuple[str, ...] = ()
+    refused: int = 0
+
+    def __len__(self) -> int:
+        return int(self.received.size)
+
+    def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
+        """Some of the rows; what concerns all frames is left behind."""
+        channels = {name: values[chosen] for name, values in self.channels.items()}
+        return Samples(
+            self.received[chosen], self.counter[chosen], self.latency[chosen], channels, self.doubtful[chosen]
+        )
+
+    def and_then(self, later: Samples) -> Samples:
+        """These rows, then the later ones."""
+        channels = {name: np.concatenate([values, later.channels[name]]) for name, values in self.channels.items()}
+        columns = ("received", "counter", "latency", "doubtful")
+        received, counter, latency, doubtful = (
+            np.concatenate([getattr(self, name), getattr(later, name)]) for name in columns
+        )
+        return Samples(received, counter, latency, channels, doubtful)
+
+
+class Decoder(Protocol):
+    """How one sensor's stream is read."""
+
+    @property
+    def framing(self) -> Framing: ...
+    @property
+    def counter(self) -> Counter: ...
+    def channels(self) -> Mapping[str, str]:
+        """Channel name → unit."""
+
+    def decode(self, frames: Frames) -> Samples: ...
+
+
+@dataclass(frozen=True)
+class Status:
+    """Status bits at `item`. words: bit → what it says when it speaks against the frame, which is when it is set, or clear where
+    `set_is_good`."""
+
+    item: Field
+    name: str
+    words: Mapping[int, str]
+    set_is_good: bool = False
+
+
+@dataclass(frozen=True)
+class FrameLayout:
+    """The decoder of frames that are all alike: each field in its place.
+
+    fields: channel → where it stands; units: channel → unit; counts: where the counter stands (None: there is none); latency: in what
+    `scale` makes seconds; means: channel → those it is the mean of; zeros: channel → what is added to it.
+    """
+
+    framing: Framing
+    fields: Mapping[str, Field]
+    units: Mapping[str, str]
+    counter: Counter
+    counts: Field | None = None
+    latency: Field | None = None
+    statuses: tuple[Status, ...] = ()
+    means: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    zeros: Mapping[str, float] = field(default_factory=dict)
+
+    def channels(self) -> Mapping[str, str]:
+        return self.units
+
+    def decode(self, frames: Frames) -> Samples:
+        """Frames with a number that is none, or infinite, are refused."""
+        rows = numbers(frames, list(self.fields.values()))
+        finite: NDArray[np.bool_] = np.isfinite(rows.sum(axis=0)) if rows.size else np.ones(len(frames), bool)
+        refused = int(finite.size - np.count_nonzero(finite))
+        if refused:
+            frames, rows = frames.of(finite), rows[:, finite]
+        channels = dict(zip(self.fields, rows, strict=True))
+        for name, zero in self.zeros.items():
+            channels[name] = channels[name] + zero
+        for name, parts in self.means.items():
+            channels[name] = np.mean([channels[part] for part in parts], axis=0)
+        counter = np.zeros(len(frames), np.int64) if self.counts is None else whole_numbers(frames, self.counts)
+        latency = np.zeros(len(frames)) if self.latency is None else numbers(frames, [self.latency])[0]
+        doubtful, doubts = self._doubts(frames)
+        ordered = {name: channels[name] for name in self.units}
+        return Samples(frames.received, counter, latency, ordered, doubtful, doubts, refused)
+
+    def _doubts(self, frames: Frames) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+        doubtful, said = np.zeros(len(frames), bool), []
+        for status in self.statuses:
+            bits = whole_numbers(frames, status.item)
+            bits = ~bits if status.set_is_good else bits
+            bits &= sum(1 << bit for bit in status.words)
+            doubtful |= bits != 0
+            together = int(np.bitwise_or.reduce(bits)) if bits.size else 0
+            said += [f"{status.name}: {word}" for bit, word in status.words.items() if together >> bit & 1]
+        return doubtful, tuple(said)
+
+
+def byte(offset: int) -> Field:
+    """An unsigned byte, as counters and status words are."""
+    return Field(offset, 1, UNSIGNED)

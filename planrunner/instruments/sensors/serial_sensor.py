@@ -1,0 +1,206 @@
+"""What all sensors on a serial line do alike: listen, stream a segment, count what was lost, tell doubts.
+
+Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); frames that were lost leave gaps in time. A
+driver adds its keys, its decoder and, where it configures the sensor, its commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+from planrunner.instruments.interfaces import Block, Clock, Condition, FrameCounts, InstrumentError, Surroundings
+from planrunner.instruments.sensors.first_frames import FirstFrames
+from planrunner.instruments.sensors.samples import Decoder
+from planrunner.instruments.sensors.segment_stream import SegmentStream
+from planrunner.instruments.wire.framing import Framer, Piece
+from planrunner.instruments.wire.serial_stream import SerialStream
+from planrunner.plan.schedule import Segment
+
+POLL = 0.05
+"""Seconds between blocks: how long a stop may wait for the next one."""
+LISTENING = 0.5
+"""Seconds of frames that the rate is judged by when connecting."""
+LISTENINGS = 3
+"""How often another rate must be heard until it is believed."""
+SKEW_TOLERANCE = 0.02
+
+
+class SerialSensor:
+    """A sensor that streams frames. Derived drivers give `Parameters`, `manufacturer`, `product`, `model`, `decoder` and perhaps
+    `configure`."""
+
+    role = "sensor"
+    manufacturer: ClassVar[str] = ""
+    product: ClassVar[str] = ""
+
+    def __init__(
+        self,
+        parameters: Any,
+        decoder: Decoder,
+        link: SerialStream,
+        clock: Clock,
+        identity: Mapping[str, str] | None = None,
+    ):
+        self.parameters: Any = parameters
+        self.decoder = decoder
+        self.link = link
+        self.clock = clock
+        self.identity = dict(identity or {})
+        self._speed = float(getattr(clock, "speed", 1.0))  # of a simulated bench that hastens
+        self._current: SegmentStream | None = None
+        self._streaming = False
+        self._skew = 0.0
+        self._heard = clock.now()
+        self._doubts: dict[str, None] = {}
+
+    @classmethod
+    def decoder_of(cls, parameters: Any) -> Decoder:
+        """How the frames of a sensor that is set as its keys say are read."""
+        raise NotImplementedError
+
+    @classmethod
+    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+        """Set the sensor and ask what it is, as far as it can be asked. Raises `InstrumentError`."""
+        return {}
+
+    @classmethod
+    def address(cls, parameters: Any) -> str:
+        return str(parameters.port)
+
+    @classmethod
+    def connect(cls, parameters: Any, surroundings: Surroundings) -> SerialSensor:
+        if not surroundings.real_time:
+            raise InstrumentError("a sensor on a serial line works in real time: write `clock: wall` in the bench file")
+        clock, decoder = surroundings.clock, cls.decoder_of(parameters)
+        # Compiling takes seconds the first time, and no port waits so long.
+        decoder.decode(Framer(decoder.framing).push([Piece(0.0, bytes(decoder.framing.longest))]))
+        link = SerialStream.open(parameters.port, parameters.baud, clock.now)
+        try:
+            sensor = cls(parameters, decoder, link, clock, cls.configure(parameters, link, clock))
+            sensor._listen()
+        except BaseException:
+            link.close()
+            raise
+        return sensor
+
+    # -- what it does --------------------------------------------------------------------------------------------------
+
+    def channels(self) -> Mapping[str, str]:
+        return self.decoder.channels()
+
+    def foresee(self, segments: Sequence[Segment]) -> None:
+        rate = self.parameters.sample_rate.value
+        for segment in segments:
+            if segment.dwell is None:
+                raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
+            if segment.sample_rate is not None and abs(segment.sample_rate / rate - 1) > 1e-9:
+                message = f"'{segment.label}' asks for {segment.sample_rate:g} Hz, but the sensor is set to {rate:g} Hz"
+                raise InstrumentError(f"{message}: leave `sample_rate` out of the plan, or set the sensor otherwise")
+
+    def stream(self, segment: Segment) -> Iterator[Block]:
+        """The samples that are taken from now on until the dwell is over."""
+        self.foresee([segment])
+        assert segment.dwell is not None
+        self.link.ring.follow(True)
+        self._streaming = True
+        self._heard = start = self.clock.now()
+        wanted = max(1, round(segment.dwell * self.parameters.sample_rate.value))
+        current = SegmentStream(self.decoder, self.link, start, wanted, self._byte_time(), self._skew, self._speed)
+        self._current = current
+        try:
+            while not current.over:
+                self.clock.sleep(POLL)
+                block = current.advance()
+                self._hear(current.heard, current.take_doubts())
+                self._check_skew(current.skew)
+                yield block
+            self._skew = current.skew
+        finally:
+            self._streaming = False
+            self.link.ring.follow(False)
+
+    def counts(self) -> FrameCounts:
+        return FrameCounts() if self._current is None else self._current.counts()
+
+    def watch(self) -> Condition:
+        """Its doubts since it was last asked; silence is a fault."""
+        if not self._streaming:
+            self._overhear()
+        doubts, self._doubts = tuple(self._doubts), {}
+        silent = self.clock.now() - self._heard
+        faults = () if silent <= self._patience() else (self._silence(silent),)
+        return Condition({}, faults, doubts)
+
+    def identify(self) -> Mapping[str, str]:
+        return {"manufacturer": self.manufacturer, "model": self.product, "port": self.parameters.port, **self.identity}
+
+    def make_safe(self) -> None:
+        """A sensor that is read does nothing dangerous."""
+
+    def close(self) -> None:
+        self.link.close()
+
+    # -- how it does it ------------------------------------------------------------------------------------------------
+
+    def _patience(self) -> float:
+        """How long it may be silent, s by the bench's clock: cables and computers keep to the wall's."""
+        return self.parameters.silence.value * self._speed
+
+    def _byte_time(self) -> float:
+        """Seconds that a byte takes on the line: ten bits; nothing to speak of through a network."""
+        return 0.0 if "://" in self.parameters.port else 10.0 / self.parameters.baud
+
+    def _hear(self, frames: int, doubts: tuple[str, ...]) -> None:
+        now = self.clock.now()
+        self._doubts |= dict.fromkeys(doubts)
+        if frames:
+            self._heard = now
+        elif now - self._heard > self._patience():
+            raise InstrumentError(self._silence(now - self._heard))
+
+    def _silence(self, seconds: float) -> str:
+        return (
+            f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: look at its power, its cable, "
+            "and whether it was reset to other settings; then resume the run"
+        )
+
+    def _check_skew(self, skew: float) -> None:
+        if abs(skew) > SKEW_TOLERANCE:
+            rate = self.parameters.sample_rate.value
+            message = f"the sensor gives {rate / (1 + skew):.6g} frames a second where the bench file says {rate:g} Hz"
+            raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
+
+    def _overhear(self) -> None:
+        """What came since nobody followed; a frame cut in two at the beginning is not missed."""
+        samples = self.decoder.decode(Framer(self.decoder.framing).push(self.link.take()))
+        self._doubts |= dict.fromkeys(samples.doubts)
+        if len(samples):
+            self._heard = self.clock.now()
+
+    def _listen(self) -> None:
+        """Wait for good frames at the declared rate. Raises `InstrumentError` that says what came instead; another rate must be heard
+        repeatedly, since a computer that stood still meanwhile gets in a burst what had waited."""
+        self.link.ring.follow(True)
+        try:
+            for left in reversed(range(LISTENINGS)):
+                first = self._heard_first()
+                try:
+                    first.judge(self.parameters.port, self.parameters.baud)
+                except InstrumentError:
+                    if not left or first.seconds == 0.0:
+                        raise
+                else:
+                    break
+        finally:
+            self.link.ring.follow(False)
+        self._heard = self.clock.now()
+
+    def _heard_first(self) -> FirstFrames:
+        first = FirstFrames(self.decoder, self.parameters.sample_rate.value, self._speed)
+        listening = LISTENING * self._speed
+        end = self.clock.now() + self._patience() + listening
+        while self.clock.now() < end and first.seconds < listening:
+            self.clock.sleep(POLL)
+            first.push(self.link.take())
+        return first

@@ -1,0 +1,249 @@
+"""Xsens MTi: messages of the Xbus protocol, and MTData2, whose packets differ from frame to frame.
+
+A message is FA FF, what it is, the length of its data, the data, and a byte that makes the sum of all after FA zero. The data of MTData2
+are packets: identifier (its low bits say how numbers are written), length, content.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from planrunner.instruments.interfaces import Clock, InstrumentError
+from planrunner.instruments.models import SensorModel
+from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
+from planrunner.instruments.sensors.samples import Array, FrameLayout, Samples, Status, Whole
+from planrunner.instruments.sensors.serial_sensor import SerialSensor
+from planrunner.instruments.wire.checksums import ZERO_SUM8
+from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, Field
+from planrunner.instruments.wire.framing import XBUS, Framer, Frames, Framing
+from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.serial_stream import SerialStream
+from planrunner.plan.kinds import Boolean, Choice, ListOf, key
+
+LONGEST = 2048 + 7
+MT_DATA_2, GO_TO_CONFIG, GO_TO_MEASUREMENT, SET_OUTPUTS, ERROR = 0x36, 0x30, 0x10, 0xC0, 0x42
+PACKET_COUNTER, SAMPLE_TIME_FINE, STATUS_WORD = 0x1020, 0x1060, 0xE020
+OUTPUTS = {
+    "acceleration": (0x4020, 3),
+    "delta_v": (0x4010, 3),
+    "rate": (0x8020, 3),
+    "delta_q": (0x8030, 4),
+    "temperature": (0x0810, 1),
+}
+CHANNELS = {
+    "acceleration": {f"accel_{axis}": "m/s^2" for axis in "xyz"},
+    "delta_v": {f"accel_{axis}": "m/s^2" for axis in "xyz"},
+    "rate": {f"gyro_{axis}": "rad/s" for axis in "xyz"},
+    "delta_q": {f"gyro_{axis}": "rad/s" for axis in "xyz"},
+    "temperature": {"sensor_temperature": "degC"},
+}
+NUMBERS = {0: (4, FLOAT, 1.0), 1: (4, SIGNED, 2.0**-20), 2: (6, FRACTION_FIRST, 1.0), 3: (8, FLOAT, 1.0)}
+"""Low bits of an identifier → width, kind, scale: single, 12.20, 16.32, double."""
+CLIPPED = {
+    8 + place: f"{name} {axis} clipped"
+    for place, (name, axis) in enumerate((n, a) for n in ("accel", "gyro") for a in "xyz")
+}
+MOST_SHAPES = 64
+ATTEMPTS, PATIENCE = 3, 0.5
+
+
+class XsensParameters(SerialSensorParameters):
+    """An Xsens MTi on a serial line."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(Choice(tuple(OUTPUTS)), minimum=1),
+        "What every frame holds. delta_v and delta_q are recorded as the means over the frame, instead of acceleration and rate.",
+        ["rate", "acceleration", "temperature"],
+        ("rate", "acceleration"),
+    )
+    configure: bool = key(
+        Boolean(),
+        "Whether the outputs, with packet counter and status word, and the rate are set when connecting; else they must be set so.",
+        True,
+        False,
+    )
+
+
+class XsensMti(SerialSensor):
+    """An Xsens MTi on a serial line (MTData2)."""
+
+    Parameters = XsensParameters
+    manufacturer = "Xsens"
+    product = "MTi"
+
+    @classmethod
+    def model(cls, parameters: Any) -> SensorModel:
+        return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
+
+    @classmethod
+    def decoder_of(cls, parameters: Any) -> MtData2:
+        return MtData2(parameters.outputs, parameters.sample_rate.value)
+
+    @classmethod
+    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+        if not parameters.configure:
+            return {}
+        rate = round(parameters.sample_rate.value)
+        wanted = [
+            (PACKET_COUNTER, 0xFFFF),
+            (STATUS_WORD, 0xFFFF),
+            *((OUTPUTS[name][0], rate) for name in parameters.outputs),
+        ]
+        settings = b"".join(number.to_bytes(2, "big") for item in wanted for number in item)
+        ask(link, clock, GO_TO_CONFIG)
+        ask(link, clock, SET_OUTPUTS, settings)
+        ask(link, clock, GO_TO_MEASUREMENT)
+        return {"configured": ", ".join(parameters.outputs)}
+
+
+# -- messages ----------------------------------------------------------------------------------------------------------
+
+
+def message(identifier: int, data: bytes = b"") -> bytes:
+    """A message to the sensor. data: at most 254 bytes."""
+    body = bytes([0xFF, identifier, len(data)]) + data
+    return b"\xfa" + body + bytes([ZERO_SUM8.of(body)])
+
+
+def error_of(found: bytes) -> int | None:
+    """The code of an error message, None for any other."""
+    return found[4] if len(found) > 5 and found[2] == ERROR else None
+
+
+def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") -> bytes:
+    """Send a message until it is answered by the next higher identifier; what comes beside it is passed over. Raises
+    `InstrumentError`."""
+    for _ in range(ATTEMPTS):
+        framer = Framer(Framing(b"\xfa\xff", LONGEST, XBUS, ZERO_SUM8, 1, 1))
+        link.write(message(identifier, data))
+        until = clock.now() + PATIENCE
+        while clock.now() < until:
+            clock.sleep(0.01)
+            frames = framer.push(link.take())
+            for start, length in zip(frames.starts, frames.lengths, strict=True):
+                found = frames.data[start : start + length].tobytes()
+                if found[2] == identifier + 1:
+                    return found
+                if (code := error_of(found)) is not None:
+                    raise InstrumentError(
+                        f"the MTi refuses message {identifier:02X} with error {code:02X}: look at its outputs and rate"
+                    )
+    raise InstrumentError(
+        f"the MTi does not answer message {identifier:02X}: look at its port, `baud`, and that it is an MTi"
+    )
+
+
+# -- measurements ------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class MtData2:
+    """Frames with at least these outputs; others are refused. Frames of one shape are read together."""
+
+    outputs: tuple[str, ...]
+    rate: float
+    framing: Framing = field(
+        default=Framing(bytes([0xFA, 0xFF, MT_DATA_2]), LONGEST, XBUS, ZERO_SUM8, 1, 1), init=False
+    )
+    _shapes: dict[bytes, tuple[Whole, FrameLayout | None]] = field(default_factory=dict, init=False)
+
+    @property
+    def counter(self) -> Counter:
+        return Counter(1 / self.rate, 1, 1 << 16)
+
+    def channels(self) -> Mapping[str, str]:
+        return {name: unit for output in self.outputs for name, unit in CHANNELS[output].items()}
+
+    def decode(self, frames: Frames) -> Samples:
+        left = np.arange(len(frames))
+        parts: list[Samples] = []
+        refused = 0
+        while left.size:
+            first, length = int(frames.starts[left[0]]), int(frames.lengths[left[0]])
+            heads, layout = self._shape(frames.data[first : first + length].tobytes())
+            alike = frames.lengths[left] == length
+            places = frames.starts[left[alike], None] + heads
+            alike[alike] = np.all(frames.data[places] == frames.data[first + heads], axis=1)
+            if layout is None:
+                refused += int(np.count_nonzero(alike))
+            else:
+                # In place of times the frames' numbers, by which the shapes are put in order again.
+                chosen = replace(frames.of(left[alike]), received=left[alike].astype(float))
+                parts.append(layout.decode(chosen))
+            left = left[~alike]
+        return self._joined(parts, refused, frames.received)
+
+    def _joined(self, parts: list[Samples], refused: int, received: Array) -> Samples:
+        """Samples of several shapes in the order in which they came."""
+        if not parts:
+            empty = np.empty(0)
+            channels = dict.fromkeys(self.channels(), empty)
+            return Samples(empty, np.empty(0, np.int64), empty, channels, np.empty(0, bool), refused=refused)
+        whole = reduce(Samples.and_then, parts)
+        whole = whole.part(np.argsort(whole.received))
+        return replace(
+            whole,
+            received=received[whole.received.astype(int)],
+            channels=self._as_recorded(whole.channels),
+            doubts=tuple(dict.fromkeys(text for samples in parts for text in samples.doubts)),
+            refused=refused + sum(samples.refused for samples in parts),
+        )
+
+    def _as_recorded(self, channels: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Increments as means over the frame. A quaternion increment turns by 2·atan2(|v|, w) about v."""
+        made = dict(channels)
+        if "delta_q" in self.outputs:
+            w, *vector = (made.pop(f"q{place}") for place in range(4))
+            length = np.sqrt(sum(part * part for part in vector))
+            angle = 2 * np.arctan2(length, np.abs(w)) * np.where(w < 0, -1.0, 1.0)
+            factor = np.where(length > 0, angle / np.where(length > 0, length, 1.0), 2.0) * self.rate
+            made |= {f"gyro_{axis}": factor * part for axis, part in zip("xyz", vector, strict=True)}
+        return {name: made[name] for name in self.channels()}
+
+    def _shape(self, frame: bytes) -> tuple[Whole, FrameLayout | None]:
+        """Where the packets' heads stand in frames like this one, and how they are read; None: not at all."""
+        start = 4 if frame[3] != 255 else 6
+        packets: dict[int, tuple[int, int, int]] = {}
+        heads: list[int] = []
+        place, whole = start, True
+        while place < len(frame) - 1:
+            if place + 3 > len(frame) - 1 or place + 3 + frame[place + 2] > len(frame) - 1:
+                whole = False
+                break
+            heads += [place, place + 1, place + 2]
+            identifier = int.from_bytes(frame[place : place + 2], "big")
+            packets.setdefault(identifier & 0xFFF0, (identifier & 3, place + 3, frame[place + 2]))
+            place += 3 + frame[place + 2]
+        signature = (
+            bytes([frame[3]]) + b"".join(frame[head : head + 1] for head in heads) + len(heads).to_bytes(2, "big")
+        )
+        if signature not in self._shapes:
+            if len(self._shapes) >= MOST_SHAPES:
+                self._shapes.clear()
+            self._shapes[signature] = (np.array(heads, np.int64), self._layout(packets) if whole else None)
+        return self._shapes[signature]
+
+    def _layout(self, packets: Mapping[int, tuple[int, int, int]]) -> FrameLayout | None:
+        fields: dict[str, Field] = {}
+        for output in self.outputs:
+            identifier, count = OUTPUTS[output]
+            precision, place, length = packets.get(identifier, (0, 0, 0))
+            width, kind, scale = NUMBERS[precision]
+            if length != width * count:
+                return None
+            names = [f"q{item}" for item in range(4)] if output == "delta_q" else list(CHANNELS[output])
+            scale *= self.rate if output == "delta_v" else 1.0
+            fields |= {name: Field(place + width * item, width, kind, scale) for item, name in enumerate(names)}
+        if packets.get(PACKET_COUNTER, (0, 0, 0))[2] != 2:
+            return None
+        statuses: tuple[Status, ...] = ()
+        if packets.get(STATUS_WORD, (0, 0, 0))[2] == 4:
+            word = Field(packets[STATUS_WORD][1], 4, UNSIGNED)
+            statuses = (Status(word, "MTi", CLIPPED), Status(word, "MTi", {0: "self-test failed"}, set_is_good=True))
+        counts = Field(packets[PACKET_COUNTER][1], 2, UNSIGNED)
+        return FrameLayout(self.framing, fields, dict.fromkeys(fields, ""), self.counter, counts, statuses=statuses)

@@ -1,0 +1,106 @@
+"""Keys of a table in the bench file that every table has, simulated or real: its axes and its stated uncertainties."""
+
+from __future__ import annotations
+
+import math
+
+from planrunner.instruments.models import TableModel
+from planrunner.physics.kinematics import TableAxis, Unreachable, check_geometry
+from planrunner.plan import source
+from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
+from planrunner.plan.orientation import DIRECTIONS
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+
+class AxisSpec(Record):
+    """One axis of a table."""
+
+    name: str = key(Text(r"[^\x00-\x1f]{1,40}", "a name"), "Name of the axis.", "outer")
+    direction: str = key(
+        Choice(tuple(DIRECTIONS)), "Where the axis points when all joints stand at zero and the azimuth is zero.", "up"
+    )
+    max_rate: Quantity = key(QuantityOf("angular rate", "positive"), "Highest rate.", "400 deg/s")
+    max_acceleration: Quantity = key(
+        QuantityOf("angular acceleration", "positive"), "Highest acceleration.", "200 deg/s^2"
+    )
+    lowest: Quantity | None = key(
+        QuantityOf("angle"), "Lower joint limit; without limits the axis is continuous (slip rings).", "-100 deg", None
+    )
+    highest: Quantity | None = key(QuantityOf("angle"), "Upper joint limit.", "100 deg", None)
+
+    def axis(self) -> TableAxis:
+        east, north, up = DIRECTIONS[self.direction]
+        return TableAxis(
+            self.name,
+            (float(east), float(north), float(up)),
+            self.max_rate.value,
+            self.max_acceleration.value,
+            -math.inf if self.lowest is None else self.lowest.value,
+            math.inf if self.highest is None else self.highest.value,
+        )
+
+
+class AxesKind:
+    """The axes of a table, outermost first: one to three, each at right angles to the one that carries it."""
+
+    def __init__(self, spec: type[AxisSpec] = AxisSpec):
+        self._list = ListOf(RecordOf(spec), minimum=1)
+
+    def read(self, node: source.Node, log: Findings) -> tuple[AxisSpec, ...] | None:
+        before = len(log.errors)
+        specs: tuple[AxisSpec, ...] | None = self._list.read(node, log)
+        if specs is None or len(log.errors) > before:
+            return None
+        for spec in specs:
+            if spec.lowest is not None and spec.highest is not None and spec.lowest.value >= spec.highest.value:
+                log.error("meaning-axis-limits", spec.at("lowest"), "lowest is not below highest", "exchange them")
+            elif spec.axis().lowest > 0 or spec.axis().highest < 0:
+                log.error(
+                    "meaning-axis-limits", spec.origin.mark, "the limits leave out joint angle zero", "include 0 deg"
+                )
+        names = [spec.name for spec in specs]
+        for index, spec in enumerate(specs):
+            if spec.name in names[:index]:
+                message = f"two axes are called '{spec.name}'"
+                log.error("meaning-table-axes", spec.at("name"), message, "give each a name of its own")
+        try:
+            check_geometry([spec.axis() for spec in specs])
+        except Unreachable as error:
+            log.error("meaning-table-axes", node.mark, str(error), "list the axes outermost first")
+        return None if len(log.errors) > before else specs
+
+    def schema(self) -> Schema:
+        return {**self._list.schema(), "maxItems": 3}
+
+
+class TableKeys(Record):
+    """What a table is, for whoever plans for it."""
+
+    axes: tuple[AxisSpec, ...] = key(
+        AxesKind(),
+        "The axes, outermost first, one to three.",
+        [{"name": "outer", "direction": "up", "max_rate": "400 deg/s", "max_acceleration": "200 deg/s^2"}],
+    )
+    position_uncertainty: Quantity = key(
+        QuantityOf("angle", "not negative"),
+        "Declared standard uncertainty of an orientation.",
+        "3 arcsec",
+        parse_quantity("0 arcsec"),
+    )
+    orthogonality: Quantity = key(
+        QuantityOf("angle", "not negative"),
+        "Declared standard uncertainty of the right angles between neighbouring axes.",
+        "5 arcsec",
+        parse_quantity("0 arcsec"),
+    )
+    rate_stability: Quantity = key(
+        QuantityOf("ratio", "not negative"),
+        "Declared relative standard uncertainty of a rate.",
+        "10 ppm",
+        parse_quantity("0 ppm"),
+    )
+
+    def model(self) -> TableModel:
+        axes = tuple(spec.axis() for spec in self.axes)
+        return TableModel(axes, self.position_uncertainty.value, self.rate_stability.value, self.orthogonality.value)

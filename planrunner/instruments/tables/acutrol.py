@@ -1,0 +1,203 @@
+"""Tables with an ACUTROL 3000 or ACT2000 controller, in its command language ACL, over GPIB or raw TCP (port 9878).
+
+Commands are `:Main:Sub axis,argument;Sub axis,argument` and are not answered; whether one was taken is seen in the status byte, which
+`:status:stb?` reads without clearing it. GPIB is as its manual describes; the framing over TCP is not confirmed on hardware
+(`acutrol_framing`). Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.models import TableModel
+from planrunner.instruments.tables.acutrol_framing import AcutrolFraming
+from planrunner.instruments.tables.axis_table import AxisBounds, AxisState, AxisTable, Sine
+from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import number, numbers, written
+
+PACE = {"GPIB": 0.04, "TCPIP": 0.002}
+"""s between two messages that the controller needs."""
+INTERLOCK, PROCESSOR, SUPERVISOR, REFUSED = 1, 2, 4, 8
+"""Bits of the status byte."""
+SERVICES = ("pos", "rate", "synt")
+"""The modes that have limits of their own."""
+TRIP = 1.1
+"""The over-rate trip, in terms of the highest rate."""
+MODES = {"p": "pos", "r": "rate", "s": "synt"}
+
+
+class AcutrolParameters(LinkKeys, WiredTableKeys):
+    """A table with an ACUTROL controller."""
+
+
+class Acutrol:
+    """A table with an ACUTROL 3000 or ACT2000 controller, over GPIB or TCP."""
+
+    role = "table"
+    Parameters = AcutrolParameters
+
+    @classmethod
+    def model(cls, parameters: AcutrolParameters) -> TableModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: AcutrolParameters) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: AcutrolParameters, surroundings: Surroundings) -> AxisTable:
+        return AxisTable.connect(AcutrolCommands(parameters), parameters, surroundings)
+
+
+class AcutrolCommands:
+    """How an ACUTROL is told; an `AxisCommands`."""
+
+    rocks = True
+
+    def __init__(self, parameters: AcutrolParameters):
+        address = parameters.address.upper()
+        pace = next((seconds for bus, seconds in PACE.items() if address.startswith(bus)), 0.0)
+        settings = LinkSettings(parameters.address, parameters.timeout.value, "\n", pace, parameters.baud)
+        self.link = MessageLink(settings, AcutrolFraming() if address.endswith("::SOCKET") else Lines())
+        self.parameters = parameters
+        self.axes = [axis.number for axis in counted(parameters)]
+        self._modes: dict[int, str] = {}
+
+    def identify(self) -> Mapping[str, str]:
+        said = self.link.query("*IDN?")
+        self.parameters.check_identity(said, "ACUT")
+        return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+
+    def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
+        # What was before does not concern us; a fault that still stands comes back at once.
+        self.link.query("*STB?", after=[":interlock:reset"], again=False)
+        reach = numbers(self.link, f":limit:absolute? {axis}", 6)
+        if bounds.rate > reach[0] or bounds.acceleration > reach[1]:
+            able = f"{reach[0]:g} deg/s and {reach[1]:g} deg/s^2"
+            raise InstrumentError(
+                f"axis {axis} of the ACUTROL reaches {able}, less than the bench file says ({bounds.rate:g}, "
+                f"{bounds.acceleration:g}): correct max_rate and max_acceleration"
+            )
+        low = reach[3] if bounds.lowest is None else bounds.lowest
+        high = reach[4] if bounds.highest is None else bounds.highest
+        trip = min(reach[5], TRIP * bounds.rate)
+        wanted = {"rate": bounds.rate, "acc": bounds.acceleration}
+        ends = ",".join(map(written, (low, high, trip, bounds.tracking_error)))
+        self._do(
+            *(f":lim:{what} {mode},{axis},{written(value)}" for what, value in wanted.items() for mode in SERVICES),
+            f":limit:global {axis},{ends}",
+        )
+        for what, value in wanted.items():
+            kept = number(self.link, f":limit:{what}? rate,{axis}")
+            if abs(kept - value) > 1e-3 * value:
+                raise InstrumentError(
+                    f"axis {axis} of the ACUTROL keeps {kept:g} as its {what} limit instead of {value:g}"
+                )
+        ends_told = "" if bounds.lowest is None else f", beyond {written(low)} to {written(high)} deg"
+        return [
+            f"axis {axis}: at most {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; trips at {trip:g} deg/s, "
+            f"{bounds.tracking_error:g} deg of tracking error{ends_told}"
+        ]
+
+    def energise(self) -> None:
+        off = ";".join(f"off {axis}" for axis in self.axes)
+        close = ";".join(f"close {axis}" for axis in self.axes)
+        self._do(":interlock:reset", f":mode:{off}", f":int:{close}")
+        for axis in self.axes:
+            if self.link.query(f":interlock? {axis}").casefold().startswith("fault"):
+                raise InstrumentError(
+                    f"the interlock of axis {axis} does not close: look at doors, emergency stops and drives, then try again"
+                )
+        self._modes = dict.fromkeys(self.axes, "off")
+
+    def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
+        # What is not in its position mode holds where it is first, so that no earlier demand takes effect with the mode.
+        entering = {axis: here[axis] for axis in positions if self._modes.get(axis) != "pos"}
+        hold = [_joined("dem", "pos", entering), _joined("mode", "pos", entering)] if entering else []
+        self._do(*hold, _joined("dem", "pos", positions))
+        self._modes.update(dict.fromkeys(positions, "pos"))
+
+    def turn(self, axis: int, rate: float) -> None:
+        if self._modes.get(axis) == "rate":
+            self._do(f":dem:rate {axis},{written(rate)}")
+        else:
+            self._do(f":dem:rate {axis},0", f":mode:rate {axis}", f":dem:rate {axis},{written(rate)}")
+        self._modes[axis] = "rate"
+
+    def rock(self, sines: Mapping[int, Sine]) -> None:
+        still = {axis: Sine(0.0, sine.frequency, sine.phase) for axis, sine in sines.items()}
+        entering = any(self._modes.get(axis) != "synt" for axis in sines)
+        enter = [_oscillation(still), ":mode:" + ";".join(f"synt {axis}" for axis in sines)] if entering else []
+        self._do(*enter, _oscillation(sines))
+        self._modes.update(dict.fromkeys(sines, "synt"))
+
+    def state(self, axis: int) -> AxisState:
+        position, rate = numbers(self.link, f":read:pos? {axis};rate? {axis}", 2)
+        return AxisState(position, rate)
+
+    def faults(self) -> Sequence[str]:
+        found = self._reported()
+        strayed = []
+        for axis, mode in self._modes.items():
+            said = self.link.query(f":mode? {axis}")
+            if MODES.get(said[:1].casefold(), said.casefold()) != mode:
+                strayed.append(f"axis {axis} went into the mode '{said}' by itself")
+        if strayed and not found:  # it happened between the two questions
+            found = self._reported()
+        return found + strayed
+
+    def _reported(self) -> list[str]:
+        status = _byte(self.link.query(":status:stb?"))
+        return [
+            f"{what}: look at the controller's display"
+            for bit, what in (
+                (INTERLOCK, "an interlock is open or a trip has opened it"),
+                (PROCESSOR, "the axis control processor reports a fault"),
+                (SUPERVISOR, "the supervisor reports a fault"),
+            )
+            if status & bit
+        ]
+
+    def stop(self) -> None:
+        self._modes = {}
+        self.link.query(":status:stb?", after=[":mode:off all"])
+
+    def switch_off(self) -> None:
+        self._modes = {}
+        self.link.write(":int:open all")
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()
+
+    def _do(self, *commands: str) -> None:
+        """Send commands; raises `InstrumentError` when one was not taken."""
+        if not _byte(self.link.query(":status:stb?", after=commands)) & REFUSED:
+            return
+        self.link.query("*STB?", again=False)
+        raise InstrumentError(f"the ACUTROL does not take one of: {', '.join(commands)}")
+
+
+def _byte(text: str) -> int:
+    if not text.isdecimal() or int(text) > 255:
+        raise InstrumentError(f"the ACUTROL gives '{text[:40]}' as its status byte, which is none")
+    return int(text)
+
+
+def _joined(main: str, sub: str, values: Mapping[int, float]) -> str:
+    """`:dem:pos 1,90;pos 2,45`, or `:mode:pos 1;pos 2`."""
+    parts = [f"{sub} {axis}" + (f",{written(value)}" if main == "dem" else "") for axis, value in values.items()]
+    return f":{main}:" + ";".join(parts)
+
+
+def _oscillation(sines: Mapping[int, Sine]) -> str:
+    parts = [
+        f"osc {axis},{','.join(map(written, (sine.amplitude, sine.frequency, sine.phase)))}"
+        for axis, sine in sines.items()
+    ]
+    return ":dem:" + ";".join(parts)

@@ -1,0 +1,120 @@
+"""Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. Experimental.
+
+Written from open drivers alone: a command is a mnemonic and its number, answered by a line and a prompt; jogging and rocking are
+answered only when they end, which this driver does not wait for. No limit trips by itself that these sources know of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.models import TableModel
+from planrunner.instruments.tables.axis_table import AxisBounds, AxisState, AxisTable, Sine
+from planrunner.instruments.tables.wired_axes import WiredTableKeys
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import Incoming, LinkFailure, LinkSettings, MessageLink, shown
+from planrunner.instruments.wire.replies import number, written
+
+PROMPT = b">"
+END = b"\r"
+
+
+class PromptedLines:
+    """A line, then a line that is the prompt alone."""
+
+    def read(self, incoming: Incoming) -> bytes:
+        line = incoming.until(END)
+        prompt = incoming.until(END).strip()
+        if prompt != PROMPT:
+            raise LinkFailure(f"answers with {shown(prompt)} where its prompt belongs")
+        return line
+
+
+class AerosmithParameters(LinkKeys, WiredTableKeys):
+    """A single-axis table of Ideal Aerosmith."""
+
+
+class Aerosmith:
+    """A single-axis table of Ideal Aerosmith, over a serial line (experimental)."""
+
+    role = "table"
+    Parameters = AerosmithParameters
+
+    @classmethod
+    def model(cls, parameters: AerosmithParameters) -> TableModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: AerosmithParameters) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: AerosmithParameters, surroundings: Surroundings) -> AxisTable:
+        if len(parameters.axes) != 1:
+            raise InstrumentError(f"the bench file gives this single-axis table {len(parameters.axes)} axes")
+        return AxisTable.connect(AerosmithCommands(parameters), parameters, surroundings)
+
+
+class AerosmithCommands:
+    """How such a table is told; an `AxisCommands`."""
+
+    rocks = True
+
+    def __init__(self, parameters: AerosmithParameters):
+        settings = LinkSettings(
+            parameters.address, parameters.timeout.value, "\r\n", baud=parameters.baud, idle=b"\r\n >"
+        )
+        self.link = MessageLink(settings, PromptedLines())
+
+    def identify(self) -> Mapping[str, str]:
+        return {"manufacturer": "Ideal Aerosmith", "model": "table language ATL", "status": self.link.query("STA")}
+
+    def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
+        self._do(f"ACL{written(bounds.acceleration)}")
+        self._do(f"VEL{written(bounds.rate)}")
+        return [f"moves at {bounds.rate:g} deg/s and {bounds.acceleration:g} deg/s^2; nothing trips by itself"]
+
+    def energise(self) -> None:
+        """It is ready as it is."""
+
+    def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
+        for position in positions.values():
+            self._do(f"MOV{written(position)}")
+
+    def turn(self, axis: int, rate: float) -> None:
+        self.link.write("STO" if rate == 0.0 else f"JOG{written(rate)}")
+
+    def rock(self, sines: Mapping[int, Sine]) -> None:
+        for sine in sines.values():
+            if sine.amplitude == 0.0:
+                self.stop()
+                continue
+            if sine.phase % 360 != 0.0:
+                raise InstrumentError("this table begins rocking at phase zero only")
+            self._do(f"AMP{written(abs(sine.amplitude))}")
+            self._do(f"FRQ{written(sine.frequency)}")
+            self._do("CYC0")
+            self.link.write("SGO")
+
+    def state(self, axis: int) -> AxisState:
+        return AxisState(number(self.link, "PPO"), number(self.link, "PVE"))
+
+    def faults(self) -> Sequence[str]:
+        return []
+
+    def stop(self) -> None:
+        self.link.write("STO")
+
+    def switch_off(self) -> None:
+        """It stands, servo on."""
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()
+
+    def _do(self, command: str) -> None:
+        if self.link.query(command, again=False) == "?":
+            raise InstrumentError(f"the table does not take '{command}'")

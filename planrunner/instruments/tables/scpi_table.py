@@ -1,0 +1,178 @@
+"""Tables with commands in the manner of SCPI, which the bench file names, because no standard says what they are called.
+
+Whatever is not answered is followed by the error query, so that a command which is not taken is noticed at once.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.models import TableModel
+from planrunner.instruments.tables.axis_table import AxisBounds, AxisState, AxisTable, Sine
+from planrunner.instruments.tables.command_templates import CommandTemplate, filled
+from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
+from planrunner.instruments.wire.link_keys import LinkKeys
+from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import number
+from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Text, key
+
+ENDS = {"LF": "\n", "CR": "\r", "CRLF": "\r\n"}
+NO_ERROR = re.compile(r"[+-]?0+\s*(,|$)")
+LIMITS = ("axis", "rate", "acceleration", "tracking_error")
+SINE = ("axis", "amplitude", "frequency", "phase")
+
+
+class TableCommands(Record):
+    """The commands of a table. `{axis}` stands for the axis's number; degrees, deg/s and Hz for the other places."""
+
+    identify: str = key(Text(), "Asks who it is.", "*IDN?", "*IDN?")
+    error: str = key(
+        Text(), "Asks for the oldest error; an answer that begins with 0 means none.", "SYST:ERR?", "SYST:ERR?"
+    )
+    limit: tuple[str, ...] = key(
+        ListOf(CommandTemplate(LIMITS)),
+        "Set what an axis keeps to by itself; with {rate}, {acceleration} and {tracking_error}.",
+        ["AXIS{axis}:LIM:RATE {rate}", "AXIS{axis}:LIM:ACC {acceleration}"],
+        default_factory=tuple,
+    )
+    energise: tuple[str, ...] = key(
+        ListOf(CommandTemplate(("axis",))),
+        "Switch the drive of an axis on.",
+        ["AXIS{axis}:DRIVE ON"],
+        default_factory=tuple,
+    )
+    go_to: str | None = key(
+        CommandTemplate(("axis", "position")), "Go to a {position} and stand there.", "AXIS{axis}:POS {position}", None
+    )
+    turn: str | None = key(
+        CommandTemplate(("axis", "rate")), "Turn at a {rate}, zero included.", "AXIS{axis}:RATE {rate}", None
+    )
+    rock: str | None = key(
+        CommandTemplate(SINE),
+        "Rock about the present position with {amplitude}, {frequency} and {phase}; amplitude zero ends it.",
+        "AXIS{axis}:SINE {amplitude},{frequency},{phase}",
+        None,
+    )
+    stop: str = key(CommandTemplate(("axis",)), "Bring an axis to rest, controlled.", "AXIS{axis}:STOP")
+    switch_off: tuple[str, ...] = key(
+        ListOf(CommandTemplate(("axis",))),
+        "Switch the drive of an axis off.",
+        ["AXIS{axis}:DRIVE OFF"],
+        default_factory=tuple,
+    )
+    position: str = key(CommandTemplate(("axis",)), "Asks for the position in degrees.", "AXIS{axis}:POS?")
+    rate: str = key(CommandTemplate(("axis",)), "Asks for the rate in deg/s.", "AXIS{axis}:RATE?")
+
+
+class ScpiTableParameters(LinkKeys, WiredTableKeys):
+    """A table whose commands stand in the bench file."""
+
+    ends: str = key(Choice(tuple(ENDS)), "What ends a message, in both directions.", "LF", "LF")
+    commands: TableCommands = key(
+        RecordOf(TableCommands),
+        "The table's commands.",
+        {"stop": "AXIS{axis}:STOP", "position": "AXIS{axis}:POS?", "rate": "AXIS{axis}:RATE?"},
+    )
+
+
+class ScpiTable:
+    """A table with commands in the manner of SCPI, named in the bench file."""
+
+    role = "table"
+    Parameters = ScpiTableParameters
+
+    @classmethod
+    def model(cls, parameters: ScpiTableParameters) -> TableModel:
+        return parameters.model()
+
+    @classmethod
+    def address(cls, parameters: ScpiTableParameters) -> str:
+        return parameters.address
+
+    @classmethod
+    def connect(cls, parameters: ScpiTableParameters, surroundings: Surroundings) -> AxisTable:
+        return AxisTable.connect(ScpiTableCommands(parameters), parameters, surroundings)
+
+
+class ScpiTableCommands:
+    """How such a table is told; an `AxisCommands`."""
+
+    def __init__(self, parameters: ScpiTableParameters):
+        end = ENDS[parameters.ends]
+        settings = LinkSettings(parameters.address, parameters.timeout.value, end, baud=parameters.baud)
+        self.link = MessageLink(settings, Lines(end.encode()))
+        self.parameters, self.commands = parameters, parameters.commands
+        self.axes = [axis.number for axis in counted(parameters)]
+        self.rocks = self.commands.rock is not None
+
+    def identify(self) -> Mapping[str, str]:
+        said = self.link.query(self.commands.identify)
+        self.parameters.check_identity(said, "")
+        return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
+
+    def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
+        values = {"rate": bounds.rate, "acceleration": bounds.acceleration, "tracking_error": bounds.tracking_error}
+        made = [filled(template, axis, **values) for template in self.commands.limit]
+        if made:
+            self._do(made)
+        return [f"axis {axis}: {command}" for command in made]
+
+    def energise(self) -> None:
+        self._do([filled(template, axis) for axis in self.axes for template in self.commands.energise])
+
+    def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
+        template = self._known(self.commands.go_to, "go_to", "a position")
+        self._do([filled(template, axis, position=position) for axis, position in positions.items()])
+
+    def turn(self, axis: int, rate: float) -> None:
+        self._do([filled(self._known(self.commands.turn, "turn", "a rate"), axis, rate=rate)])
+
+    def rock(self, sines: Mapping[int, Sine]) -> None:
+        template = self._known(self.commands.rock, "rock", "rocking")
+        self._do(
+            [
+                filled(template, axis, amplitude=sine.amplitude, frequency=sine.frequency, phase=sine.phase)
+                for axis, sine in sines.items()
+            ]
+        )
+
+    def state(self, axis: int) -> AxisState:
+        position = number(self.link, filled(self.commands.position, axis))
+        return AxisState(position, number(self.link, filled(self.commands.rate, axis)))
+
+    def faults(self) -> Sequence[str]:
+        error = self._error(())
+        return [f"it reports {error[:80]}"] if error else []
+
+    def stop(self) -> None:
+        self.link.write(*(filled(self.commands.stop, axis) for axis in self.axes))
+
+    def switch_off(self) -> None:
+        commands = [filled(template, axis) for axis in self.axes for template in self.commands.switch_off]
+        if commands:
+            self.link.write(*commands)
+
+    def remarks(self) -> Sequence[str]:
+        return self.link.remarks()
+
+    def close(self) -> None:
+        self.link.close()
+
+    def _do(self, commands: Sequence[str]) -> None:
+        error = self._error(commands)
+        if error:
+            raise InstrumentError(f"the table does not take one of {', '.join(commands)}: {error[:80]}")
+
+    def _error(self, commands: Sequence[str]) -> str:
+        """What it reports after these commands; empty when all is well."""
+        said = self.link.query(self.commands.error, after=commands, again=False)
+        return "" if NO_ERROR.match(said) else said or "an empty error message"
+
+    def _known(self, template: str | None, name: str, what: str) -> str:
+        if template is None:
+            raise InstrumentError(
+                f"the bench file names no command for {what} of this table: add commands.{name}, if it has one"
+            )
+        return template

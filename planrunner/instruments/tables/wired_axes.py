@@ -1,0 +1,82 @@
+"""Keys of a real table: how its controller counts each axis, and when a state counts as reached."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from planrunner.instruments.table_keys import AxesKind, AxisSpec, TableKeys
+from planrunner.plan.kinds import Choice, Number, QuantityOf, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+
+class WiredAxisSpec(AxisSpec):
+    """One axis of a real table."""
+
+    number: int | None = key(
+        Number(1, 16, integer=True), "Number of the axis at the controller; without it its place in the list.", 1, None
+    )
+    zero: Quantity = key(
+        QuantityOf("angle"),
+        "What the controller reads when the joint stands at zero.",
+        "12.5 deg",
+        parse_quantity("0 deg"),
+    )
+    sense: str = key(
+        Choice(("counterclockwise", "clockwise")),
+        "Which way the controller counts positive, looking against the axis's direction.",
+        "clockwise",
+        "counterclockwise",
+    )
+
+
+class WiredTableKeys(TableKeys):
+    """What is known of a real table beside its link."""
+
+    axes: tuple[WiredAxisSpec, ...] = key(
+        AxesKind(WiredAxisSpec),
+        "The axes, outermost first, one to three.",
+        [{"name": "table", "direction": "up", "max_rate": "400 deg/s", "max_acceleration": "200 deg/s^2"}],
+    )
+    position_tolerance: Quantity = key(
+        QuantityOf("angle", "positive"),
+        "How near to its target an axis must stand to count as there.",
+        "10 arcsec",
+        parse_quantity("0.01 deg"),
+    )
+    rate_tolerance: Quantity = key(
+        QuantityOf("angular rate", "positive"),
+        "How near to its target a rate must be to count as held.",
+        "0.01 deg/s",
+        parse_quantity("0.02 deg/s"),
+    )
+    tracking_error: Quantity = key(
+        QuantityOf("angle", "positive"),
+        "Following error at which the controller shall stop an axis by itself, where it can.",
+        "0.5 deg",
+        parse_quantity("1 deg"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CountedAxis:
+    """One axis as its controller counts it: `number`, its reading [deg] at joint zero, and 1 or −1 for its sense."""
+
+    number: int
+    zero: float
+    sense: int
+
+    def reading(self, joint: float) -> float:
+        """Joint angle [rad] → the controller's degrees."""
+        return self.zero + self.sense * math.degrees(joint)
+
+    def joint(self, reading: float) -> float:
+        return self.sense * math.radians(reading - self.zero)
+
+
+def counted(keys: WiredTableKeys) -> tuple[CountedAxis, ...]:
+    """The axes as their controller counts them, outermost first."""
+    return tuple(
+        CountedAxis(spec.number or place, math.degrees(spec.zero.value), -1 if spec.sense == "clockwise" else 1)
+        for place, spec in enumerate(keys.axes, start=1)
+    )

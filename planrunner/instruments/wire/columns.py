@@ -1,0 +1,45 @@
+"""Fields of frames straight to columns: integers of one to eight bytes, floats and fixed-point numbers, of either byte order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.wire.framing import Frames
+
+UNSIGNED, SIGNED, FLOAT, FRACTION_FIRST = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A number at `offset` of every frame: number × scale. kind: UNSIGNED or SIGNED of `width` 1 to 8 bytes, FLOAT of 4 or 8, or
+    FRACTION_FIRST (32 bits of fraction, then 16 of the integer). Exact up to 53 bits; `whole_numbers` is exact up to 64."""
+
+    offset: int
+    width: int
+    kind: int = SIGNED
+    scale: float = 1.0
+    little: bool = False
+
+
+def numbers(frames: Frames, fields: Sequence[Field]) -> NDArray[np.float64]:
+    """The fields of all frames, shape (fields, frames)."""
+    from planrunner.instruments.wire.kernels import scaled
+
+    places = np.array([(item.offset, item.width, item.kind, item.little) for item in fields], np.int64).reshape(-1, 4)
+    scales = np.array([item.scale for item in fields], float)
+    found: NDArray[np.float64] = scaled(frames.data, frames.starts, places, scales)
+    return found
+
+
+def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
+    """An integer field (n,), unscaled; one of eight bytes wraps at 2⁶³."""
+    from planrunner.instruments.wire.kernels import bits
+
+    found: NDArray[np.int64] = bits(
+        frames.data, frames.starts, item.offset, item.width, item.kind == SIGNED, item.little
+    )
+    return found

@@ -1,0 +1,110 @@
+"""Finding frames in a stream of bytes: sync, length, checksum; resynchronising; counting what is not a frame.
+
+A frame counts when its checksum fits. Where one is expected and is not there, or its checksum is wrong, a corrupt frame is counted and
+the search goes on one byte later, so that a frame hidden behind a false sync is never jumped over. What is held between two calls is
+shorter than the longest frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.wire.checksums import UNCHECKED, Bytes, Checksum
+
+FIXED, XBUS, LINE = range(3)
+
+
+@dataclass(frozen=True)
+class Framing:
+    """What frames look like.
+
+    sync: their first bytes. rule: FIXED (`longest` bytes), XBUS (a length byte at 3, or FF and two more; never over `longest`), LINE (up
+    to a line feed, never over `longest`). trailer: bytes that may follow a frame. The checksum covers the frame from byte `covered_from`
+    up to itself, `padding` zero bytes appended; it stands in the last `check_bytes`, low byte first where `little`. In a LINE it covers
+    what is between `$` and `*` and stands behind that in two hexadecimal digits.
+    """
+
+    sync: bytes
+    longest: int
+    rule: int = FIXED
+    checksum: Checksum = UNCHECKED
+    check_bytes: int = 0
+    covered_from: int = 0
+    padding: int = 0
+    little: bool = False
+    trailer: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes as they came; received: s, by the bench's clock, when they had been read."""
+
+    received: float
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Good frames in `data`: where each starts, its length, and when it was received: s, when its last byte had been read, less the time
+    that it takes on the line. Shapes (n,)."""
+
+    data: Bytes
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    received: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return int(self.starts.size)
+
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Frames:
+        """Some of them."""
+        return Frames(self.data, self.starts[chosen], self.lengths[chosen], self.received[chosen])
+
+
+@dataclass
+class Framer:
+    """Takes pieces of a stream and gives the frames that are complete. byte_time: s that a byte takes on the line. good, corrupt: frames;
+    skipped: bytes outside of frames; length: bytes of a frame, on the average of the last call that found some."""
+
+    framing: Framing
+    byte_time: float = 0.0
+    good: int = 0
+    corrupt: int = 0
+    skipped: int = 0
+    length: float = field(init=False)
+    _rest: bytes = b""
+    _expected: int = -1
+
+    def __post_init__(self) -> None:
+        self.length = float(self.framing.longest)
+
+    def push(self, pieces: Sequence[Piece]) -> Frames:
+        """The frames that these pieces complete, in order."""
+        from planrunner.instruments.wire.kernels import find
+
+        joined = b"".join([self._rest, *(piece.data for piece in pieces)])
+        data = np.frombuffer(joined, np.uint8)
+        framing = self.framing
+        starts, lengths, place, self._expected, corrupt, skipped = find(
+            data,
+            np.frombuffer(framing.sync, np.uint8),
+            np.frombuffer(framing.trailer, np.uint8),
+            (framing.rule, framing.longest, self._expected),
+            (framing.covered_from, framing.padding, framing.check_bytes, framing.little),
+            *framing.checksum.arguments,
+        )
+        ends = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
+        times = np.array([piece.received for piece in pieces])
+        received = np.empty(0)
+        if starts.size:
+            received = times[np.searchsorted(ends, starts + lengths)] - self.byte_time * lengths
+            self.length = float(np.mean(lengths))
+        self._rest = joined[place:]
+        self.good += int(starts.size)
+        self.corrupt += corrupt
+        self.skipped += skipped
+        return Frames(data, starts, lengths, received)

@@ -1,0 +1,208 @@
+"""When samples were taken: a sensor's counter laid against the times at which the computer read its frames.
+
+A reading is never early, only late, by as much as buffers and the operating system please. So the counter's line on the computer's clock
+is the one that lies under all readings and closest to them, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and
+removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network
+measurements, INFOCOM 2002). What is constant in the delay cannot be seen: transmission and what the sensor tells of its own latency are
+taken off before."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import InstrumentError
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+WINDOW = 1.0
+"""Of each so many seconds the least delayed reading is kept …"""
+MEMORY = 600
+"""… for so many of these: a line suits a crystal for some minutes."""
+SKEW_AFTER = 20.0
+"""Seconds of readings before the skew is taken from them."""
+SLEW = 0.01
+"""Time stamps follow a line that moves by at most so much of the time that passes."""
+PATIENCE = 0.5
+"""Seconds of readings after a silence that tell whether the computer slept or frames were lost."""
+BACKWARDS = 16
+"""Frames by which a counter may step back, when frames come out of order; not over an eighth of its range."""
+FORESTALLED = 1.0
+"""Seconds by which a frame seems to be read before it was sent: no clock does that, so its counter was set anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counter:
+    """How a sensor counts: `tick` s a count, `step` counts a frame, starting anew at `modulus`. A sensor without a counter is one with
+    the modulus 1, of which only whole silences can be seen."""
+
+    tick: float
+    step: float = 1.0
+    modulus: int = 1
+
+    @property
+    def interval(self) -> float:
+        """Seconds between frames."""
+        return self.tick * self.step
+
+
+@dataclass
+class Unwrapping:
+    """Counts frames on beyond the counter's modulus, however many whole turns of it were lost in a silence.
+
+    A silence with as few new counts as a turn more would also explain is either the computer's sleep, after which the readings catch up,
+    or a loss, after which they stay behind. It is decided when `PATIENCE` seconds of readings after it are there.
+    """
+
+    counter: Counter
+    haste: float = 1.0
+    """Seconds of the readings' clock in one of the wall: not 1 for a simulated sensor that hastens; the computer's delays do not."""
+    _raw: int = 0
+    _index: int = 0
+    _received: float = math.nan
+    _floor: float = math.nan
+
+    def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
+        """Indices (counts since the first frame) of as many of the frames as can be decided, all when `final`. Frames beyond these must
+        be given again, with those that follow. received: s; raw: the counter's values; shapes (n,). Raises `InstrumentError` when the
+        counter was set anew."""
+        if received.size == 0:
+            return np.empty(0, np.int64)
+        if math.isnan(self._received):
+            self._raw, self._received = int(raw[0]) - round(self.counter.step), float(received[0])
+            self._index = -round(self.counter.step)
+        index, waited = self._index + np.cumsum(self._steps(raw)), np.diff(received, prepend=self._received)
+        steps = np.diff(index, prepend=self._index)
+        period = self.counter.modulus * self.counter.tick
+        doubtful = (
+            max(period / 2, 0.1 * self.haste, 5 * self.counter.interval) if self.counter.modulus == 1 else period / 2
+        )
+        ready = received.size
+        for place in np.flatnonzero(waited - steps * self.counter.tick > doubtful):
+            if not final and received[-1] - received[place] < PATIENCE * self.haste:
+                ready = int(place)
+                break
+            behind = float(np.min((received - index * self.counter.tick)[place:]))
+            before = self._floor if place == 0 else self._lowest(received[:place], index[:place])
+            if not math.isnan(before):
+                index[place:] += max(0, round((behind - before) / period)) * self.counter.modulus
+        if ready:
+            self._refuse_jumps(received[:ready] - index[:ready] * self.counter.tick)
+            self._floor = self._lowest(received[:ready], index[:ready])
+            self._raw, self._index, self._received = (
+                int(raw[ready - 1]),
+                int(index[ready - 1]),
+                float(received[ready - 1]),
+            )
+        return index[:ready]
+
+    def _refuse_jumps(self, delay: Array) -> None:
+        """delay: s, but for a constant. Frames after a jump would lie beyond those to come."""
+        least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
+        if least < usual - FORESTALLED * self.haste:
+            message = f"the sensor's counter is {usual - least:.3g} s ahead of the frames that came"
+            raise InstrumentError(
+                f"{message}: was the sensor switched off and on? Look at its power, then resume the run"
+            )
+
+    def _steps(self, raw: Whole) -> Whole:
+        """Counts between frames; a little backwards is backwards."""
+        if self.counter.modulus == 1:
+            return np.ones(raw.size, np.int64)
+        steps: Whole = np.mod(np.diff(raw, prepend=self._raw), self.counter.modulus)
+        back = min(self.counter.modulus // 8, BACKWARDS * self.counter.step)
+        steps[steps > self.counter.modulus - back] -= self.counter.modulus
+        return steps
+
+    def _lowest(self, received: Array, index: Whole) -> float:
+        """The least delay of the last second, s, but for a constant."""
+        delay = received - index * self.counter.tick
+        recent = float(np.min(delay[received >= received[-1] - self.haste]))
+        return (
+            recent if math.isnan(self._floor) or received[-1] - received[0] >= self.haste else min(recent, self._floor)
+        )
+
+
+@dataclass
+class HostClock:
+    """The line of a counter on the computer's clock: `skew` (relative, positive when the sensor's ticks are longer than nominal; what it
+    is made with holds until its own readings tell), and how much later than the line frames were read: `usual_delay` (median) and
+    `worst_delay`, s."""
+
+    counter: Counter
+    skew: float = 0.0
+    haste: float = 1.0
+    worst_delay: float = 0.0
+    _points: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MEMORY))
+    _delays: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
+    _offset: float = math.nan
+    _last: tuple[int, float] | None = None
+
+    def stamp(self, index: Whole, received: Array) -> Array:
+        """Times (n,) in s, strictly increasing with the indices, from call to call too. index: increasing; received: s, less all delays
+        that are known."""
+        if index.size == 0:
+            return np.empty(0)
+        nominal = index.astype(float) * self.counter.tick
+        self._observe(nominal, received)
+        rate = self.counter.tick * (1 + self.skew)
+        end = self._offset + index[-1] * rate
+        if self._last is None:
+            times = end + (index - index[-1]).astype(float) * rate
+        else:
+            first, begun = self._last
+            slope = float(np.clip((end - begun) / ((int(index[-1]) - first) * rate), 1 - SLEW, 1 + SLEW)) * rate
+            times = begun + (index - first).astype(float) * slope
+        self._last = (int(index[-1]), float(times[-1]))
+        late = received - times
+        self._delays.append(float(np.median(late)))
+        self.worst_delay = max(self.worst_delay, float(np.max(late)))
+        return times
+
+    @property
+    def usual_delay(self) -> float:
+        return float(np.median(self._delays)) if self._delays else math.nan
+
+    def _observe(self, nominal: Array, received: Array) -> None:
+        delay = received - nominal
+        for begin in range(0, nominal.size, 4096):
+            least = begin + int(np.argmin(delay[begin : begin + 4096]))
+            self._keep(float(nominal[least]), float(delay[least]))
+        span = self._points[-1][0] - self._points[0][0]
+        if span >= SKEW_AFTER * self.haste:
+            self.skew, self._offset = line_under(np.array(self._points))
+        else:
+            self._offset = min(delay - self.skew * when for when, delay in self._points)
+
+    def _keep(self, nominal: float, delay: float) -> None:
+        """The least delay of every window."""
+        window = WINDOW * self.haste
+        if self._points and nominal // window == self._points[-1][0] // window:
+            if delay < self._points[-1][1]:
+                self._points[-1] = (nominal, delay)
+        else:
+            self._points.append((nominal, delay))
+
+
+def line_under(points: Array) -> tuple[float, float]:
+    """Slope and offset of the line that lies under all points (n, 2) and closest to them: the edge of their lower convex hull above
+    which the mean abscissa lies. Abscissae increase."""
+    hull: list[tuple[float, float]] = []
+    for x, y in points.tolist():
+        while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (
+            hull[-1][0] - hull[-2][0]
+        ):
+            hull.pop()
+        hull.append((x, y))
+    middle = float(np.mean(points[:, 0]))
+    for (left, low), (right, high) in pairwise(hull):
+        if middle <= right:
+            slope = (high - low) / (right - left)
+            return slope, low - slope * left
+    return 0.0, hull[-1][1]

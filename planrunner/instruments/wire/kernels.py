@@ -1,0 +1,288 @@
+"""What is done to every byte of a stream, compiled: checksums, the search for frames, fields to columns.
+
+Shapes and meanings stand with the functions of `checksums`, `framing` and `columns` that call these. Imports numba, and so is imported
+only where bytes are at hand.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planrunner.compiled import compiled
+from planrunner.instruments.wire.checksums import CRC, NEGATIVE_SUM, NONE, XOR
+from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED
+from planrunner.instruments.wire.framing import FIXED, LINE, XBUS
+
+LINE_FEED, CARRIAGE_RETURN, ASTERISK, COMMA = 10, 13, 42, 44
+
+
+@compiled()
+def _mirrored(number, bits):  # type: ignore[no-untyped-def]
+    found = np.uint32(0)
+    for _ in range(bits):
+        found = np.uint32((found << 1) | (number & 1))
+        number = np.uint32(number >> 1)
+    return found
+
+
+@compiled()
+def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+    """The check of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits; an
+    unsigned index spares it the question whether it counts from the end."""
+    if kind == XOR:
+        together = np.int64(0)
+        for item in range(length):
+            together ^= np.int64(data[np.uintp(start + item)])
+        return np.uint32(together)
+    if kind != CRC:
+        total = np.int64(0)
+        for item in range(length):
+            total += np.int64(data[np.uintp(start + item)])
+        return np.uint32((-total if kind == NEGATIVE_SUM else total) & 0xFF)
+    register = np.uint32(initial << (32 - width))
+    place, end = np.uintp(start), np.uintp(start + length)
+    if not reflected:
+        while place + np.uintp(8) <= end:
+            first = np.uint32(
+                (np.uint32(data[place]) << 24)
+                | (np.uint32(data[place + np.uintp(1)]) << 16)
+                | (np.uint32(data[place + np.uintp(2)]) << 8)
+                | np.uint32(data[place + np.uintp(3)])
+            )
+            register = np.uint32(register ^ first)
+            register = np.uint32(
+                tables[7, register >> 24]
+                ^ tables[6, (register >> 16) & 0xFF]
+                ^ tables[5, (register >> 8) & 0xFF]
+                ^ tables[4, register & 0xFF]
+                ^ tables[3, data[place + np.uintp(4)]]
+                ^ tables[2, data[place + np.uintp(5)]]
+                ^ tables[1, data[place + np.uintp(6)]]
+                ^ tables[0, data[place + np.uintp(7)]]
+            )
+            place += np.uintp(8)
+    stop = end + np.uintp(padding)
+    while place < stop:
+        byte = np.uint32(data[place]) if place < end else np.uint32(0)
+        if reflected:
+            byte = _mirrored(byte, 8)
+        register = np.uint32(np.uint32(register << 8) ^ tables[0, (register >> 24) ^ byte])
+        place += np.uintp(1)
+    register = np.uint32(register >> (32 - width))
+    if reflected:
+        register = _mirrored(register, width)
+    return np.uint32(register ^ np.uint32(final))
+
+
+@compiled()
+def values(data, starts, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+    found = np.empty(starts.size, np.uint32)
+    for item in range(starts.size):
+        found[item] = value(data, starts[item], length, padding, kind, width, tables, initial, reflected, final)
+    return found
+
+
+@compiled()
+def _matches(data, place, pattern):  # type: ignore[no-untyped-def]
+    """1: the pattern stands there; 0: it does not; -1: the data end within it."""
+    for item in range(pattern.size):
+        if place + item >= data.size:
+            return -1
+        if data[place + item] != pattern[item]:
+            return 0
+    return 1
+
+
+@compiled()
+def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
+    """Bytes of the frame that begins here; 0: none can; -1: not known yet."""
+    if rule == FIXED:
+        return longest
+    if rule == XBUS:
+        if place + 4 > data.size:
+            return -1
+        length = 5 + np.int64(data[place + 3])
+        if data[place + 3] == 255:
+            if place + 6 > data.size:
+                return -1
+            length = 7 + np.int64(data[place + 4]) * 256 + np.int64(data[place + 5])
+        return length if length <= longest else 0
+    for end in range(place + 1, min(place + longest, data.size)):
+        byte = data[np.uintp(end)]
+        if byte == LINE_FEED:
+            return end + 1 - place
+        if byte > 126:
+            return 0
+    return 0 if data.size - place >= longest else -1
+
+
+@compiled()
+def _digit(byte):  # type: ignore[no-untyped-def]
+    if 48 <= byte <= 57:
+        return byte - 48
+    if 65 <= byte <= 70:
+        return byte - 55
+    return byte - 87 if 97 <= byte <= 102 else 256
+
+
+@compiled()
+def _line_holds(data, place, length, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+    end = place + length - 1
+    if data[end - 1] == CARRIAGE_RETURN:
+        end -= 1
+    if length < 6 or end - 3 <= place or data[end - 3] != ASTERISK:
+        return False
+    told = np.int64(_digit(data[end - 2])) * 16 + np.int64(_digit(data[end - 1]))
+    found = value(data, place + 1, end - 4 - place, 0, kind, width, tables, initial, reflected, final)
+    return told == np.int64(found)
+
+
+@compiled()
+def _holds(data, place, length, check, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+    covered_from, padding, size, little = check
+    if kind == NONE:
+        return True
+    covered = length - size - covered_from
+    if covered < 0:
+        return False
+    found = np.int64(
+        value(data, place + covered_from, covered, padding, kind, width, tables, initial, reflected, final)
+    )
+    for item in range(size):
+        shift = 8 * item if little else 8 * (size - 1 - item)
+        if np.int64(data[place + length - size + item]) != (found >> shift) & 0xFF:
+            return False
+    return True
+
+
+@compiled()
+def find(data, sync, trailer, shape, check, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+    """Starts and lengths of the good frames, where the rest begins, where in it the next frame is expected (-1: unknown), corrupt frames
+    and skipped bytes."""
+    rule, longest, expected = shape
+    shortest = longest if rule == FIXED else 5
+    starts = np.empty(data.size // shortest + 1, np.int64)
+    lengths = np.empty(starts.size, np.int64)
+    count = place = corrupt = skipped = 0
+    while place < data.size:
+        if place == expected and trailer.size > 0 and _matches(data, place, trailer) == 1:
+            place += trailer.size
+            expected = place
+            continue
+        begins = _matches(data, place, sync)
+        length = _length(data, place, rule, longest) if begins == 1 else np.int64(0)
+        if begins == -1 or length == -1 or place + length > data.size:
+            break
+        if length > 0:
+            if rule == LINE:
+                good = _line_holds(data, place, length, kind, width, tables, initial, reflected, final)
+            else:
+                good = _holds(data, place, length, check, kind, width, tables, initial, reflected, final)
+            if good:
+                starts[count], lengths[count] = place, length
+                count += 1
+                place += length  # type: ignore[assignment]
+                expected = place
+                continue
+        if place == expected:
+            corrupt += 1 if rule == FIXED or begins == 1 else 0  # between frames of varying length others may stand
+            expected = place + length if begins == 1 else place + longest if rule == FIXED else -1
+        skipped += 1
+        place += 1
+    expected = expected - place if expected >= place else -1
+    return starts[:count], lengths[:count], place, expected, corrupt, skipped
+
+
+# An unsigned index spares numba the question whether it counts from the end: twice as fast.
+@compiled()
+def _bits(data, place, width, little):  # type: ignore[no-untyped-def]
+    step = -1 if little else 1
+    first = place + width - 1 if little else place
+    found = np.int64(0)
+    for item in range(width):
+        found = (found << 8) | np.int64(data[np.uintp(first + item * step)])
+    return found
+
+
+@compiled()
+def bits(data, starts, offset, width, signed, little):  # type: ignore[no-untyped-def]
+    out = np.empty(starts.size, np.int64)
+    unused = 64 - 8 * width if signed else 0
+    for frame in range(starts.size):
+        out[frame] = (_bits(data, starts[frame] + offset, width, little) << unused) >> unused
+    return out
+
+
+@compiled()
+def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
+    out = np.empty((places.shape[0], starts.size))
+    for row in range(places.shape[0]):
+        offset, width, kind, little = places[row]
+        scale = scales[row]
+        if kind == FLOAT:
+            _floats(data, starts, offset, width, little, scale, out[row])
+        elif kind == FRACTION_FIRST:
+            for frame in range(starts.size):
+                fraction = _bits(data, starts[frame] + offset, 4, False)
+                whole = (_bits(data, starts[frame] + offset + 4, 2, False) << 48) >> 48
+                out[row, frame] = (whole + fraction * 2.0**-32) * scale
+        else:
+            unused = 64 - 8 * width if kind == SIGNED else 0
+            for frame in range(starts.size):
+                found = (_bits(data, starts[frame] + offset, width, little) << unused) >> unused
+                number = np.float64(found)
+                if found < 0 and kind == UNSIGNED:
+                    number += 2.0**64
+                out[row, frame] = number * scale
+    return out
+
+
+@compiled()
+def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no-untyped-def]
+    word, long_word = np.empty(1, np.uint32), np.empty(1, np.int64)
+    single, double = word.view(np.float32), long_word.view(np.float64)
+    for frame in range(starts.size):
+        found = _bits(data, starts[frame] + offset, width, little)
+        if width == 4:
+            word[0] = np.uint32(found)
+            out[frame] = single[0] * scale
+        else:
+            long_word[0] = found
+            out[frame] = double[0] * scale
+
+
+@compiled()
+def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
+    """The decimal numbers behind the commas of lines, up to `*`; whether each line has exactly as many as `out` has rows. At most 15
+    digits: a whole number over a power of ten, and so rounded once."""
+    good = np.zeros(starts.size, np.bool_)
+    for line in range(starts.size):
+        place, end = np.uintp(starts[line]), np.uintp(starts[line] + lengths[line])
+        row, fine = -1, True
+        mantissa, digits, decimal_places, negative, point = np.int64(0), 0, 0, False, False
+        while place < end and fine:
+            byte = data[place]
+            if byte in (COMMA, ASTERISK):
+                if row >= 0:
+                    fine = 0 < digits <= 15 and row < out.shape[0]
+                    if fine:
+                        number = mantissa / 10.0**decimal_places
+                        out[row, line] = -number if negative else number
+                if byte == ASTERISK:
+                    break
+                row += 1
+                mantissa, digits, decimal_places, negative, point = np.int64(0), 0, 0, False, False
+            elif row >= 0 and 48 <= byte <= 57:
+                digits += 1
+                if digits <= 15:
+                    mantissa = mantissa * 10 + (byte - 48)
+                    decimal_places += 1 if point else 0
+            elif row >= 0 and byte == 46 and not point:
+                point = True
+            elif row >= 0 and (byte == 43 or byte == 45) and digits == 0 and not point and not negative:
+                negative = byte == 45
+            elif row >= 0:
+                fine = False
+            place += np.uintp(1)
+        good[line] = fine and row + 1 == out.shape[0]
+    return good

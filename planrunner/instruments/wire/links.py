@@ -1,0 +1,336 @@
+"""Requests and replies with an instrument that speaks in messages: GPIB, USB, TCP or a serial line, through PyVISA.
+
+One exchange at a time for each resource, whoever asks. A link that failed is closed before it is used again, and whatever lies unread
+before a request is dropped, so that a late answer is never taken for the next one. Nothing waits longer than its time-out. PyVISA is
+imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from planrunner.instruments.interfaces import InstrumentError
+
+LONGEST = 4096
+"""Bytes of an answer; what is longer is no answer."""
+GLANCE = 0.001
+"""Seconds of looking whether something lies unread."""
+QUIET = 0.02
+"""Seconds without a byte after which unread rests count as over."""
+
+MOST_REMARKS = 100
+"""What is kept for whoever asks seldom."""
+
+_locks: dict[str, threading.RLock] = {}
+_making = threading.Lock()
+
+
+def lock_of(address: str) -> threading.RLock:
+    """The lock of a resource, the same for every link to it in this process."""
+    with _making:
+        return _locks.setdefault(address, threading.RLock())
+
+
+class Framing(Protocol):
+    """How the end of an answer is known."""
+
+    def read(self, incoming: Incoming) -> bytes:
+        """The next answer without its frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Every answer is a line."""
+
+    end: bytes = b"\n"
+
+    def read(self, incoming: Incoming) -> bytes:
+        return incoming.until(self.end)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSettings:
+    """address: VISA resource name. timeout: s, for opening and for an answer. sent_end: appended to what is sent. pace: s between two
+    messages at least. baud: of a serial line. tries: of a request that may be asked again. idle: characters that may come unasked, such as
+    a prompt, and are dropped without a remark."""
+
+    address: str
+    timeout: float = 2.0
+    sent_end: str = "\n"
+    pace: float = 0.0
+    baud: int = 9600
+    tries: int = 2
+    idle: bytes = b"\r\n "
+
+
+class LinkFailure(Exception):  # noqa: N818 - told to users as an InstrumentError
+    """An exchange that failed; the text follows the resource name."""
+
+
+@dataclass(slots=True)
+class Incoming:
+    """The bytes that come in, until `deadline` [monotonic s]; `got` is what came so far."""
+
+    resource: Any
+    deadline: float
+    whole: bool
+    """Whether the bus marks the end of a message (GPIB, USB), which is then read at once."""
+    got: bytearray = field(default_factory=bytearray)
+
+    def until(self, end: bytes) -> bytes:
+        """What comes before `end`."""
+        if self.whole:
+            self.got += self.resource.read_raw()
+            return bytes(self.got).removesuffix(end)
+        start = len(self.got)
+        while not (self.got.endswith(end) and len(self.got) >= start + len(end)):
+            self._byte()
+        return bytes(self.got[start : -len(end)])
+
+    def exactly(self, count: int) -> bytes:
+        """The next `count` bytes."""
+        start = len(self.got)
+        while len(self.got) < start + count:
+            self._byte()
+        return bytes(self.got[start:])
+
+    def until_quiet(self, seconds: float) -> bytes:
+        """Everything until nothing came for so long; waits for the first byte until the deadline."""
+        self._byte()
+        _wait_at_most(self.resource, seconds)
+        with contextlib.suppress(_nothing_came()):
+            while True:
+                self._byte()
+        return bytes(self.got)
+
+    def _byte(self) -> None:
+        if len(self.got) >= LONGEST:
+            raise LinkFailure(f"sends without end ({shown(self.got[:40])}…): {_GARBAGE}")
+        if self.got and time.monotonic() > self.deadline:
+            raise LinkFailure(f"stopped in the middle of its answer ({shown(self.got)} so far): {_LOOK}")
+        self.got += self.resource.read_bytes(1, break_on_termchar=False)
+
+
+_LOOK = "look at its power, its cable and its address"
+_GARBAGE = "is it the instrument that the bench file names, and are baud rate and terminators right?"
+_REFUSED = (
+    "refuses the connection: is the instrument on, are network address and port right, does another program hold it?"
+)
+
+
+class MessageLink:
+    """Requests and replies. Every failure is an `InstrumentError` that names the resource, what was asked and what to look at.
+
+    The link opens itself when it is first used and again after a failure.
+    """
+
+    def __init__(self, settings: LinkSettings, framing: Framing | None = None):
+        self.settings = settings
+        self.framing: Framing = framing or Lines()
+        self._resource: Any = None
+        self._lock = lock_of(settings.address)
+        self._last = 0.0
+        self._disturbed = False
+        self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
+
+    def write(self, *texts: str) -> None:
+        """Send what is not answered. Not tried again: nobody knows how much arrived."""
+        with self._held(f"'{texts[-1]}'"):
+            self._once(texts, None)
+
+    def query(self, text: str, *, after: Sequence[str] = (), again: bool = True) -> str:
+        """The answer to `text`, without terminator and blanks. after: commands sent in the same breath before it. again: whether it may
+        be asked a second time on a new connection when no answer comes; not for what changes the instrument."""
+        tries = self.settings.tries if again and not after else 1
+        with self._held(f"'{text}'"):
+            for left in reversed(range(tries)):
+                try:
+                    answer = self._once((*after, text), self.framing)
+                    return self._text(answer)
+                except LinkFailure as failure:
+                    if not left:
+                        raise
+                    self._remarks.append(f"{self.settings.address} {failure}; '{text}' is asked again")
+        raise AssertionError("unreachable")
+
+    def remarks(self) -> list[str]:
+        """What was out of the ordinary since the last call."""
+        told = list(self._remarks)
+        self._remarks.clear()
+        return told
+
+    def close(self) -> None:
+        """Let go of the resource. May be called twice."""
+        resource, self._resource = self._resource, None
+        if resource is not None:
+            with contextlib.suppress(Exception):  # a dead link cannot be closed politely
+                resource.close()
+
+    # -- one exchange --------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _held(self, asked: str) -> Iterator[None]:
+        """One exchange at a time, failures in words."""
+        address = self.settings.address
+        patience = self.settings.tries * 3 * self.settings.timeout
+        if not self._lock.acquire(timeout=patience):
+            raise InstrumentError(f"{address} is busy with another request for {patience:g} s: {_LOOK}")
+        try:
+            yield
+        except LinkFailure as failure:
+            raise InstrumentError(f"{address}, asked {asked}, {failure}") from None
+        finally:
+            self._lock.release()
+
+    def _once(self, texts: Sequence[str], framing: Framing | None) -> bytes:
+        """Send, and read one answer with `framing`. Raises `LinkFailure` with the link closed."""
+        incoming: Incoming | None = None
+        settings = self.settings
+        try:
+            resource = self._opened()
+            message_based = _marks_ends(settings.address)
+            if not message_based:
+                self._drop_rests(resource)
+            # Before anything is sent: a serial port that is set up anew may lose what is coming in.
+            _wait_at_most(resource, settings.timeout)
+            ended = [(text + settings.sent_end).encode("ascii") for text in texts]
+            for message in ended if message_based else [b"".join(ended)]:
+                self._keep_pace()
+                resource.write_raw(message)
+            if framing is None:
+                return b""
+            incoming = Incoming(resource, time.monotonic() + settings.timeout, message_based)
+            return framing.read(incoming)
+        except LinkFailure:
+            self._give_up()
+            raise
+        except InstrumentError:  # the instrument's own words, read to their end
+            raise
+        except Exception as error:  # backends raise errors of many kinds
+            got = b"" if incoming is None else bytes(incoming.got)
+            failure = LinkFailure(_in_words(error, settings, got))
+            self._give_up()
+            raise failure from None
+        except BaseException:  # interrupted: the answer may still come
+            self._give_up()
+            raise
+        finally:
+            self._last = time.monotonic()
+
+    def _opened(self) -> Any:
+        if self._resource is None:
+            settings = self.settings
+            patience = round(settings.timeout * 1000)
+            resource = _manager().open_resource(settings.address, open_timeout=patience)
+            self._resource = resource
+            resource.timeout = patience
+            resource.read_termination = None
+            if settings.address.startswith("ASRL"):
+                resource.baud_rate = settings.baud
+            if self._disturbed and not _marks_ends(settings.address):
+                self._await_silence(resource)
+            self._disturbed = False
+        return self._resource
+
+    def _give_up(self) -> None:
+        """Close the link, so that what is still on its way is not read later."""
+        resource, self._disturbed = self._resource, True
+        if resource is not None and _marks_ends(self.settings.address):
+            with contextlib.suppress(Exception):
+                resource.clear()
+        self.close()
+
+    def _drop_rests(self, resource: Any) -> None:
+        """What lies unread was not asked for."""
+        if self.settings.address.startswith("ASRL") and not resource.bytes_in_buffer:
+            return
+        _wait_at_most(resource, GLANCE)
+        rests = bytearray()
+        with contextlib.suppress(_nothing_came()):
+            while len(rests) < LONGEST:
+                rests += resource.read_bytes(1, break_on_termchar=False)
+                _wait_at_most(resource, QUIET)
+        if rests.strip(self.settings.idle):
+            self._remarks.append(f"{self.settings.address} sent {shown(rests)} unasked, which was dropped")
+        if len(rests) >= LONGEST:
+            raise LinkFailure(f"sends without being asked ({shown(rests[:40])}…): {_GARBAGE}")
+
+    def _await_silence(self, resource: Any) -> None:
+        """A serial line remembers: after a failure it must have been silent for a time-out before it is asked again."""
+        if not self.settings.address.startswith("ASRL"):
+            return
+        end = time.monotonic() + 3 * self.settings.timeout
+        with contextlib.suppress(_nothing_came()):
+            while time.monotonic() < end:
+                resource.read_bytes(1, break_on_termchar=False)
+
+    def _keep_pace(self) -> None:
+        wait = self._last + self.settings.pace - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        self._last = time.monotonic()
+
+    def _text(self, answer: bytes) -> str:
+        try:
+            text = answer.decode("ascii").strip()
+        except UnicodeDecodeError:
+            text = "\0"
+        if not text.isprintable():
+            self._give_up()
+            raise LinkFailure(f"answers with {shown(answer)}, which is no text: {_GARBAGE}")
+        return text
+
+
+def shown(data: bytes | bytearray) -> str:
+    """Bytes for a message."""
+    cut = bytes(data[:60])
+    text = repr(cut)[1:]
+    return text if len(data) <= len(cut) else f"{text}…"
+
+
+def _wait_at_most(resource: Any, seconds: float) -> None:
+    """The time-out of the next read; set only where it differs."""
+    if abs(resource.timeout - seconds * 1000) > 0.5:
+        resource.timeout = seconds * 1000
+
+
+def _marks_ends(address: str) -> bool:
+    """Whether the bus marks where a message ends; a TCP stream and a serial line do not."""
+    upper = address.upper()
+    return not (upper.startswith("ASRL") or upper.endswith("::SOCKET"))
+
+
+@functools.cache
+def _manager() -> Any:
+    import pyvisa
+
+    return pyvisa.ResourceManager()
+
+
+def _nothing_came() -> type[Exception]:
+    """What a backend raises when nothing comes in time."""
+    from pyvisa.errors import VisaIOError
+
+    return VisaIOError
+
+
+def _in_words(error: Exception, settings: LinkSettings, got: bytes) -> str:
+    from pyvisa import constants, errors
+
+    if isinstance(error, ConnectionRefusedError):
+        return _REFUSED
+    if isinstance(error, BrokenPipeError | ConnectionResetError | ConnectionAbortedError):
+        return f"closed the connection: {_LOOK}"
+    if isinstance(error, errors.VisaIOError) and error.error_code == constants.StatusCode.error_timeout:
+        if got:
+            return f"stopped in the middle of its answer ({shown(got)} so far): {_LOOK}"
+        return f"did not answer within {settings.timeout:g} s, or hung up: {_LOOK}"
+    text = " ".join(str(error).split()) or type(error).__name__
+    return f"cannot be reached ({text}): {_LOOK}"

@@ -1,0 +1,39 @@
+"""Numbers out of replies and into commands, with clear errors for replies that hold none."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.wire.links import MessageLink
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def numbers(link: MessageLink, request: str, count: int) -> list[float]:
+    """The numbers that a request is answered with, separated by commas or semicolons. Raises `InstrumentError` when there are fewer or
+    something is no finite number."""
+    return parsed(link.query(request), request, count, link.settings.address)
+
+
+def number(link: MessageLink, request: str) -> float:
+    return numbers(link, request, 1)[0]
+
+
+def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
+    """The first `count` numbers of a reply."""
+    parts = [part.strip() for part in re.split(r"[,;]", reply)[:count]]
+    found = [float(part) for part in parts if NUMBER.fullmatch(part)]
+    if len(found) < count or not all(map(math.isfinite, found)):
+        wanted = "a number is" if count == 1 else f"{count} numbers are"
+        raise InstrumentError(
+            f"{address} answers '{request}' with '{reply[:60]}' where {wanted} expected: is it the instrument of the bench file?"
+        )
+    return found
+
+
+def written(value: float) -> str:
+    """A number as instruments read it: no exponent, at most six decimals, no trailing zeros."""
+    text = f"{value:.6f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text

@@ -1,0 +1,86 @@
+"""Asking every instrument of a bench whether it is there, who it is, and what it sees of itself, without moving anything."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from planrunner.bench.clock import VirtualClock, WallClock
+from planrunner.bench.lock import bench_lock
+from planrunner.bench.model import Bench, driver_of, runs_on_virtual_clock, site_of
+from planrunner.bench.opening import real_clock
+from planrunner.instruments.interfaces import Alive, InstrumentError, Readable, Surroundings, Watched
+
+TIMES = 3
+"""Exchanges whose median is the round trip."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """What one instrument answered. identity and readings as it says itself; faults: why it could not go on now; round_trip: s;
+    failure: why it could not be asked, or empty."""
+
+    name: str
+    driver: str
+    identity: Mapping[str, str] = field(default_factory=dict)
+    readings: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    round_trip: float | None = None
+    failure: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "driver": self.driver,
+            "identity": dict(self.identity),
+            "readings": dict(self.readings),
+            "faults": list(self.faults),
+            "round_trip_s": self.round_trip,
+            "failure": self.failure,
+        }
+
+
+def ping(bench: Bench, shown: str, data_root: Path | None = None) -> list[Ping]:
+    """Connect to every instrument in the order of the bench's file, ask, and let go; one that fails does not keep the next from being
+    asked. shown: the bench's file, for messages. Raises `InputError` when a run holds the bench."""
+    clock = VirtualClock() if runs_on_virtual_clock(bench) else real_clock(bench)
+    surroundings = Surroundings(clock, site_of(bench), data_root, bench.seed, real_time=isinstance(clock, WallClock))
+    answers = []
+    with bench_lock(bench, shown, "a ping"):
+        for name, entry in bench.instruments.items():
+            try:
+                instrument = driver_of(entry).connect(entry.parameters, surroundings)
+            except Exception as error:  # whatever a driver raises, the next instrument is asked
+                answers.append(Ping(name, entry.driver, failure=_in_words(error)))
+                continue
+            surroundings.instruments[driver_of(entry).role] = instrument
+            try:
+                answers.append(_asked(name, entry.driver, instrument))
+            except Exception as error:
+                answers.append(Ping(name, entry.driver, failure=_in_words(error)))
+            finally:
+                instrument.close()
+    return answers
+
+
+def _asked(name: str, driver: str, instrument: Any) -> Ping:
+    identity = {key: str(value) for key, value in instrument.identify().items()}
+    ask = instrument.heartbeat if isinstance(instrument, Alive) else instrument.identify
+    trips = []
+    for _ in range(TIMES):
+        start = time.perf_counter()
+        ask()
+        trips.append(time.perf_counter() - start)
+    readings = dict(instrument.read()) if isinstance(instrument, Readable) else {}
+    faults = instrument.watch().faults if isinstance(instrument, Watched) else ()
+    return Ping(name, driver, identity, readings, tuple(faults), median(trips))
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, InstrumentError):
+        return str(error)
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

@@ -1,0 +1,176 @@
+"""What a plan says of segments: states to reach and hold, sweeps over them, and steps that share one."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Any
+
+from planrunner.plan import source
+from planrunner.plan.findings import Findings
+from planrunner.plan.holding_spec import STABILITY, WATCH, Stability, Watch
+from planrunner.plan.kinds import (
+    ByShape,
+    Choice,
+    ListOf,
+    Number,
+    QuantityOf,
+    Record,
+    RecordOf,
+    Schema,
+    Text,
+    WordOr,
+    key,
+)
+from planrunner.plan.motion_spec import Motion, Turns
+from planrunner.plan.orientation import Orientation, OrientationKind
+from planrunner.plan.quantity import Quantity
+from planrunner.plan.sweep import ForEachKind, Sweep
+
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
+
+
+class Ramp(Record):
+    """A temperature that moves while the segment records."""
+
+    ramp_to: Quantity = key(QuantityOf("temperature"), "Set this temperature as recording begins.", "60 degC")
+
+
+class State(Record):
+    """A state to reach and hold. Nested steps inherit what they do not say."""
+
+    orientation: Orientation | None = key(
+        OrientationKind(),
+        "Where the sensor's axes point, in words or as a rotation; 'unknown' for hand-held recordings.",
+        {"x": "up", "y": "north", "z": "west"},
+        None,
+    )
+    rate: Quantity | None = key(
+        QuantityOf("angular rate"), "Constant rate about up; short for motion: {rate: …}.", "10 deg/s", None
+    )
+    motion: Motion | None = key(
+        WordOr(("rest",), RecordOf(Motion)),
+        "What the table does while recording; at rest without it.",
+        {"rate": "10 deg/s"},
+        None,
+    )
+    temperature: Quantity | Ramp | None = key(
+        ByShape(QuantityOf("temperature"), RecordOf(Ramp), what="a temperature or {ramp_to: …}"),
+        "Chamber temperature to hold, or a ramp that is recorded while it happens.",
+        "25 degC",
+        None,
+    )
+    soak: Quantity | Stability | None = key(
+        ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
+        "Wait after a new temperature is reached: for a time, or until readings have settled.",
+        "60 min",
+        None,
+    )
+    settle: Quantity | Stability | None = key(
+        ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
+        "Wait after the motion is steady, before recording: for a time, or until readings have settled.",
+        "30 s",
+        None,
+    )
+    dwell: Quantity | Turns | str | None = key(
+        WordOr(
+            ("recorded",),
+            ByShape(QuantityOf("time", "positive"), RecordOf(Turns), what="a time, {turns: …} or {cycles: …}"),
+        ),
+        "How long to record: a time, whole turns or cycles, or 'recorded' for as long as a played-back segment lasts.",
+        "2 min",
+        None,
+    )
+    sample_rate: Quantity | None = key(
+        QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None
+    )
+    mode: str | None = key(
+        Text(NAME, "a mode's name"),
+        "Operating mode that the sensor records in, where its driver offers modes (such as caged and navigation).",
+        "navigation",
+        None,
+    )
+    watch: Watch | None = key(
+        WATCH,
+        "Limits on what the instruments read while the segment records.",
+        {"position_error": "5 arcsec", "lost_frames": "0.1 %", "retakes": 2},
+        None,
+    )
+    on_break: str | None = key(
+        Choice(("retake", "keep")),
+        "What to do with a segment cut short by a crash when the run is resumed.",
+        "keep",
+        None,
+    )
+
+
+class SegmentKind:
+    """A segment, whose steps are segments again."""
+
+    def read(self, node: source.Node, log: Findings) -> Any:
+        before = len(log.errors)
+        spec = RecordOf(SegmentSpec).read(node, log)
+        if spec is not None and len(log.errors) > before:
+            trouble = len(log.errors) - before
+            object.__setattr__(spec, "trouble", trouble)
+            object.__setattr__(spec, "sound", False)
+            object.__setattr__(spec, "own_sound", trouble == sum(step.trouble for step in spec.steps))
+        return spec
+
+    def schema(self) -> Schema:
+        return {"$ref": "#/$defs/segment"}
+
+
+class SegmentSpec(State):
+    """One entry of `segments`: a state, or a sweep over states, or steps that share one."""
+
+    label: str | None = key(
+        Text(r"[^\x00-\x1f]{1,80}", "a label"),
+        "Name of the segment; {rate}, {temperature} … stand for the swept value.",
+        "start-zero",
+        None,
+    )
+    prompt: str | None = key(
+        Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
+        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state meanwhile.",
+        "Turn the fixture to face {orientation}, then leave the table",
+        None,
+    )
+    for_each: Sweep | None = key(
+        ForEachKind(),
+        "Repeat for every value; several keys multiply, the first changing slowest.",
+        {"rate": "±300, ±150 deg/s"},
+        None,
+    )
+    order: str = key(
+        Choice(("as_written", "reversed", "serpentine", "shuffled")),
+        "Order of the sweep: serpentine reverses every other inner pass; shuffled draws from 'shuffle_seed'.",
+        "as_written",
+        "as_written",
+    )
+    shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, 0)
+    repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, 1)
+    steps: tuple[SegmentSpec, ...] = key(
+        ListOf(SegmentKind(), minimum=1),
+        "Segments that share this state.",
+        [{"label": "start-zero", "dwell": "60 s"}],
+        default_factory=tuple,
+    )
+    # Whether all of it could be read; whether all but its steps could; and how many errors it holds.
+    sound: bool = field(default=True, compare=False)
+    own_sound: bool = field(default=True, compare=False)
+    trouble: int = field(default=0, compare=False)
+
+
+STATE_KEYS = (
+    "orientation",
+    "rate",
+    "motion",
+    "temperature",
+    "soak",
+    "settle",
+    "dwell",
+    "sample_rate",
+    "mode",
+    "watch",
+    "on_break",
+)

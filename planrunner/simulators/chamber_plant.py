@@ -1,0 +1,95 @@
+"""What a chamber's controller drives: air that follows a ramped setpoint, or drifts to the room's temperature when it is off.
+
+Temperatures in K, ramps in K/s. It can stick, overshoot and alarm; an alarm stops it until it is cleared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from planrunner.instruments.virtual.chamber import VirtualChamber
+from planrunner.simulators.live_world import LiveWorld
+
+FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
+
+
+class ChamberPlant:
+    """The air of a live world's virtual chamber. alarms: numbers of those that stand. lowest, highest: of the measured temperature,
+    beyond which it switches itself off with alarm `OVER`."""
+
+    OVER, UNDER = 5, 4
+
+    def __init__(self, live: LiveWorld):
+        chamber: VirtualChamber = live.chamber
+        self.live = live
+        self.model = chamber.model(chamber.parameters)
+        self.setpoint = self.model.ambient
+        self.ramp = FULL_RAMP
+        self.running = False
+        self.lowest, self.highest = self.model.lowest, self.model.highest
+        self.alarms: tuple[int, ...] = ()
+        self.stuck = False
+        self.overshoot = 0.0
+
+    def air(self) -> float:
+        """The measured temperature. Keeps watch over its own limits."""
+        found = float(self.live.world.air(np.array([self.live.now()]))[0])
+        slack = self.model.tolerance
+        if self.running and not self.lowest - slack <= found <= self.highest + slack:
+            self.alarm(self.OVER if found > self.highest else self.UNDER)
+        return found
+
+    def regulate(self, setpoint: float | None = None) -> None:
+        """Run, towards a setpoint or the one it has."""
+        self.setpoint = self.setpoint if setpoint is None else setpoint
+        self.running = not self.alarms
+        self._drive()
+
+    def set_only(self, setpoint: float) -> None:
+        """Take a setpoint; it acts at once where the chamber runs."""
+        self.setpoint = setpoint
+        self._drive()
+
+    def set_ramp(self, ramp: float) -> None:
+        """The setpoint's ramp from now on; 0 for as fast as it can."""
+        self.ramp = ramp
+        self._drive()
+
+    def stop(self) -> None:
+        self.running = False
+        self._drive()
+
+    def alarm(self, number: int) -> None:
+        """It switches itself off."""
+        self.alarms = (*self.alarms, number)
+        self.stop()
+
+    def clear(self) -> None:
+        self.alarms = ()
+
+    def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
+        """stuck: its air stays where it is, whatever it is told; overshoot: K beyond every setpoint."""
+        self.stuck = self.stuck if stuck is None else stuck
+        self.overshoot = self.overshoot if overshoot is None else overshoot
+        self._drive()
+
+    def _drive(self) -> None:
+        """Bring the world's air on its way."""
+        now = self.live.before_change()
+        world = self.live.world
+        air = float(world.air(np.array([now]))[0])
+        target = self.setpoint + self.overshoot if self.running else self.model.ambient
+        fastest = self.model.ramp
+        if self.stuck:
+            target = air
+        elif target == world.command.target and self._ramp(fastest) == world.lags.ramp:
+            return
+        world.head_for(target)
+        if self.stuck:
+            world.command = replace(world.command, setpoint=target)
+        world.lags = replace(world.lags, ramp=self._ramp(fastest))
+
+    def _ramp(self, fastest: float) -> float:
+        return min(self.ramp, fastest) if self.running and self.ramp > 0 else fastest

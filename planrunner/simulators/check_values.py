@@ -1,0 +1,74 @@
+"""Check values as instruments append them: written bit by bit from their polynomials, for many frames at once.
+
+A cyclic redundancy check is the remainder of the message, as a polynomial over GF(2), after division by the generator. Here the register
+takes one byte of every frame at a time; the table of what a byte does to it is worked out by shifting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+_REVERSED = np.packbits(
+    np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1), axis=1, bitorder="little"
+).ravel()
+"""Every byte with its bits the other way round."""
+
+
+@dataclass(frozen=True)
+class Crc:
+    """width: bits, 8 to 32; start: the register before the first byte; reflected: every byte, and the result, from its lowest bit on;
+    inverted: the result's bits are exchanged."""
+
+    width: int
+    polynomial: int
+    start: int
+    reflected: bool = False
+    inverted: bool = False
+
+    @cached_property
+    def _table(self) -> NDArray[np.uint64]:
+        top, mask = 1 << (self.width - 1), (1 << self.width) - 1
+        found = []
+        for byte in range(256):
+            register = byte << (self.width - 8)
+            for _ in range(8):
+                register = ((register << 1) ^ (self.polynomial if register & top else 0)) & mask
+            found.append(register)
+        return np.array(found, dtype=np.uint64)
+
+    def of(self, frames: Bytes) -> NDArray[np.uint64]:
+        """The check values of frames (n, length), shape (n,)."""
+        register = np.full(len(frames), self.start, dtype=np.uint64)
+        shift, mask = np.uint64(self.width - 8), np.uint64((1 << self.width) - 1)
+        for column in (_REVERSED[frames] if self.reflected else frames).T:
+            register = self._table[(register >> shift) ^ column] ^ ((register << np.uint64(8)) & mask)
+        if self.reflected:
+            bits = np.uint64(1) << np.arange(self.width, dtype=np.uint64)
+            register = ((register[:, None] & bits) != 0) @ bits[::-1]
+        return register ^ mask if self.inverted else register
+
+    def of_text(self, text: str) -> int:
+        """The check value of one line."""
+        return int(self.of(np.frombuffer(text.encode("ascii"), dtype=np.uint8)[None, :])[0])
+
+
+CRC_32 = Crc(32, 0x04C11DB7, 0xFFFFFFFF)
+CRC_16 = Crc(16, 0x1021, 0)
+CRC_8 = Crc(8, 0x07, 0xFF)
+
+
+def sum_to_zero(frames: Bytes) -> Bytes:
+    """The byte that makes the sum of each frame (n, length) a multiple of 256, shape (n,)."""
+    total: Bytes = (-frames.sum(axis=1, dtype=np.int64) & 0xFF).astype(np.uint8)
+    return total
+
+
+def exclusive_or(frames: Bytes) -> Bytes:
+    """All bytes of each frame (n, length) added without carry, shape (n,)."""
+    folded: Bytes = np.bitwise_xor.reduce(frames, axis=1)
+    return folded

@@ -1,0 +1,45 @@
+"""What a simulated instrument that is spoken to has: an answer to each message, words that it says later, and things that happen to it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class NotUnderstoodError(ValueError):
+    """A message that the instrument has no meaning for, or a value that it refuses."""
+
+
+class Controller(Protocol):
+    identity: str
+    """What it answers when it is asked who it is."""
+
+    def answer(self, message: str) -> str | None:
+        """The reply to a message, both without terminators; None where it gives none."""
+
+    def later(self) -> list[str]:
+        """Replies that have become due since; empty for instruments that only speak when spoken to."""
+
+    def watch(self) -> None:
+        """Keep watch over its own limits; called many times a second."""
+
+
+def first_with(word: str, options: tuple[str, ...]) -> str:
+    """The first option that a word abbreviates, letter case aside. Raises `NotUnderstoodError`."""
+    found = next((option for option in options if word and option.startswith(word.lower())), None)
+    if found is None:
+        raise NotUnderstoodError(word)
+    return found
+
+
+def number(word: str) -> float:
+    """A number of a message. Raises `NotUnderstoodError`."""
+    try:
+        return float(word)
+    except ValueError:
+        raise NotUnderstoodError(word) from None
+
+
+def shown(value: float, digits: int = 6) -> str:
+    """A number as instruments write it, without a needless fraction or the sign of zero."""
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text

@@ -1,0 +1,139 @@
+"""Frames of a sensor that is only declared in the bench file: synchronisation, numbers at their places, a counter, a check at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Block
+from planrunner.plan.units import unit
+from planrunner.simulators.check_values import CRC_32, Crc, exclusive_or, sum_to_zero
+from planrunner.simulators.columns import Bytes, Order, floats, integers
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a number stands. kind: `i24`, `u16`, `f32` …; a value v goes out as (v − zero)/scale, in `unit`."""
+
+    at: int
+    kind: str
+    order: Order = "big"
+    scale: float = 1.0
+    zero: float = 0.0
+    unit: str = "1"
+
+    def column(self, values: Array) -> Bytes:
+        sent = (values - self.zero) / self.scale
+        width = int(self.kind[1:]) // 8
+        if self.kind.startswith("f"):
+            return floats(sent, width, self.order)
+        return integers(sent, width, self.order, signed=self.kind.startswith("i"))
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """The counter: its place, counts a frame, and where it starts anew."""
+
+    place: Place
+    step: int
+    modulus: float
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """How the check is computed, bytes that it takes, the first byte that it covers."""
+
+    of: Callable[[Bytes], NDArray[np.generic]]
+    width: int
+    covered_from: int
+    order: Order
+
+
+def _sum(frames: Bytes) -> NDArray[np.generic]:
+    return frames.sum(axis=1, dtype=np.int64) & 0xFF
+
+
+CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
+    "crc32": (Crc(32, 0x04C11DB7, 0xFFFFFFFF, reflected=True, inverted=True).of, 4),
+    "crc32_mpeg2": (CRC_32.of, 4),
+    "crc16_modbus": (Crc(16, 0x8005, 0xFFFF, reflected=True).of, 2),
+    "crc16_xmodem": (Crc(16, 0x1021, 0).of, 2),
+    "crc16_ccitt_false": (Crc(16, 0x1021, 0xFFFF).of, 2),
+    "crc8": (Crc(8, 0x07, 0).of, 1),
+    "sum8": (_sum, 1),
+    "zero_sum8": (sum_to_zero, 1),
+    "xor8": (exclusive_or, 1),
+}
+"""By the names of bench files: how they are computed, and their bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredFrame:
+    sync: bytes
+    length: int
+    fields: Mapping[str, Place]
+    running: Running | None = None
+    check: Check | None = None
+    steady: Sequence[tuple[int, bytes]] = ()
+    """Bytes that never change, such as a status word that finds nothing wrong."""
+
+    def frames(self, channels: Mapping[str, Array], numbers: Array) -> Bytes:
+        """Frames (n, length) of channels (n,) in the fields' units; numbers: of the frames, running."""
+        frames = np.zeros((numbers.size, self.length), dtype=np.uint8)
+        frames[:, : len(self.sync)] = np.frombuffer(self.sync, dtype=np.uint8)
+        for at, data in self.steady:
+            frames[:, at : at + len(data)] = np.frombuffer(data, dtype=np.uint8)
+        for name, place in self.fields.items():
+            _put(frames, place.at, place.column(channels[name]))
+        if self.running is not None:
+            counts = np.mod(numbers * self.running.step, self.running.modulus)
+            _put(frames, self.running.place.at, self.running.place.column(counts))
+        if self.check is not None:
+            end = self.length - self.check.width
+            values = self.check.of(frames[:, self.check.covered_from : end])
+            _put(frames, end, integers(values, self.check.width, self.check.order, signed=False))
+        return frames
+
+
+def _put(frames: Bytes, at: int, column: Bytes) -> None:
+    frames[:, at : at + column.shape[1]] = column
+
+
+@dataclass(slots=True)
+class DeclaredUnit:
+    """units: of the virtual sensor's channels. words: line → mode that it is switched into by it; switch: called with the mode."""
+
+    units: Mapping[str, str]
+    form: DeclaredFrame
+    words: Mapping[bytes, str] = field(default_factory=dict)
+    switch: Callable[[str], None] = lambda mode: None
+    next: int = 0
+    heard: bytes = b""
+
+    def frames(self, block: Block) -> Bytes:
+        numbers = np.arange(self.next, self.next + block.time.size, dtype=float)
+        self.next += block.time.size
+        channels = {name: self._in_unit(block, name, place.unit) for name, place in self.form.fields.items()}
+        return self.form.frames(channels, numbers)
+
+    def hear(self, data: bytes) -> bytes:
+        """Words that switch its mode are not answered."""
+        self.heard += data
+        for word, mode in self.words.items():
+            if word in self.heard:
+                self.heard = self.heard.replace(word, b"")
+                self.switch(mode)
+        self.heard = self.heard[-200:]
+        return b""
+
+    def _in_unit(self, block: Block, name: str, wanted: str) -> Array:
+        values = block.channels[name]
+        if self.units[name] == wanted:
+            return values
+        own, other = unit(self.units[name]), unit(wanted)
+        return (values * own.factor + own.offset - other.offset) / other.factor

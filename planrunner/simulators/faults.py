@@ -1,0 +1,196 @@
+"""Faults as data: what goes wrong with which simulated instrument, when, for how long and how much of it.
+
+A fault script is a YAML file of them; the control channel takes them one by one while the bench runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from planrunner.plan import source
+from planrunner.plan.findings import Findings, InputError, closest
+from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+WORDS = {
+    "late": "each reply comes `delay` later",
+    "partial": "half of each reply comes, and no more",
+    "garbage": "each reply is other bytes",
+    "silent": "nothing comes",
+    "drop link": "the connection is closed in place of a reply",
+    "refuse": "the port is closed, and connections with it",
+    "wrong model": "it says that it is another instrument",
+}
+LINE = {
+    "silent": WORDS["silent"],
+    "corrupt": "a `share` of the frames has a wrong byte",
+    "lose": "a `share` of the frames is missing",
+    "duplicate": "a `share` of the frames comes twice",
+    "reorder": "a `share` of the frames comes after the next one",
+    "unplug": "the line is gone, and comes back afterwards",
+    "wrong baud": "every byte is what another baud rate makes of it",
+}
+TABLE = {
+    "interlock open": "a door or a button opens the interlock chain",
+    "over-rate": "an axis trips on its rate",
+    "tracking error": "an axis trips on its following error",
+    "axis fault": "an axis fails",
+}
+CHAMBER = {
+    "stuck": "the air stays where it is",
+    "overshoot": "the air goes `overshoot` beyond every setpoint",
+    "alarm": "the chamber alarms and stops",
+}
+OF_ROLE: Mapping[str, Mapping[str, str]] = {
+    "table": {**WORDS, **TABLE},
+    "chamber": {**WORDS, **CHAMBER},
+    "sensor": LINE,
+}
+"""What can go wrong with an instrument of each role, in words."""
+_ALL = tuple(dict.fromkeys([*WORDS, *LINE, *TABLE, *CHAMBER]))
+
+
+class Fault(Record):
+    """One thing that goes wrong."""
+
+    instrument: str = key(Text(), "Instrument of the bench that misbehaves.", "table")
+    fault: str = key(Choice(_ALL), "What goes wrong.", "late")
+    begins: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "When it begins, on the bench's clock: after the simulated bench starts, or after it is told.",
+        "20 s",
+        parse_quantity("0 s"),
+        name="at",
+    )
+    lasts: Quantity | None = key(
+        QuantityOf("time", "positive"), "How long, on the bench's clock; for ever without it.", "5 s", None, name="for"
+    )
+    count: int | None = key(Number(1, 10**9, integer=True), "How many replies it takes; then it is over.", 1, None)
+    message: str | None = key(Text(), "Only replies to messages that contain this text.", "PVAL", None)
+    delay: Quantity = key(
+        QuantityOf("time", "positive"), "Of `late`: by how much, on the wall's clock.", "3 s", parse_quantity("3 s")
+    )
+    share: Quantity = key(
+        QuantityOf("ratio", "positive"), "Of faults of frames: the share of them.", "1 %", parse_quantity("100 %")
+    )
+    overshoot: Quantity = key(
+        QuantityOf("temperature"), "Of `overshoot`: how far beyond the setpoint.", "15 K", parse_quantity("15 K")
+    )
+    axis: int = key(Number(1, 3, integer=True), "Of an axis's fault: which, from 1.", 1, 1)
+
+
+class FaultScript(Record):
+    """What goes wrong with a simulated bench."""
+
+    planrunner_faults: int = key(Number(1, 1, integer=True), "Version of the language of fault scripts.", 1)
+    faults: tuple[Fault, ...] = key(
+        ListOf(RecordOf(Fault)), "The faults.", [{"instrument": "table", "fault": "late", "delay": "3 s", "count": 1}]
+    )
+
+
+def read_script(path: Path, roles: Mapping[str, str]) -> tuple[Fault, ...]:
+    """The faults of a file. roles: of the bench's instruments by name. Raises `InputError` with every finding."""
+    data = source.read_bytes(path, str(path))
+    log = Findings()
+    script: FaultScript | None = RecordOf(FaultScript).read(
+        source.parse(source.decode(data, str(path)), str(path)), log
+    )
+    for fault in script.faults if script else ():
+        _check(fault, roles, log)
+    if script is None or log.errors:
+        raise InputError(log)
+    return script.faults
+
+
+def read_fault(text: str, roles: Mapping[str, str]) -> Fault:
+    """One fault as YAML or JSON, such as `{instrument: table, fault: silent, for: 5 s}`. Raises `InputError`."""
+    log = Findings()
+    fault: Fault | None = RecordOf(Fault).read(source.parse(text, "<fault>"), log)
+    if fault is not None:
+        _check(fault, roles, log)
+    if fault is None or log.errors:
+        raise InputError(log)
+    return fault
+
+
+def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
+    if fault.instrument not in roles:
+        message = f"'{fault.instrument}' is no instrument of this bench"
+        log.error("meaning-fault", fault.at("instrument"), message, closest(fault.instrument, roles))
+        return
+    possible = OF_ROLE[roles[fault.instrument]]
+    if fault.fault not in possible:
+        message = f"a {roles[fault.instrument]} cannot have the fault '{fault.fault}'"
+        log.error("meaning-fault", fault.at("fault"), message, "one of " + ", ".join(possible))
+
+
+@dataclass(slots=True)
+class Standing:
+    """A fault that was declared. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: replies that it
+    still takes."""
+
+    number: int
+    fault: Fault
+    begins: float
+    ends: float
+    left: int | None
+    begun: bool = False
+
+
+@dataclass(slots=True)
+class FaultBoard:
+    """The faults of a simulated bench, in the order they were declared."""
+
+    standing: dict[int, Standing] = field(default_factory=dict)
+    declared: int = 0
+
+    def declare(self, fault: Fault, now: float) -> int:
+        """Its number, to clear it by."""
+        self.declared += 1
+        begins = now + fault.begins.value
+        ends = begins + (fault.lasts.value if fault.lasts else float("inf"))
+        self.standing[self.declared] = Standing(self.declared, fault, begins, ends, fault.count)
+        return self.declared
+
+    def clear(self, number: int | None = None) -> None:
+        """End a fault, or all, at once."""
+        for item in self.standing.values():
+            if number in (None, item.number):
+                item.ends = float("-inf")
+
+    def changes(self, now: float) -> tuple[list[Fault], list[Fault]]:
+        """Faults that have begun and that have ended since it was last asked."""
+        begun = [item for item in self.standing.values() if not item.begun and item.begins <= now < item.ends]
+        over = [item for item in self.standing.values() if now >= item.ends or item.left == 0]
+        for item in begun:
+            item.begun = True
+        for item in over:
+            del self.standing[item.number]
+        return [item.fault for item in begun if item not in over], [item.fault for item in over if item.begun]
+
+    def active(self, instrument: str, now: float) -> list[Fault]:
+        """The faults that an instrument has now."""
+        return [item.fault for item in self._active(instrument, now)]
+
+    def of_reply(self, instrument: str, message: str, now: float) -> Fault | None:
+        """The fault that strikes the reply to a message, counted as struck."""
+        for item in self._active(instrument, now):
+            if item.fault.fault in WORDS and (item.fault.message or "") in message:
+                if item.left is not None:
+                    item.left -= 1
+                return item.fault
+        return None
+
+    def _active(self, instrument: str, now: float) -> list[Standing]:
+        mine = (item for item in self.standing.values() if item.fault.instrument == instrument)
+        return [item for item in mine if item.begins <= now < item.ends and item.left != 0]
+
+    def told(self) -> list[dict[str, Any]]:
+        """What stands, as JSON data."""
+        return [
+            {"number": item.number, "instrument": item.fault.instrument, "fault": item.fault.fault, "begun": item.begun}
+            for item in self.standing.values()
+        ]

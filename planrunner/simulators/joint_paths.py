@@ -1,0 +1,182 @@
+"""How each joint of a simulated table moves: pieces of constant acceleration and sines, joint by joint, as a controller commands them.
+
+The virtual table moves all its joints by one command; a table behind a controller is told axis by axis, and a command may come while the
+axis moves. A path keeps the pieces of the last seconds, so that a sensor that is asked a little later still feels what was before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.virtual.courses import Stretch, Value
+
+Array = NDArray[np.float64]
+TURN = 2 * math.pi
+_KEPT = 10.0  # s for which pieces that are over are kept
+
+
+@dataclass(frozen=True, slots=True)
+class Glide:
+    """Constant acceleration from `begin` [s] on: angle [rad] and rate [rad/s] there."""
+
+    begin: float
+    angle: float
+    rate: float = 0.0
+    acceleration: float = 0.0
+
+    def at(self, times: Any) -> tuple[Any, Any]:
+        since = times - self.begin
+        return self.angle + (self.rate + 0.5 * self.acceleration * since) * since, self.rate + self.acceleration * since
+
+    def pace(self, end: float) -> float:
+        if self.acceleration == 0.0:
+            return abs(self.rate)
+        fastest = max(abs(self.rate), abs(self.rate + self.acceleration * (end - self.begin)))
+        return fastest + math.sqrt(abs(self.acceleration))
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """A sine about `centre` whose amplitude [rad] fades from one value to another in the first period. zero: s, when its phase was
+    `phase` [rad]; frequency: Hz."""
+
+    begin: float
+    centre: float
+    before: float
+    amplitude: float
+    frequency: float
+    phase: float
+    zero: float
+
+    def at(self, times: Any) -> tuple[Any, Any]:
+        circular = TURN * self.frequency
+        faded = np.clip((times - self.begin) * self.frequency, 0.0, 1.0)
+        step = self.amplitude - self.before
+        size = self.before + step * (faded - np.sin(TURN * faded) / TURN)
+        growth = step * self.frequency * (1 - np.cos(TURN * faded))
+        turned = circular * (times - self.zero) + self.phase
+        return self.centre + size * np.sin(turned), growth * np.sin(turned) + circular * size * np.cos(turned)
+
+    def pace(self, end: float) -> float:
+        return TURN * self.frequency * (2 + 2 * max(self.before, self.amplitude))
+
+    def faded(self) -> float:
+        """When its amplitude is the last."""
+        return self.begin + 1 / self.frequency
+
+
+Piece = Glide | Swing
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """One joint's pieces by their beginnings; the last goes on for ever. arrival: s, when what was commanded is reached."""
+
+    pieces: tuple[Piece, ...]
+    arrival: float = 0.0
+
+    @classmethod
+    def standing(cls, angle: float) -> Path:
+        return cls((Glide(0.0, angle),))
+
+    def then(self, now: float, pieces: Sequence[Piece], arrival: float) -> Path:
+        """The same until `now`, then other pieces."""
+        past = [piece for piece in self.pieces if piece.begin < now]
+        ends = [*(piece.begin for piece in past[1:]), now]
+        kept = [piece for piece, end in zip(past, ends, strict=False) if end > now - _KEPT]
+        return Path((*kept, *pieces), arrival)
+
+    def state(self, time: float) -> tuple[float, float, float]:
+        """Angle [rad], rate [rad/s] and acceleration [rad/s^2] at one time."""
+        piece = self.current(time)
+        angle, rate = piece.at(time)
+        acceleration = piece.acceleration if isinstance(piece, Glide) else (piece.at(time + 1e-4)[1] - rate) / 1e-4
+        return float(angle), float(rate), float(acceleration)
+
+    def current(self, time: float) -> Piece:
+        return next((piece for piece in reversed(self.pieces) if piece.begin <= time), self.pieces[0])
+
+    def follow(self, times: Array) -> tuple[Value, Value]:
+        """Angle and rate at `times`, floats where the joint stands all the while."""
+        first, last = self.current(float(times[0])), self.current(float(times[-1]))
+        if first is last:
+            if isinstance(first, Glide) and first.rate == first.acceleration == 0.0:
+                return first.angle, 0.0
+            angle, rate = first.at(times)
+            return angle, np.broadcast_to(rate, times.shape)
+        begins = np.array([piece.begin for piece in self.pieces])
+        which = np.maximum(np.searchsorted(begins, times, side="right") - 1, 0)
+        angles, rates = np.empty(times.shape), np.empty(times.shape)
+        for index in np.unique(which):
+            chosen = which == index
+            angles[chosen], rates[chosen] = self.pieces[index].at(times[chosen])
+        return angles, rates
+
+    # -- commands ----------------------------------------------------------------------------------------------------
+
+    def turn(self, now: float, rate: float, acceleration: float) -> Path:
+        """Change to a rate at an acceleration."""
+        angle, first, _ = self.state(now)
+        change = (rate - first) / acceleration
+        ramp = Glide(now, angle, first, math.copysign(acceleration, change))
+        there = now + abs(change)
+        return self.then(now, (ramp, Glide(there, ramp.at(there)[0], rate)), there)
+
+    def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
+        """Come to rest, then move to an angle: speeding up, at `rate` at most, slowing down."""
+        _, first, _ = self.state(now)
+        path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
+        start = max(now, path.arrival) if first != 0.0 else now
+        angle = path.state(start)[0]
+        distance, way = abs(target - angle), math.copysign(1.0, target - angle)
+        top = min(rate, math.sqrt(distance * acceleration))
+        if distance == 0.0:
+            return path.then(start, (Glide(start, target),), start)
+        ramping = top / acceleration
+        steady = distance / top - ramping
+        up = Glide(start, angle, 0.0, way * acceleration)
+        level = Glide(start + ramping, angle + way * top * ramping / 2, way * top)
+        slow = Glide(level.begin + steady, target - way * top * ramping / 2, way * top, -way * acceleration)
+        rest = Glide(slow.begin + ramping, target)
+        return path.then(start, (up, level, slow, rest), rest.begin)
+
+    def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
+        """A sine about an angle; a change of its amplitude fades, anything else begins from rest."""
+        piece = self.current(now)
+        same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
+        before = piece.amplitude if isinstance(piece, Swing) and same else 0.0
+        swing = Swing(now, about, before, amplitude, frequency, phase, zero)
+        return self.then(now, (swing,), swing.faded())
+
+
+@dataclass(slots=True)
+class JointPaths:
+    """A course of the virtual world: every joint on its own path."""
+
+    kind: ClassVar[str] = "joint paths"
+    paths: list[Path] = field(default_factory=list)
+
+    def follow(self, times: Array) -> list[tuple[Value, Value]]:
+        return [path.follow(times) for path in self.paths]
+
+    def still(self, start: float) -> bool:
+        rest = (path.pieces[-1] for path in self.paths)
+        ended = all(isinstance(last, Glide) and last.rate == last.acceleration == 0.0 for last in rest)
+        return ended and all(path.pieces[-1].begin <= start for path in self.paths)
+
+    def stretches(self, begin: float, end: float) -> list[Stretch]:
+        breaks = {piece.begin for path in self.paths for piece in path.pieces}
+        breaks |= {piece.faded() for path in self.paths for piece in path.pieces if isinstance(piece, Swing)}
+        times = [begin, *sorted(time for time in breaks if begin < time < end), end]
+        found = []
+        for first, last in pairwise(times):
+            middle = (first + last) / 2
+            found.append(Stretch(first, last, sum(path.current(middle).pace(last) for path in self.paths)))
+        return found

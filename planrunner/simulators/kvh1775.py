@@ -1,0 +1,52 @@
+"""The frames of a KVH 1775 IMU and DSP-1760 gyro: formats A, B and C with CRC-32, and the answer to a built-in test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.simulators.check_values import CRC_32
+from planrunner.simulators.columns import Bytes, constant, floats, integers, joined
+
+Array = NDArray[np.float64]
+_HEADERS = {"A": b"\xfe\x81\xff\x55", "B": b"\xfe\x81\xff\x56", "C": b"\xfe\x81\xff\x57"}
+_LENGTHS = {"A": 36, "B": 40, "C": 38}
+ALL_VALID = 0x77
+MODULUS = 128  # of the sequence number
+
+
+@dataclass(frozen=True, slots=True)
+class Kvh1775:
+    """format: A; B with a time stamp of 4 bytes; C with one more float (temperature or magnetic field)."""
+
+    format: str = "A"
+
+    def length(self) -> int:
+        """Bytes of a frame on the line."""
+        return _LENGTHS[self.format]
+
+    def frames(self, columns: Mapping[str, Array], sequence: Array) -> Bytes:
+        """Frames (n, length). columns: `gyro_x` … as they go out (rad or deg, rate or angle), `acc_x` … in g, `temperature` in whole
+        degrees or hundredths, `status`, and for B `time_stamp`."""
+        count = sequence.size
+        parts = [constant(_HEADERS[self.format], count)]
+        parts += [floats(columns[f"{name}_{axis}"]) for name in ("gyro", "acc") for axis in "xyz"]
+        if self.format == "B":
+            parts.append(integers(columns.get("time_stamp", np.zeros(count)), 4, signed=False))
+        if self.format == "C":
+            parts.append(floats(columns["temperature"]))
+        parts.append(integers(columns.get("status", np.full(count, ALL_VALID)), 1, signed=False))
+        parts.append(integers(sequence % MODULUS, 1, signed=False))
+        if self.format != "C":
+            parts.append(integers(columns["temperature"], 2))
+        body = joined(*parts)
+        return joined(body, integers(CRC_32.of(body), 4, signed=False))
+
+
+def built_in_test(results: bytes) -> bytes:
+    """The answer to `?bit`: results of 6 bytes, ended by the sum of all bytes before."""
+    answer = b"\xfe\x81\x00\xaa" + results
+    return answer + bytes([sum(answer) & 0xFF])

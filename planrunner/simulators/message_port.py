@@ -1,0 +1,169 @@
+"""An instrument that is spoken to, on a port: messages cut at their terminators, replies with theirs, in a framing where it has one, and
+faulty where a fault says so."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from planrunner.simulators.conversation import Controller
+from planrunner.simulators.faults import FaultBoard
+from planrunner.simulators.ports import PortError, PseudoTerminal
+
+_LONGEST = 4096  # bytes of a message
+Writer = Callable[[bytes], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How messages and replies are told apart. sent_ends: bytes, any of which ends a message; framing: `none`; `words` or `ascii`, the
+    two forms of error code and length before a reply; `prompt`: a `>` on a line of its own after it."""
+
+    sent_ends: bytes = b"\n"
+    reply_ends: bytes = b"\n"
+    framing: str = "none"
+
+    def framed(self, reply: str) -> bytes:
+        body = reply.encode("ascii", "replace") + self.reply_ends
+        if self.framing == "words":
+            return (0).to_bytes(4, "big") + len(body).to_bytes(4, "big") + body
+        if self.framing == "ascii":
+            return f"0000{len(body):04d}".encode("ascii") + body
+        return body + (b">" + self.reply_ends if self.framing == "prompt" else b"")
+
+
+class MessagePort:
+    """One instrument's conversation with whoever connects. now: the bench's time."""
+
+    def __init__(self, name: str, controller: Controller, manner: Manner, board: FaultBoard, now: Callable[[], float]):
+        self.name, self.controller, self.manner, self.board, self.now = name, controller, manner, board, now
+        self.tasks: set[asyncio.Task[None]] = set()
+        self.last_speaker: Writer | None = None
+
+    def heard(self, held: bytearray, data: bytes, write: Writer, hang_up: Callable[[], None]) -> None:
+        """Take bytes; whole messages are answered in the order they came."""
+        held += data
+        pieces = re.split(b"[" + re.escape(self.manner.sent_ends) + b"]", held)
+        held[:] = pieces.pop()[-_LONGEST:]
+        for piece in pieces:
+            if piece.strip():
+                self._answer(piece.decode("ascii", "replace"), write, hang_up)
+
+    def say_later(self) -> None:
+        """Replies that have become due, to whoever spoke last."""
+        for reply in self.controller.later():
+            if self.last_speaker is not None:
+                self.last_speaker(self.manner.framed(reply))
+
+    def _answer(self, message: str, write: Writer, hang_up: Callable[[], None]) -> None:
+        self.last_speaker = write
+        reply = self.controller.answer(message)
+        if reply is None:
+            return
+        data = self.manner.framed(reply)
+        fault = self.board.of_reply(self.name, message, self.now())
+        if fault is None:
+            write(data)
+            return
+        match fault.fault:
+            case "silent":
+                return
+            case "late":
+                self._later(fault.delay.value, data, write)
+            case "partial":
+                write(data[: max(1, len(data) // 2)])
+            case "garbage":
+                write(bytes(255 - byte for byte in data[:-1]) + data[-1:])
+            case "drop link":
+                hang_up()
+            case "wrong model":
+                same = reply == self.controller.identity
+                write(self.manner.framed("Somebody Else,Model X,0,0") if same else data)
+
+    def _later(self, seconds: float, data: bytes, write: Writer) -> None:
+        async def wait() -> None:
+            await asyncio.sleep(seconds)
+            write(data)
+
+        task = asyncio.get_running_loop().create_task(wait())
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+
+
+class TcpMessages:
+    """A message port on loopback TCP; several may be connected."""
+
+    def __init__(self, messages: MessagePort, host: str, port: int):
+        self.messages, self.host, self.port = messages, host, port
+        self.server: asyncio.Server | None = None
+        self.connected: set[asyncio.StreamWriter] = set()
+
+    async def listen(self) -> None:
+        if self.server is not None:
+            return
+        try:
+            self.server = await asyncio.start_server(self._meet, self.host, self.port)
+        except OSError as error:
+            raise PortError(f"{self.host}:{self.port}: {error.strerror or error}") from None
+        self.port = self.server.sockets[0].getsockname()[1]
+
+    def attend(self) -> None:
+        """Connections are attended to as they speak."""
+
+    def refuse(self) -> None:
+        """Close the port, and every connection."""
+        if self.server is not None:
+            self.server.close()
+            self.server = None
+        for writer in list(self.connected):
+            writer.transport.abort()
+
+    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        held = bytearray()
+        self.connected.add(writer)
+
+        def write(data: bytes) -> None:
+            if not writer.is_closing():
+                writer.write(data)
+
+        try:
+            while data := await reader.read(_LONGEST):
+                self.messages.heard(held, data, write, writer.close)
+        except OSError:
+            pass
+        finally:
+            self.connected.discard(writer)
+            writer.close()
+
+
+class TerminalMessages:
+    """A message port on a pseudo-terminal."""
+
+    def __init__(self, messages: MessagePort, link: Path):
+        self.messages = messages
+        self.held = bytearray()
+        self.terminal = PseudoTerminal(link, self._heard)
+
+    async def listen(self) -> None:
+        self.terminal.plug()
+
+    def attend(self) -> None:
+        self.terminal.attend()
+
+    def refuse(self) -> None:
+        self.terminal.unplug()
+
+    def _heard(self, data: bytes) -> None:
+        self.messages.heard(self.held, data, self._write, self._hang_up)
+
+    def _write(self, data: bytes) -> None:
+        if self.terminal.master >= 0:
+            self.terminal.write(data)
+
+    def _hang_up(self) -> None:
+        """A cable that is pulled and put back."""
+        self.terminal.unplug()
+        self.terminal.plug()

@@ -1,0 +1,174 @@
+"""Sensors as units on a line: what their frames carry of the virtual sensor's outputs, and what they answer to the words they know.
+
+STIM300 and KVH stand here, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.interfaces import Block
+from planrunner.plan.units import STANDARD_GRAVITY, unit
+from planrunner.simulators.check_values import CRC_8
+from planrunner.simulators.columns import Bytes
+from planrunner.simulators.kvh1775 import ALL_VALID, Kvh1775, built_in_test
+from planrunner.simulators.stim300 import INTERNAL_RATE, Stim300
+
+Array = NDArray[np.float64]
+_DOUBTFUL = 2  # frames of a KVH after its configuration was changed
+_LATENCY = 500.0  # µs between a sample and its datagram
+
+
+class Unit(Protocol):
+    """A sensor's electronics between its samples and its line."""
+
+    def frames(self, block: Block) -> Bytes:
+        """The frames of consecutive samples, (n, length)."""
+
+    def hear(self, data: bytes) -> bytes:
+        """What it answers to bytes from the line; nothing where it knows no such word."""
+
+
+@dataclass(slots=True)
+class Outputs:
+    """A virtual sensor's outputs in the units of a frame. units: of its channels; axes that it has not stay zero."""
+
+    units: Mapping[str, str]
+
+    def triad(self, block: Block, name: str, in_unit: float) -> dict[str, Array]:
+        """`gyro` or `accel` by axis, divided by a unit of SI."""
+        found = {}
+        for axis in "xyz":
+            channel = f"{name}_{axis}"
+            if channel in block.channels:
+                found[axis] = block.channels[channel] * (unit(self.units[channel]).factor / in_unit)
+            else:
+                found[axis] = np.zeros(block.time.size)
+        return found
+
+    def celsius(self, block: Block) -> Array:
+        return block.channels["sensor_temperature"]
+
+
+@dataclass(slots=True)
+class Counting:
+    """The running number of the next sample."""
+
+    next: int = 0
+
+    def take(self, count: int) -> Array:
+        numbers = np.arange(self.next, self.next + count, dtype=float)
+        self.next += count
+        return numbers
+
+
+@dataclass(slots=True)
+class Stim300Unit:
+    """rate: datagrams a second, of which the counter's step follows."""
+
+    outputs: Outputs
+    form: Stim300
+    rate: float
+    serial: str = "N00000000000000"
+    counting: Counting = field(default_factory=Counting)
+    service: bool = False
+    heard: bytes = b""
+
+    def frames(self, block: Block) -> Bytes:
+        count = block.time.size
+        per_sample = 1 / self.rate if self.form.increments else 1.0
+        gyro = self.outputs.triad(block, "gyro", np.deg2rad(1.0))
+        force = self.outputs.triad(block, "accel", STANDARD_GRAVITY)
+        celsius = self.outputs.celsius(block)
+        columns: dict[str, Array] = {}
+        for axis in "xyz":
+            columns[f"gyro_{axis}"] = gyro[axis] * per_sample
+            columns[f"acc_{axis}"] = columns[f"incl_{axis}"] = force[axis]
+            columns |= {f"{cluster}_T_{axis}": celsius for cluster in ("gyro", "acc", "incl")}
+        numbers = self.counting.take(count)
+        sent = self.form.frames(columns, np.floor(numbers * (INTERNAL_RATE / self.rate)), np.full(count, _LATENCY))
+        return sent[:0] if self.service else sent
+
+    def hear(self, data: bytes) -> bytes:
+        """Commands end with CR: `R` resets, `SERVICEMODE` and `UTILITYMODE` end the datagrams, `$isn,` asks who it is."""
+        self.heard += data
+        replies = b""
+        while b"\r" in self.heard:
+            line, _, self.heard = self.heard.partition(b"\r")
+            replies += self._answer(line.decode("ascii", "replace").strip())
+        self.heard = self.heard[-200:]
+        return replies
+
+    def _answer(self, word: str) -> bytes:
+        if word == "R":
+            self.counting.next, self.service = 0, False
+        elif word == "SERVICEMODE":
+            self.service = True
+            return b"STIM300\r\n>"
+        elif word == "UTILITYMODE":
+            self.service = True
+            return _with_check("#UTILITYMODE,")
+        elif self.service and word.startswith("$isn,"):
+            return _with_check(f"#isn,0,{self.serial},")
+        elif self.service and word in ("x", "$xn,"):
+            self.service = False
+        return b""
+
+
+def _with_check(text: str) -> bytes:
+    return f"{text}{CRC_8.of_text(text)}\r".encode("ascii")
+
+
+@dataclass(slots=True)
+class KvhUnit:
+    """degrees: gyro outputs in deg in place of rad; increments: angles in place of rates; hundredths: of the temperature's degrees."""
+
+    outputs: Outputs
+    form: Kvh1775
+    rate: float
+    degrees: bool = False
+    increments: bool = False
+    hundredths: bool = False
+    counting: Counting = field(default_factory=Counting)
+    heard: bytes = b""
+    doubtful: int = 0
+
+    def frames(self, block: Block) -> Bytes:
+        per_sample = 1 / self.rate if self.increments else 1.0
+        gyro = self.outputs.triad(block, "gyro", np.deg2rad(1.0) if self.degrees else 1.0)
+        force = self.outputs.triad(block, "accel", STANDARD_GRAVITY)
+        numbers = self.counting.take(block.time.size)
+        columns = {
+            "temperature": self.outputs.celsius(block) * (100.0 if self.hundredths else 1.0),
+            "time_stamp": np.floor(numbers * 1e6 / self.rate) % 2**32,
+        }
+        for axis in "xyz":
+            columns |= {f"gyro_{axis}": gyro[axis] * per_sample, f"acc_{axis}": force[axis]}
+        columns["status"] = np.where(np.arange(numbers.size) < self.doubtful, 0.0, float(ALL_VALID))
+        self.doubtful = max(0, self.doubtful - numbers.size)
+        return self.form.frames(columns, numbers)
+
+    def hear(self, data: bytes) -> bytes:
+        """Lines end with CR or LF: `?bit` is answered by the built-in test, `=rotfmt,…` and the like take effect. The first frames after a
+        change say that they are invalid."""
+        self.heard += data.replace(b"\r", b"\n")
+        replies = b""
+        while b"\n" in self.heard:
+            line, _, self.heard = self.heard.partition(b"\n")
+            word = line.decode("ascii", "replace").strip().lower()
+            self.doubtful = _DOUBTFUL if word.startswith("=") else self.doubtful
+            if word == "?bit":
+                replies += built_in_test(b"\x7f" * 6)
+            elif word in ("=rotfmt,delta", "=rotfmt,rate"):
+                self.increments = word.endswith("delta")
+            elif word in ("=rotunits,deg", "=rotunits,rad"):
+                self.degrees = word.endswith("deg")
+            elif word in ("=tempunits,c", "=tempunits,c_100"):
+                self.hundredths = word.endswith("100")
+        self.heard = self.heard[-200:]
+        return replies

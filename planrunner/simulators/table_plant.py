@@ -1,0 +1,145 @@
+"""What a table's controller drives: axes that turn, go and swing within limits, an interlock, and faults that end a motion.
+
+Nothing here knows a protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from planrunner.instruments.virtual.table import VirtualTable
+from planrunner.physics.kinematics import TableAxis, attitude
+from planrunner.simulators.joint_paths import JointPaths, Path, Swing
+from planrunner.simulators.live_world import LiveWorld
+
+TURN = 2 * math.pi
+_GRANTED = 1 + 1e-9
+
+
+@dataclass(slots=True)
+class Axis:
+    """One axis and what its controller holds of it. rates, accelerations: limits by mode. lowest, highest, trip, tracking: beyond which it
+    refuses, switches off. aim: the angle demanded last. faults: those that ended its motion, until they are reset."""
+
+    model: TableAxis
+    lowest: float
+    highest: float
+    trip: float
+    tracking: float = math.inf
+    powered: bool = False
+    aim: float = 0.0
+    centre: float = 0.0
+    limited: str = ""
+    faults: tuple[str, ...] = ()
+
+
+class TablePlant:
+    """The axes of a live world's virtual table."""
+
+    def __init__(self, live: LiveWorld):
+        table: VirtualTable = live.table
+        self.live = live
+        self.table = table
+        self.paths = JointPaths([Path.standing(0.0) for _ in table.axes])
+        self.interlock_fault = False
+        self.interlock_open = False
+        live.world.course = self.paths
+        self.axes = [
+            Axis(model, max(model.lowest, -1e6 * TURN), min(model.highest, 1e6 * TURN), 1.1 * model.max_rate)
+            for model in table.axes
+        ]
+
+    # -- what is measured ----------------------------------------------------------------------------------------------
+
+    def state(self, index: int) -> tuple[float, float, float]:
+        """Angle, rate and acceleration now. Keeps watch: an axis beyond its trip rate is switched off."""
+        found = self.paths.paths[index].state(self.live.now())
+        axis = self.axes[index]
+        if abs(found[1]) > axis.trip * _GRANTED and not axis.faults:
+            self.fail(index, "over-rate")
+        return found
+
+    def arrived(self, index: int) -> bool:
+        return self.live.now() >= self.paths.paths[index].arrival
+
+    # -- what it is told -----------------------------------------------------------------------------------------------
+
+    def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
+        """Towards an angle; a continuous axis takes the shorter way."""
+        axis, now = self.axes[index], self.live.before_change()
+        if axis.model.continuous:
+            here = self.paths.paths[index].state(now)[0]
+            angle = here + math.remainder(angle - here, TURN)
+        axis.limited = "position" if not axis.lowest <= angle <= axis.highest else ""
+        angle = min(max(angle, axis.lowest), axis.highest)
+        axis.aim = axis.centre = angle
+        path = self.paths.paths[index]
+        self.paths.paths[index] = path.go(now, angle, *self._within(axis, rate, acceleration))
+        self._point()
+
+    def turn(self, index: int, rate: float, fastest: float, acceleration: float) -> None:
+        """Change to a rate, held to the limit."""
+        axis, now = self.axes[index], self.live.before_change()
+        fastest, acceleration = self._within(axis, fastest, acceleration)
+        axis.limited = "rate" if abs(rate) > fastest * _GRANTED else ""
+        rate = math.copysign(min(abs(rate), fastest), rate)
+        rate *= 1 + self.table.rate_error(abs(rate))
+        self.paths.paths[index] = self.paths.paths[index].turn(now, rate, acceleration)
+
+    def swing(
+        self, index: int, amplitude: float, frequency: float, phase: float, rate: float, acceleration: float
+    ) -> None:
+        """A sine about where the axis was sent last. All that swing share one beginning."""
+        axis, now = self.axes[index], self.live.before_change()
+        path = self.paths.paths[index]
+        swinging = [p for p in (path.current(now) for path in self.paths.paths) if isinstance(p, Swing)]
+        zero = next((p.zero for p in swinging if p.frequency == frequency), now)
+        circular = TURN * frequency
+        rate, acceleration = self._within(axis, rate, acceleration)
+        most = min(rate / circular, acceleration / circular**2)
+        axis.limited = "rate" if amplitude > most * _GRANTED else ""
+        self.paths.paths[index] = path.swing(now, min(amplitude, most), frequency, phase, zero, axis.centre)
+
+    def stop(self, index: int, acceleration: float | None = None) -> None:
+        """Come to rest, where that is."""
+        now = self.live.before_change()
+        axis, path = self.axes[index], self.paths.paths[index]
+        self.paths.paths[index] = path.turn(now, 0.0, acceleration or axis.model.max_acceleration)
+        axis.aim = axis.centre = self.paths.paths[index].pieces[-1].at(self.paths.paths[index].arrival)[0]
+
+    # -- what goes wrong -----------------------------------------------------------------------------------------------
+
+    def fail(self, index: int, fault: str) -> None:
+        """`over-rate`, `tracking error` or `axis fault`: the axis brakes and takes no demand until it is reset."""
+        axis = self.axes[index]
+        axis.faults = (*axis.faults, fault)
+        self.stop(index)
+        axis.powered = False
+
+    def open_interlock(self, is_open: bool = True) -> None:
+        """The chain of doors and buttons: open, every axis brakes; what it says freezes until it is reset."""
+        self.interlock_open = is_open
+        if is_open:
+            self.interlock_fault = True
+            for index, axis in enumerate(self.axes):
+                if axis.powered:
+                    self.stop(index)
+                axis.powered = False
+
+    def reset(self) -> None:
+        """Forget faults; an interlock that is open still is at once a fault again."""
+        self.interlock_fault = self.interlock_open
+        for axis in self.axes:
+            axis.faults = ()
+
+    # -- how it does it ------------------------------------------------------------------------------------------------
+
+    def _within(self, axis: Axis, rate: float, acceleration: float) -> tuple[float, float]:
+        return min(rate, axis.model.max_rate), min(acceleration, axis.model.max_acceleration)
+
+    def _point(self) -> None:
+        """The pointing error of the orientation that the axes were sent to."""
+        world = self.live.world
+        aims = [axis.aim for axis in self.axes]
+        world.skew = self.table.pointing_error(attitude(world.axes, aims, world.site.azimuth))

@@ -1,0 +1,75 @@
+"""A Thermotron 8800 chamber controller: questions on channel 1, operations that are answered by a code, a stop code."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from planrunner.plan.units import ZERO_CELSIUS
+from planrunner.simulators.chamber_plant import ChamberPlant
+from planrunner.simulators.conversation import NotUnderstoodError, number
+
+DONE, UNKNOWN, INCORRECT, OUT_OF_RANGE = "0", "1", "2", "5"
+_RUNNING, _STOPPED_REMOTELY, _ALARM = 1, 5, 7
+_OPERATION = re.compile(r"([A-Z]+)1,(\S+)")
+
+
+class Thermotron8800:
+    """Channel 1 is the air's temperature in degC, ramps in K/min."""
+
+    def __init__(self, plant: ChamberPlant, identity: str = "8800"):
+        self.plant = plant
+        self.identity = identity
+
+    def answer(self, message: str) -> str | None:
+        message = message.strip().upper()
+        asked = {
+            "IDEN?": lambda: self.identity,
+            "PVAR1?": lambda: f"{self.plant.air() - ZERO_CELSIUS:.2f}",
+            "SETP1?": lambda: f"{self.plant.setpoint - ZERO_CELSIUS:.2f}",
+            "MRMP1?": lambda: f"{self.plant.ramp * 60:g}",
+            "SCOD?": lambda: str(self._stop_code()),
+            "ALRM1?": lambda: str(sum(1 << number for number in set(self.plant.alarms))),
+        }
+        if message in asked:
+            return asked[message]()
+        try:
+            return self._operate(message)
+        except NotUnderstoodError:
+            return UNKNOWN
+
+    def later(self) -> list[str]:
+        return []
+
+    def watch(self) -> None:
+        self.plant.air()
+
+    def _operate(self, message: str) -> str:
+        if message == "RUNM":
+            self.plant.regulate()
+            return DONE if self.plant.running else INCORRECT
+        if message in ("STOP", "HOLD"):
+            if message == "STOP":
+                self.plant.stop()
+            return DONE
+        found = _OPERATION.fullmatch(message)
+        if found is None:
+            raise NotUnderstoodError(message)
+        value = number(found[2])
+        if found[1] == "SETP":
+            kelvin = value + ZERO_CELSIUS
+            if not self.plant.model.lowest <= kelvin <= self.plant.model.highest:
+                return OUT_OF_RANGE
+            self.plant.set_only(kelvin)
+        elif found[1] == "MRMP":
+            if not (value >= 0 and math.isfinite(value)):
+                return OUT_OF_RANGE
+            self.plant.set_ramp(value / 60)
+        else:
+            raise NotUnderstoodError(message)
+        return DONE
+
+    def _stop_code(self) -> int:
+        if self.plant.alarms:
+            return _ALARM
+        return _RUNNING if self.plant.running else _STOPPED_REMOTELY

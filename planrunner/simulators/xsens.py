@@ -1,0 +1,90 @@
+"""The messages of an Xsens MTi on the Xbus: MTData2 packets, state changes and errors, each with the sum that makes it zero."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.simulators.check_values import sum_to_zero
+from planrunner.simulators.columns import Bytes, constant, floats, integers, joined
+
+Array = NDArray[np.float64]
+MTDATA2 = 0x36
+PACKET_COUNTER, SAMPLE_TIME_FINE, STATUS_WORD, TEMPERATURE, UTC = 0x1020, 0x1060, 0xE020, 0x0810, 0x1010
+_INTEGERS = {PACKET_COUNTER: 2, SAMPLE_TIME_FINE: 4, STATUS_WORD: 4}
+_UTC = (4, 2, 1, 1, 1, 1, 1, 1)  # bytes of ns, year, month, day, hour, minute, second, flags
+_COMPONENTS = {0x4020: 3, 0x4010: 3, 0x8020: 3, 0x8030: 4, 0x2010: 4, TEMPERATURE: 1}
+_FINE_TICKS = 10_000.0  # of SampleTimeFine in a second
+
+
+@dataclass(frozen=True, slots=True)
+class Xsens:
+    """items: data identifiers in the order of the packet, the format of reals (0 f32, 1 12.20, 2 16.32, 3 f64) in their low bits."""
+
+    items: Sequence[int] = (PACKET_COUNTER, SAMPLE_TIME_FINE, 0x4020, 0x8020, TEMPERATURE, STATUS_WORD)
+
+    def length(self) -> int:
+        """Bytes of a packet on the line."""
+        payload = sum(3 + self._size(item) for item in self.items)
+        return payload + (5 if payload < 255 else 7)
+
+    def _size(self, item: int) -> int:
+        whole = item & 0xFFF0
+        if item == UTC:
+            return sum(_UTC)
+        return _INTEGERS.get(item) or _COMPONENTS[whole] * (4, 4, 6, 8)[item & 3]
+
+    def frames(self, columns: Mapping[int, Array]) -> Bytes:
+        """Packets (n, length). columns: by identifier without its format, (n,) or (n, components), in SI units and degC."""
+        count = len(next(iter(columns.values())))
+        parts = []
+        for item in self.items:
+            parts.append(constant(item.to_bytes(2, "big") + bytes([self._size(item)]), count))
+            if item in _INTEGERS:
+                width = _INTEGERS[item]
+                parts.append(integers(columns[item] % (1 << 8 * width), width, signed=False))
+                continue
+            if item == UTC:
+                parts += [integers(part, width, signed=False) for part, width in zip(columns[UTC].T, _UTC, strict=True)]
+                continue
+            values = np.reshape(columns[item & 0xFFF0], (count, -1))
+            parts += [_real(component, item & 3) for component in values.T]
+        payload = joined(*parts)
+        return message(MTDATA2, payload)
+
+
+def known(item: int) -> bool:
+    """Whether a data identifier, with its format, can be sent."""
+    return item in _INTEGERS or ((item & 0xFFF0) in _COMPONENTS and item & 0xF < 4)
+
+
+def _real(values: Array, form: int) -> Bytes:
+    """Reals (n,): IEEE 754, or fixed point with 20 or 32 bits behind the point (of the latter, the fraction goes first)."""
+    if form == 1:
+        return integers(np.rint(values * 2.0**20), 4)
+    if form == 2:
+        whole = np.floor(values)
+        fraction = np.minimum(np.rint((values - whole) * 2.0**32), 2.0**32 - 1)
+        return joined(integers(fraction, 4, signed=False), integers(whole, 2))
+    return floats(values, 8 if form == 3 else 4)
+
+
+def message(identifier: int, payload: Bytes) -> Bytes:
+    """Messages (n, length) of one kind around payloads (n, m)."""
+    size = payload.shape[1]
+    length = bytes([size]) if size < 255 else b"\xff" + size.to_bytes(2, "big")
+    covered = joined(constant(bytes([0xFF, identifier]) + length, len(payload)), payload)
+    return joined(constant(b"\xfa", len(payload)), covered, sum_to_zero(covered)[:, None])
+
+
+def short_message(identifier: int, payload: bytes = b"") -> bytes:
+    """One message, such as an acknowledgement or an error."""
+    return message(identifier, constant(payload, 1)).tobytes()
+
+
+def fine_time(seconds: Array) -> Array:
+    """SampleTimeFine at times [s]."""
+    return np.floor(np.asarray(seconds) * _FINE_TICKS)

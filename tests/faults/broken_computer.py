@@ -1,0 +1,41 @@
+"""A computer that fails under planrunner: while the file `disk-full` lies in a folder its disk takes nothing more, and while `clock-step`
+does its clock is an hour behind."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import time
+from datetime import datetime, timedelta, tzinfo
+from pathlib import Path
+from typing import Any
+
+import planrunner.archive.journal
+import planrunner.archive.run_folder
+import planrunner.archive.storage
+
+
+def break_with(folder: Path) -> None:
+    """From now on, in this process."""
+    full, step, true_time = folder / "disk-full", folder / "clock-step", time.time
+
+    class Disk(io.FileIO):
+        def write(self, data: Any, /) -> int:
+            if full.exists():
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(data)
+
+    class Clock(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Any:
+            return datetime.now(tz) - timedelta(hours=step.exists())
+
+    storage, journal, run_folder = (
+        planrunner.archive.storage,
+        planrunner.archive.journal,
+        planrunner.archive.run_folder,
+    )
+    storage.FileIO = Disk  # type: ignore[misc]
+    journal.datetime = run_folder.datetime = Clock  # type: ignore[misc]
+    time.time = lambda: true_time() - 3600 * step.exists()

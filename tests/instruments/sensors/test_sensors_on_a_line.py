@@ -1,0 +1,177 @@
+"""Whole drivers on a pseudo-terminal, in real time: connecting, streaming, commands, and lines that fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bench_entries import parameters_of
+
+pytest.importorskip("tty", reason="this system has no pseudo-terminals")
+
+from sending_unit import SendingUnit
+
+from planrunner.bench.clock import VirtualClock, WallClock
+from planrunner.instruments.interfaces import Counting, InstrumentError, Surroundings, Watched
+from planrunner.instruments.sensors.kvh1775 import Kvh1775
+from planrunner.instruments.sensors.stim300 import Stim300
+from planrunner.instruments.sensors.vectornav import VectorNav
+from planrunner.instruments.sensors.xsens import XsensMti
+from planrunner.physics.earth import Site
+from planrunner.plan.schedule import Rest, Segment
+from planrunner.simulators import kvh1775, stim300, vectornav, xsens
+
+KEYS = "driver: stim300; sample_rate: 500 Hz; datagram: 0x91; silence: 2 s"
+IMPATIENT = KEYS.replace("2 s", "0.4 s")
+
+
+def surroundings() -> Surroundings:
+    return Surroundings(WallClock(), Site(0.7, 9.8), real_time=True)
+
+
+def segment(dwell: float) -> Segment:
+    return Segment(0, "S", np.eye(3), "", Rest(), dwell)
+
+
+def triads(first: int, end: int) -> dict[str, np.ndarray]:
+    """Columns of frames whose gyro_x is their number, and the rest zero."""
+    columns = {f"{name}_{axis}": np.zeros(end - first) for name in ("gyro", "acc") for axis in "xyz"}
+    return columns | {"gyro_x": np.arange(first, end, dtype=float) % 256, "temperature": np.zeros(end - first)}
+
+
+def stim_frames(first: int, end: int) -> bytes:
+    index = np.arange(first, end)
+    return (
+        stim300.Stim300(0x91, crlf=True)
+        .frames(triads(first, end), index * 4 % 256, np.full(end - first, 300))
+        .tobytes()
+    )
+
+
+def test_a_segment_is_streamed() -> None:
+    with SendingUnit(stim_frames, 500) as unit:
+        around = surroundings()
+        sensor = Stim300.connect(parameters_of(KEYS, unit.port), around)
+        assert isinstance(sensor, Watched) and isinstance(sensor, Counting)
+        assert sensor.identify()["model"] == "STIM300"
+        assert Stim300.address(parameters_of(KEYS, unit.port)) == unit.port
+        begun = around.clock.now()
+        blocks = list(sensor.stream(segment(1.0)))
+        times = np.concatenate([block.time for block in blocks])
+        numbers = np.concatenate([block.channels["gyro_x"] for block in blocks])
+        assert begun < times[0] and times[-1] == pytest.approx(begun + 1, abs=0.1) and np.all(np.diff(times) > 0)
+        counts = sensor.counts()
+        if unit.dropped == 0:  # a machine that is too busy drops on the line, and the counts tell
+            assert counts.lost == 0
+            assert set(np.mod(np.diff(numbers), 256)) == {1.0}
+        assert times.size + counts.lost == 500
+        assert sensor.watch().faults == ()
+        sensor.make_safe()
+        sensor.close()
+
+
+def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
+    with SendingUnit(stim_frames, 500) as unit:
+        sensor = Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
+        rows = 0
+        stream = sensor.stream(segment(20.0))
+        while rows < 150:
+            rows += next(stream).time.size
+        unit.silent = True
+        with pytest.raises(InstrumentError, match=r"no good frame for 0\.\d s: look at its power"):
+            list(stream)
+        assert "no good frame" in sensor.watch().faults[0]
+        unit.silent = False
+        unit.unplug()
+        with pytest.raises(InstrumentError, match=r"is gone .*unplugged"):
+            list(sensor.stream(segment(20.0)))
+        sensor.close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        (IMPATIENT.replace("500 Hz", "250 Hz"), "good frames a second come from .* where the bench file says 250 Hz"),
+        (IMPATIENT.replace("0x91", "0xA7"), "no frame that begins with A7 .*: look at `baud`"),
+    ],
+)
+def test_what_does_not_fit_is_told_when_connecting(keys: str, words: str) -> None:
+    with SendingUnit(stim_frames, 500) as unit, pytest.raises(InstrumentError, match=words):
+        Stim300.connect(parameters_of(keys, unit.port), surroundings())
+
+
+def test_a_silent_line_and_a_simulated_clock_are_refused() -> None:
+    with SendingUnit(stim_frames, 500) as unit:
+        unit.silent = True
+        with pytest.raises(InstrumentError, match=r"nothing comes from .* switched on"):
+            Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
+        with pytest.raises(InstrumentError, match="clock: wall"):
+            Stim300.connect(parameters_of(IMPATIENT, unit.port), Surroundings(VirtualClock(), Site(0.7, 9.8)))
+
+
+def test_kvh_is_set_by_commands() -> None:
+    def frames(first: int, end: int) -> bytes:
+        stream = kvh1775.Kvh1775("A").frames(triads(first, end), np.arange(first, end)).tobytes()
+        return stream + (
+            kvh1775.built_in_test(b"\x7f\x7f\x7e\x7b\x7f\x7f") if unit.heard.endswith(b"?bit\r\n") else b""
+        )
+
+    unit = SendingUnit(frames, 500)
+    with unit:
+        keys = "driver: kvh_1775; sample_rate: 500 Hz; configure: true; rotation: delta; temperature_unit: C_100"
+        sensor = Kvh1775.connect(parameters_of(keys, unit.port), surroundings())
+        sensor.close()
+        assert sensor.identify()["built_in_test"] == "7f 7f 7e 7b 7f 7f"
+        commands = [b"=config,1", b"=dr,500", b"=rotfmt,delta", b"=tempunits,C_100", b"=config,0", b"?bit"]
+        assert unit.heard.split(b"\r\n")[:-1] == commands
+
+
+class AnsweringMti(SendingUnit):
+    """Acknowledges every message, or answers with an error."""
+
+    refuses = False
+
+    def __init__(self) -> None:
+        self.answered = 0
+        super().__init__(self._frames, 100)
+
+    def _frames(self, first: int, end: int) -> bytes:
+        columns = {0x4020: np.zeros((end - first, 3)), 0x8020: np.zeros((end - first, 3))}
+        columns |= {0x1020: np.arange(first, end), 0xE020: np.ones(end - first)}
+        stream = xsens.Xsens([0x1020, 0x4020, 0x8020, 0xE020]).frames(columns).tobytes()
+        while len(self.heard) >= self.answered + 5:
+            identifier, length = self.heard[self.answered + 2], self.heard[self.answered + 3]
+            self.answered += 5 + length
+            stream += xsens.short_message(0x42, b"\x04") if self.refuses else xsens.short_message(identifier + 1)
+        return stream
+
+
+def test_xsens_is_set_by_messages_that_are_answered() -> None:
+    with AnsweringMti() as unit:
+        keys = "driver: xsens_mti; sample_rate: 100 Hz; configure: true"
+        XsensMti.connect(parameters_of(keys, unit.port), surroundings()).close()
+        settings = b"\x10\x20\xff\xff\xe0\x20\xff\xff\x80\x20\x00\x64\x40\x20\x00\x64"
+        assert unit.heard == (
+            xsens.short_message(0x30) + xsens.short_message(0xC0, settings) + xsens.short_message(0x10)
+        )
+        unit.refuses = True
+        with pytest.raises(InstrumentError, match="refuses message 30 with error 04"):
+            XsensMti.connect(parameters_of(keys, unit.port), surroundings())
+
+
+def test_vectornav_is_set_by_a_line_that_it_echoes() -> None:
+    def frames(first: int, end: int) -> bytes:
+        columns = {"time_startup": np.arange(first, end) * 5e6, "imu": np.zeros((end - first, 6))}
+        stream = vectornav.VectorNav(("time_startup", "imu")).frames(columns).tobytes()
+        echo, unit.heard = unit.heard, b""
+        return stream + echo
+
+    unit = SendingUnit(frames, 200)
+    with unit:
+        keys = "driver: vectornav; sample_rate: 200 Hz; fields: [time_startup, imu]; configure: port_1"
+        sensor = VectorNav.connect(parameters_of(keys, unit.port), surroundings())
+        assert sensor.identify()["configured"] == "time_startup, imu"
+        assert sum(block.time.size for block in sensor.stream(segment(0.4))) <= 80
+        sensor.close()
+        keys = keys.replace("200 Hz", "300 Hz")
+        with pytest.raises(InstrumentError, match="800 Hz or a whole part"):
+            VectorNav.connect(parameters_of(keys, unit.port), surroundings())

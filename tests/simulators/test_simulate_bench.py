@@ -1,0 +1,262 @@
+"""The simulated bench as a process: what it says on its addresses, what it is told, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planrunner.bench.model import read_bench
+from planrunner.bench.opening import open_bench
+from planrunner.bench.simulation import Simulation, ask, attach
+from planrunner.cli import FAULT, WRONG_INPUT, main
+from planrunner.instruments.interfaces import InstrumentError
+from planrunner.simulators.addresses import Address
+from planrunner.simulators.ports import PortError
+
+ROOT = Path(__file__).resolve().parents[2]
+PLANRUNNER = [sys.executable, "-m", "planrunner", "simulate-bench"]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are not for Windows")
+
+
+def started(folder: Path, *more: str, bench: str = "lab_simulated") -> tuple[subprocess.Popen[str], dict[str, Any]]:
+    """A process that serves the shipped bench at addresses of its own, and what it says when it is ready."""
+    ready = folder / "ready.json"
+    command = [*PLANRUNNER, bench, "--copy", str(folder / "bench.yaml"), "--ready", str(ready), *more]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+    deadline = time.monotonic() + 60
+    while not ready.exists():
+        if process.poll() is not None or time.monotonic() > deadline:
+            process.kill()
+            pytest.fail(f"it does not begin: {process.communicate()[0]}")
+        time.sleep(0.05)
+    return process, json.loads(ready.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("bench")
+    process, note = started(folder, "--speed", "20")
+    yield {**note, "folder": folder}
+    process.terminate()
+    process.communicate(timeout=20)
+
+
+def connected(address: str) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", Address.of(address).port), timeout=5)
+
+
+def said(connection: socket.socket, message: str) -> bytes:
+    connection.sendall(message.encode() + b"\n")
+    return connection.recv(4096)
+
+
+def until(control: str, what: Any, patience: float = 10.0) -> dict[str, Any]:
+    """The state of the bench as soon as it is so."""
+    deadline = time.monotonic() + patience
+    while not what(state := ask(control, {"ask": "state"})):
+        assert time.monotonic() < deadline, state
+        time.sleep(0.02)
+    return state
+
+
+def frames_of(link: str, count: int) -> bytes:
+    """So many bytes from the line."""
+    file = os.open(link, os.O_RDONLY | os.O_NOCTTY)
+    try:
+        data = b""
+        while len(data) < count:
+            data += os.read(file, 4096)
+        return data
+    finally:
+        os.close(file)
+
+
+def test_table_and_chamber_answer_and_move_one_world(served: dict[str, Any]) -> None:
+    with connected(served["addresses"]["table"]) as table, connected(served["addresses"]["chamber"]) as chamber:
+        assert said(table, "*IDN?")[:8] == bytes(4) + (len("ACUTRONIC,ACUTROL3000,simulated,1.0") + 1).to_bytes(
+            4, "big"
+        )
+        assert said(chamber, ":SOURCE:CLOOP1:PVALUE?") == b"25.000\n"
+        table.sendall(b":int:reset;close all\n:dem:rate 1,10\n:mode:rate 1\n")
+        state = until(served["control"], lambda state: state["table"]["rates"][0] > 0.17)
+        assert state["table"]["powered"] == [True, True, True]
+        table.sendall(b":mode:off all\n:int:open all\n")
+        until(served["control"], lambda state: state["table"]["rates"][0] == 0)
+
+
+def test_the_line_carries_frames_that_check(served: dict[str, Any]) -> None:
+    """CRC-16 XMODEM: a frame followed by its check leaves nothing, shifted bit by bit."""
+    data = frames_of(served["addresses"]["gyro"], 2000)
+    start = data.index(b"\xa5\x5a")
+    counters = []
+    for place in range(start, len(data) - 16, 16):
+        frame = data[place : place + 16]
+        register = 0
+        for byte in frame[2:]:
+            register ^= byte << 8
+            for _ in range(8):
+                register = (register << 1 ^ (0x1021 if register & 0x8000 else 0)) & 0xFFFF
+        assert register == 0
+        counters.append(int.from_bytes(frame[12:14], "big"))
+    assert len(counters) > 100
+    assert {(b - a) % 65536 for a, b in pairwise(counters)} == {1}
+
+
+def test_the_sensor_feels_the_chamber_and_the_table(served: dict[str, Any]) -> None:
+    state = ask(served["control"], {"ask": "state"})
+    assert state["chamber"]["air"] == pytest.approx(298.15, abs=0.01)
+    assert state["line"]["frames"] > 0
+
+
+def test_faults_are_declared_while_it_runs(served: dict[str, Any]) -> None:
+    control = served["control"]
+    told = ask(control, {"inject": "{instrument: table, fault: interlock open, for: 20 s}"})
+    until(control, lambda state: [item["begun"] for item in state["faults"]] == [True])
+    with connected(served["addresses"]["table"]) as table:
+        assert said(table, ":interlock? 1").endswith(b"Fault\n")
+        ask(control, {"clear": told["fault"]})
+        until(control, lambda state: not state["faults"])
+        table.sendall(b":int:reset\n")
+        assert said(table, ":interlock? 1").endswith(b"Open\n")
+    with pytest.raises(InstrumentError, match="cannot have the fault"):
+        ask(control, {"inject": {"instrument": "gyro", "fault": "stuck"}})
+    with pytest.raises(InstrumentError, match="one of ask"):
+        ask(control, {"dance": True})
+
+
+def test_a_port_that_refuses_comes_back(served: dict[str, Any]) -> None:
+    control, address = served["control"], served["addresses"]["chamber"]
+    number = ask(control, {"inject": {"instrument": "chamber", "fault": "refuse"}})["fault"]
+    until(control, lambda state: state["faults"] and state["faults"][0]["begun"])
+    with pytest.raises(ConnectionRefusedError):
+        connected(address).close()
+    ask(control, {"clear": number})
+    until(control, lambda state: not state["faults"])
+    deadline = time.monotonic() + 5
+    while True:
+        try:
+            with connected(address) as chamber:
+                assert said(chamber, ":SOURCE:CLOOP1:ERROR?") == b"NONE\n"
+            return
+        except ConnectionRefusedError:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def test_a_line_that_is_unplugged_comes_back(served: dict[str, Any]) -> None:
+    control, link = served["control"], Path(served["addresses"]["gyro"])
+    number = ask(control, {"inject": {"instrument": "gyro", "fault": "unplug"}})["fault"]
+    until(control, lambda state: state["faults"] and state["faults"][0]["begun"])
+    assert not link.is_symlink()
+    ask(control, {"clear": number})
+    until(control, lambda state: not state["faults"])
+    assert frames_of(str(link), 100)
+
+
+def test_what_nobody_fetches_is_dropped(served: dict[str, Any]) -> None:
+    before = ask(served["control"], {"ask": "state"})["line"]["bytes_dropped"]
+    until(served["control"], lambda state: state["line"]["bytes_dropped"] > before)
+
+
+def test_a_run_takes_its_clock_from_the_simulated_bench(served: dict[str, Any]) -> None:
+    bench, _, _ = read_bench(str(served["folder"] / "bench.yaml"))
+    with open_bench(bench) as opened:
+        assert opened.clock.speed == 20
+        assert "ACUTRO" in opened.table.identify()["model"]
+    elsewhere = Simulation(bench="virtual", control=served["control"])
+    with pytest.raises(InstrumentError, match="the bench file says TCPIP"):
+        attach(elsewhere, {"table": "TCPIP::127.0.0.1::9878::SOCKET"})
+
+
+def test_without_a_simulated_bench_a_run_says_how_to_start_it() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        control = f"127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(InstrumentError, match="planrunner simulate-bench"):
+        ask(control, {"ask": "bench"})
+
+
+def test_it_ends_cleanly_when_it_is_terminated(tmp_path: Path) -> None:
+    script = tmp_path / "faults.yaml"
+    script.write_text(
+        "planrunner_faults: 1\nfaults: [{instrument: gyro, fault: silent, at: 1 min}]\n", encoding="utf-8"
+    )
+    process, note = started(tmp_path, "--faults", str(script))
+    assert ask(note["control"], {"ask": "state"})["faults"][0]["fault"] == "silent"
+    link = Path(note["addresses"]["gyro"])
+    assert link.is_symlink()
+    process.send_signal(signal.SIGTERM)
+    output, _ = process.communicate(timeout=20)
+    assert process.returncode == 0, output
+    assert not link.is_symlink() and not (tmp_path / "ready.json").exists()
+    with pytest.raises(ConnectionRefusedError):
+        connected(note["addresses"]["table"]).close()
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ("TCPIP::192.168.0.5::5025::SOCKET", "another computer"),
+        ("GPIB0::3::INSTR", "cannot be simulated"),
+        ("socket://10.0.0.1:4001", "another computer"),
+    ],
+)
+def test_only_this_computer_is_served(address: str, told: str) -> None:
+    with pytest.raises(PortError, match=told):
+        Address.of(address)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "TCPIP::127.0.0.1::9878::SOCKET",
+        "socket://127.0.0.1:4001",
+        "simulated/gyro",
+        "ASRL/tmp/x::INSTR",
+        "/dev/ttyUSB0",
+    ],
+)
+def test_addresses_are_written_as_they_were(text: str) -> None:
+    assert Address.of(text).written() == text
+
+
+def test_benches_that_cannot_be_simulated_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "plans" / "benches" / "lab_simulated.yaml").read_text(encoding="utf-8")
+    text = text.replace("simulated/gyro", str(tmp_path / "gyro"))
+    bench = tmp_path / "bench.yaml"
+
+    def refused(changed: str) -> tuple[int, str]:
+        bench.write_text(changed, encoding="utf-8")
+        code = main(["simulate-bench", str(bench)])
+        told = "".join(capsys.readouterr())
+        assert "internal error" not in told
+        return code, told
+
+    assert refused(text.replace("simulation: {", "# {"))[0] == WRONG_INPUT
+    code, told = refused(text.replace("bench: virtual,", "bench: virtual_gyro_triad,"))
+    assert code == WRONG_INPUT and "meaning-simulation" in told
+    code, told = refused(text.replace("sample_rate: 100 Hz", "sample_rate: 200 Hz"))
+    assert code == WRONG_INPUT and "100 Hz at most" in told
+    code, told = refused(text.replace("torquer_y:", "torquer_z:"))
+    assert code == WRONG_INPUT and "no output 'torquer_z'" in told
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        code, told = refused(text.replace("::9878::", f"::{taken.getsockname()[1]}::"))
+        assert code == FAULT and "in use" in told
+    (tmp_path / "gyro").write_text("mine", encoding="utf-8")
+    code, told = refused(text.replace("9878", "0").replace("5025", "0"))
+    assert code == FAULT and "choose another name" in told
+    assert (tmp_path / "gyro").read_text(encoding="utf-8") == "mine"
