@@ -175,8 +175,8 @@ def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
         return tuple(
             recorded.segments[index] for index in select([item.label for item in recorded.segments], spec.segments)
         )
-    from planrunner.estimators.interface import EstimationError
     from planrunner.estimators.accelerometer.still_detection import still_spans
+    from planrunner.estimators.interface import EstimationError
 
     within = select([item.label for item in recorded.segments], spec.segments.within)
     found: list[RecordedSegment] = []

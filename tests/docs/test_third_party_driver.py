@@ -64,7 +64,9 @@ def test_the_documented_chamber_is_installed_checked_and_asked(tmp_path: Path) -
     chamber = installed("votsch_chamber", tmp_path)
     bench = (ROOT / "plans" / "benches" / "virtual.yaml").read_text(encoding="utf-8")
     head = bench[: bench.index("instruments:")].replace("safe_order: [table, chamber, gyro]\n", "")
-    own = 'instruments:\n  chamber: {driver: votsch, address: "%s", lowest: -40 degC, highest: 130 degC, ramp: 3 K/min}\n'
+    own = (
+        'instruments:\n  chamber: {driver: votsch, address: "%s", lowest: -40 degC, highest: 130 degC, ramp: 3 K/min}\n'
+    )
     (tmp_path / "wrong.yaml").write_text(head + own % "192.168.0.6:2049", encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(head + own % "ASRL/dev/no-such-port::INSTR", encoding="utf-8")
     assert "chamber: A chamber that speaks ASCII-2, as Vötsch ones do." in chamber("bench", "list").stdout
