@@ -76,7 +76,7 @@ instruments:
     port: gyro
     baud: 115200
     sample_rate: 100 Hz
-    silence: 3 s
+    silence: 10 s
     sync: "A5 5A"
     length: 14
     fields:

@@ -69,6 +69,14 @@ def test_silence_ends_with_the_time_out() -> None:
         assert TIMEOUT < time.monotonic() - start < TIMEOUT + 0.5
 
 
+def test_a_clock_that_is_set_back_meanwhile_prolongs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    true_time, begun = time.time, time.monotonic()
+    monkeypatch.setattr(time, "time", lambda: true_time() - 5.0 * (time.monotonic() - begun > TIMEOUT / 2))
+    with answering(lambda message: b"") as server, link_to(server.address) as link:
+        fails(link, r"did not answer within 0.15 s")
+        assert time.monotonic() - begun < 4.0
+
+
 def test_a_late_answer_is_never_taken_for_the_next() -> None:
     def talk(connection: socket.socket) -> None:
         for message in messages(connection, b"\n"):

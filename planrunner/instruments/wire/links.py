@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 from planrunner.instruments.interfaces import InstrumentError
@@ -311,7 +313,19 @@ def _marks_ends(address: str) -> bool:
 def _manager() -> Any:
     import pyvisa
 
-    return pyvisa.ResourceManager()
+    manager = pyvisa.ResourceManager()
+    _count_steadily()
+    return manager
+
+
+def _count_steadily() -> None:
+    """PyVISA-py counts its time-outs on the computer's clock: set back while an answer is awaited, that would be awaited as much longer.
+    Let it count on the monotonic one."""
+    steady = SimpleNamespace(time=time.monotonic, sleep=time.sleep, perf_counter=time.perf_counter)
+    for name in ("sessions", "tcpip", "protocols.rpc"):
+        module = sys.modules.get(f"pyvisa_py.{name}")
+        if module is not None:
+            module.time = steady  # type: ignore[attr-defined]
 
 
 def _nothing_came() -> type[Exception]:
