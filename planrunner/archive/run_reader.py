@@ -15,10 +15,9 @@ from planrunner.archive import seal as seals
 from planrunner.archive.analyses import analyses, check_analysis
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected, read_state
-from planrunner.archive.read_ahead import read_ahead
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.segment_file import read_part, units_of
-from planrunner.archive.statistics import CHUNK, statistics_of
+from planrunner.archive.statistics import statistics_of
 from planrunner.archive.storage import digest_file
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.findings import InputError, Mark
@@ -105,8 +104,7 @@ class RunReader:
             read = partial(self.blocks, item)
             rows = sum(part.rows for part in item.parts)
             readings = {name: float("nan") if value is None else float(value) for name, value in item.readings.items()}
-            blocks = read(tuple(units))
-            statistics = statistics_of(read_ahead(blocks) if rows > CHUNK else blocks, tuple(units), rows)
+            statistics = statistics_of(read(tuple(units)), tuple(units), rows)
             segment = schedule.segments[item.index]
             segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings))
         return tuple(segments)
