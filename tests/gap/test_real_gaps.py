@@ -78,7 +78,8 @@ def test_bias_and_scale_of_a_gyro_that_only_turned_one_way(data_root: Path) -> N
     }
     bias, scale = values(found, "gyro_bias"), values(found, "gyro_scale_factor")
     assert 1 + scale["k_y"][0] * 1e-6 == pytest.approx(0.846, abs=0.005)
-    assert [bias[f"bias_{axis}"][0] for axis in "xyz"] == pytest.approx([2.2, -5.7, -4.9], abs=1.2)
+    for axis, at_rest in zip("xyz", (2.2, -5.7, -4.9), strict=True):
+        assert abs(bias[f"bias_{axis}"][0] - at_rest) < abs(at_rest) / 2, "nearer to what rest shows than to no bias"
     assert found.closure.resolvable and found.closure.shrinks_by > 0.8
 
 
