@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 _STEP = 60.0  # s, over which the error equations are driven by a mean
 _LONGEST = 7 * 86400.0  # s that errors are predicted for
 _FINE = 60  # angles in each such step
+_KNOTS = 3600  # of the alignment at most, each a second or longer
 _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
 
 
@@ -149,10 +150,10 @@ def _expected(
     equations = ErrorEquations.at(request.site)
     rotation = np.asarray(stop.attitude, dtype=float).T
     density = to_navigation(rotation, white**2)
-    after = FineAlignment(equations, density, 1.0, constant)
-    course = _turning([stop], rotation, 1.0)[:, :3, :3]
-    turned = np.append(0.0, np.cumsum(attitude.turned_about_up(course[:-1], course[1:])))
-    after.take(np.zeros((len(course), 2)), course, np.gradient(turned))
+    step = max(1.0, (stop.dwell or 0.0) / _KNOTS)
+    course = _turning([stop], rotation, step)[:, :3, :3]
+    after = FineAlignment(equations, density, step, constant)
+    after.take(np.zeros((len(course), 2)), course, _about_up(stop, len(course), step))
     start = after.finish(course[-1]).covariance[: SIZE + INPUTS, : SIZE + INPUTS]
     # Errors of the navigation follow those left by the alignment and the constant errors that hid behind them.
     driven = _turning(moving, rotation, _STEP) @ np.eye(INPUTS, SIZE + INPUTS, SIZE)
@@ -188,6 +189,14 @@ def _declared(request: DesignRequest) -> Array:
 def _stated(parameters: StrapdownNavigationParameters) -> Array:
     gyro, accelerometer = parameters.gyro_uncertainty, parameters.accelerometer_uncertainty
     return np.array([gyro.value if gyro else 0.0] * 3 + [accelerometer.value if accelerometer else 0.0] * 3)
+
+
+def _about_up(stop: Segment, count: int, step: float) -> Array:
+    """Mean rate of turn about the vertical in each `step` [s] of the alignment, rad/s, (count,)."""
+    if not isinstance(stop.motion, Cycle):
+        return np.zeros(count)
+    angle = RotationCycle.of(stop.motion, math.inf).angle(np.arange(count + 1) * step)
+    return np.asarray(np.diff(angle) / step)
 
 
 def _turning(segments: Sequence[Segment], rotation: Array, step: float) -> Array:

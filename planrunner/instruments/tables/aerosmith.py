@@ -21,14 +21,23 @@ END = b"\r"
 
 
 class PromptedLines:
-    """A line, then a line that is the prompt alone."""
+    """A line, then a line that is the prompt alone. telling: only lines that say something count, since the empty answer of a motion that
+    ends may come between a question and its answer."""
+
+    def __init__(self, *, telling: bool = False):
+        self.telling = telling
 
     def read(self, incoming: Incoming) -> bytes:
-        line = incoming.until(END)
-        prompt = incoming.until(END).strip()
-        if prompt != PROMPT:
-            raise LinkFailure(f"answers with {shown(prompt)} where its prompt belongs")
-        return line
+        while True:
+            line = incoming.until(END)
+            prompt = incoming.until(END).strip()
+            if prompt != PROMPT:
+                raise LinkFailure(f"answers with {shown(prompt)} where its prompt belongs")
+            if line.strip() or not self.telling:
+                return line
+
+
+TELLING = PromptedLines(telling=True)
 
 
 class AerosmithParameters(LinkKeys, WiredTableKeys):
@@ -68,7 +77,7 @@ class AerosmithCommands:
         self.link = MessageLink(settings, PromptedLines())
 
     def identify(self) -> Mapping[str, str]:
-        return {"manufacturer": "Ideal Aerosmith", "model": "table language ATL", "status": self.link.query("STA")}
+        return {"manufacturer": "Ideal Aerosmith", "model": "table language ATL", "status": self.link.query("STA", framing=TELLING)}
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         self._do(f"ACL{written(bounds.acceleration)}")
@@ -98,7 +107,7 @@ class AerosmithCommands:
             self.link.write("SGO")
 
     def state(self, axis: int) -> AxisState:
-        return AxisState(number(self.link, "PPO"), number(self.link, "PVE"))
+        return AxisState(number(self.link, "PPO", TELLING), number(self.link, "PVE", TELLING))
 
     def faults(self) -> Sequence[str]:
         return []

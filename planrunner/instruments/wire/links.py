@@ -147,14 +147,17 @@ class MessageLink:
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
-    def query(self, text: str, *, after: Sequence[str] = (), again: bool = True) -> str:
+    def query(
+        self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: Framing | None = None
+    ) -> str:
         """The answer to `text`, without terminator and blanks. after: commands sent in the same breath before it. again: whether it may
-        be asked a second time on a new connection when no answer comes; not for what changes the instrument."""
+        be asked a second time on a new connection when no answer comes; not for what changes the instrument. framing: of this answer,
+        where it differs."""
         tries = self.settings.tries if again and not after else 1
         with self._held(f"'{text}'"):
             for left in reversed(range(tries)):
                 try:
-                    answer = self._once((*after, text), self.framing)
+                    answer = self._once((*after, text), framing or self.framing)
                     return self._text(answer)
                 except LinkFailure as failure:
                     if not left:
@@ -167,6 +170,11 @@ class MessageLink:
         told = list(self._remarks)
         self._remarks.clear()
         return told
+
+    def doubt(self) -> None:
+        """What came was no answer to what was asked, so its answer may still come: begin anew, as after a failure."""
+        with self._lock:
+            self._give_up()
 
     def close(self) -> None:
         """Let go of the resource. May be called twice."""

@@ -6,19 +6,24 @@ import math
 import re
 
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.wire.links import MessageLink
+from planrunner.instruments.wire.links import Framing, MessageLink
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-def numbers(link: MessageLink, request: str, count: int) -> list[float]:
+def numbers(link: MessageLink, request: str, count: int, framing: Framing | None = None) -> list[float]:
     """The numbers that a request is answered with, separated by commas or semicolons. Raises `InstrumentError` when there are fewer or
-    something is no finite number."""
-    return parsed(link.query(request), request, count, link.settings.address)
+    something is no finite number; then what still comes is not read as the next answer."""
+    reply = link.query(request, framing=framing)
+    try:
+        return parsed(reply, request, count, link.settings.address)
+    except InstrumentError:
+        link.doubt()
+        raise
 
 
-def number(link: MessageLink, request: str) -> float:
-    return numbers(link, request, 1)[0]
+def number(link: MessageLink, request: str, framing: Framing | None = None) -> float:
+    return numbers(link, request, 1, framing)[0]
 
 
 def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
