@@ -25,6 +25,10 @@ Array = NDArray[np.float64]
 
 STILLNESS = 1e-3  # m/s; velocity of what stands still, standard uncertainty at each knot
 _ALL = SIZE + INPUTS + 3
+_UNCHANGED = np.eye(_ALL)
+_SEEN = slice(EAST_VELOCITY, EAST_VELOCITY + 2)
+_MEASURED = STILLNESS**2 * np.eye(2)
+_AT_ONCE = 512  # knots whose transitions are made together
 _PER_TURN = 1e-4  # standard uncertainty of scale factor and misalignment before alignment: 100 ppm, 20 arcsec
 _PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; the filter must not take it for information
 
@@ -74,23 +78,36 @@ class FineAlignment:
     def take(self, velocities: Array, rotations: Array, turns: Array) -> None:
         """velocities: (m, 2), m/s, east and north, at the next m knots; rotations: (m, 3, 3), body axes as columns, the mean over the
         time before each; turns: (m,), mean rate about the vertical in that time, rad/s."""
-        seen = slice(EAST_VELOCITY, EAST_VELOCITY + 2)
-        for found, rotation, turn in zip(velocities, rotations, turns, strict=True):
-            self._transition[:SIZE, SIZE : SIZE + 3] = self._response[:, :3] @ rotation
-            self._transition[:SIZE, SIZE + 3 : SIZE + 6] = self._response[:, 3:] @ rotation
-            self._transition[:SIZE, SIZE + 6 :] = turn * self._response[:, :3] @ rotation
-            state = self._transition @ self._state
-            covariance = self._transition @ self._covariance @ self._transition.T + self._added
-            expected = covariance[seen, seen] + STILLNESS**2 * np.eye(2)
-            innovation = found - state[seen]
-            gain = np.linalg.solve(expected, covariance[seen]).T
-            self._state = state + gain @ innovation
-            kept = np.eye(_ALL)
-            kept[:, seen] -= gain
-            self._covariance = kept @ covariance @ kept.T + STILLNESS**2 * gain @ gain.T
-            self._squares += float(innovation @ np.linalg.solve(expected, innovation))
-            self._count += 2
-            self._largest = max(self._largest, float(np.abs(innovation).max()))
+        for first in range(0, len(velocities), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            transitions = self._transitions(rotations[part], turns[part])
+            for found, transition in zip(velocities[part], transitions, strict=True):
+                self._update(found, transition)
+
+    def _transitions(self, rotations: Array, turns: Array) -> Array:
+        """How the errors go on over the time before each knot, (m, 16, 16)."""
+        found = np.repeat(self._transition[None], len(rotations), axis=0)
+        by_gyros = self._response[:, :3] @ rotations
+        found[:, :SIZE, SIZE : SIZE + 3] = by_gyros
+        found[:, :SIZE, SIZE + 3 : SIZE + 6] = self._response[:, 3:] @ rotations
+        found[:, :SIZE, SIZE + 6 :] = turns[:, None, None] * by_gyros
+        return found
+
+    def _update(self, found: Array, transition: Array) -> None:
+        state = transition @ self._state
+        covariance = transition @ self._covariance @ transition.T + self._added
+        expected = covariance[_SEEN, _SEEN] + _MEASURED
+        innovation = found - state[_SEEN]
+        (a, b), (_, d) = expected.tolist()
+        inverse = np.array([[d, -b], [-b, a]]) / (a * d - b * b)
+        gain = covariance[:, _SEEN] @ inverse
+        self._state = state + gain @ innovation
+        kept = _UNCHANGED.copy()
+        kept[:, _SEEN] -= gain
+        self._covariance = kept @ covariance @ kept.T + STILLNESS**2 * (gain @ gain.T)
+        self._squares += float(innovation @ inverse @ innovation)
+        self._count += 2
+        self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def finish(self, rotation: Array) -> Alignment:
         """The aligned attitude. rotation: the navigator's, (3, 3), within a knot's time after the last."""

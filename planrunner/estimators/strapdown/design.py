@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 _STEP = 60.0  # s, over which the error equations are driven by a mean
 _LONGEST = 7 * 86400.0  # s that errors are predicted for
 _FINE = 60  # angles in each such step
-_KNOTS = 3600  # of the alignment at most, each a second or longer
+_KNOTS = 1800  # of the alignment at most, each a second or longer
 _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
 
 

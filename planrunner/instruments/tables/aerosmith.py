@@ -77,7 +77,11 @@ class AerosmithCommands:
         self.link = MessageLink(settings, PromptedLines())
 
     def identify(self) -> Mapping[str, str]:
-        return {"manufacturer": "Ideal Aerosmith", "model": "table language ATL", "status": self.link.query("STA", framing=TELLING)}
+        return {
+            "manufacturer": "Ideal Aerosmith",
+            "model": "table language ATL",
+            "status": self.link.query("STA", framing=TELLING),
+        }
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         self._do(f"ACL{written(bounds.acceleration)}")

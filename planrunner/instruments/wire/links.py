@@ -147,9 +147,7 @@ class MessageLink:
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
-    def query(
-        self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: Framing | None = None
-    ) -> str:
+    def query(self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: Framing | None = None) -> str:
         """The answer to `text`, without terminator and blanks. after: commands sent in the same breath before it. again: whether it may
         be asked a second time on a new connection when no answer comes; not for what changes the instrument. framing: of this answer,
         where it differs."""
