@@ -270,7 +270,7 @@ def planned(**changes: object) -> DesignRequest:
     site = changes.pop("site", SITE)
     noise = changes.pop("noise", 0.01)
     segments = (
-        replace(stop, dwell=600.0, index=0, **changes.pop("stop", {})),  # type: ignore[arg-type]
+        replace(stop, **{"dwell": 600.0, "index": 0, **changes.pop("stop", {})}),  # type: ignore[arg-type]
         replace(run, dwell=3 * 3600.0, index=1, **changes.pop("run", {})),  # type: ignore[arg-type]
     )
     return DesignRequest("free", segments, parameters, site, sensor(noise))  # type: ignore[arg-type]
@@ -292,6 +292,21 @@ def test_expected_errors_are_those_of_repetitions() -> None:
     measured = np.sqrt(np.mean(np.square(found), axis=0))
     for name, value in zip(("heading", "east_error", "north_error", "radial_error"), measured, strict=True):
         assert value == pytest.approx(predicted[name], rel=0.45), name  # three times 13 %, and skew
+
+
+def test_a_long_alignment_is_foreseen_in_coarser_knots_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To a tenth, as uncertainties are planned: coarser knots are fewer measurements of the same."""
+    stated = {"gyro_uncertainty": parse_quantity("0.02 deg/h"), "accelerometer_uncertainty": parse_quantity("40 ug")}
+    moves = (Move("A", np.pi, "B"), Move("B", -np.pi, "A"))
+    turning = Cycle({"A": 0.0, "B": np.pi}, moves, math.radians(10), 120.0)
+    for stop in ({"dwell": 10_000.0}, {"dwell": 20 * 276.0, "motion": turning}):
+        plan = planned(parameters=StrapdownNavigationParameters(**stated), stop=stop)
+        found = []
+        for knots in (100_000, 1800):
+            monkeypatch.setattr("planrunner.estimators.strapdown.design._KNOTS", knots)
+            found.append(StrapdownNavigation().design(plan).predicted)
+        for fine, coarse in zip(*found, strict=True):
+            assert coarse.standard_uncertainty == pytest.approx(fine.standard_uncertainty, rel=0.1), fine.name
 
 
 def test_names_foreseen_are_those_estimated() -> None:

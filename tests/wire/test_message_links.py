@@ -93,6 +93,21 @@ def test_a_late_answer_is_never_taken_for_the_next() -> None:
         assert server.connections == 2
 
 
+def test_after_an_answer_that_was_no_number_nothing_late_is_taken_for_the_next() -> None:
+    """Somebody else's answer came first: the right one is still on its way."""
+
+    def talk(connection: socket.socket) -> None:
+        for message in messages(connection, b"\n"):
+            connection.sendall(b"done\n" if message == "ANGLE?" else b"")
+            time.sleep(TIMEOUT / 3)
+            connection.sendall(b"70\n" if message == "ANGLE?" else b"0\n")
+
+    with Listener(talk) as server, link_to(server.address) as link:
+        with pytest.raises(InstrumentError, match="'done' where a number is expected"):
+            number(link, "ANGLE?")
+        assert number(link, "RATE?") == 0
+
+
 def test_an_answer_that_stops_half_way_is_shown() -> None:
     with answering(lambda message: b"12.3") as server, link_to(server.address) as link:
         fails(link, r"stopped in the middle of its answer \('12.3' so far\)")

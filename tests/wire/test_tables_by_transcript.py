@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import pytest
-from scripted import Player, SerialPlayer, parameters, surroundings, turned
+from scripted import Player, SerialPlayer, answering, parameters, surroundings, turned
 
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.tables.acutrol import Acutrol, AcutrolParameters
@@ -114,6 +114,16 @@ def test_aerosmith_positions_jogs_and_rocks_over_a_serial_line() -> None:
         table.close()
         player.check()
         assert table.remarks() == []
+
+
+def test_the_late_answer_of_an_aerosmith_motion_is_not_that_of_a_question() -> None:
+    """A jog is answered, with an empty line, when it ends, which may be after the next question was put."""
+    replies = {"STA": b"0\r>\r", "PPO": b"\r>\r14.16\r>\r", "PVE": b"\r>\r0\r>\r"}
+    with answering(lambda message: replies.get(message, b"\r>\r"), b"\r\n") as server:
+        table = Aerosmith.connect(parameters(AerosmithParameters, server.address, AXIS), surroundings())
+        assert table.read() == {"table_deg": pytest.approx(14.16)}
+        assert table.remarks() == []
+        table.close()
 
 
 def segment(motion: Any) -> Segment:
