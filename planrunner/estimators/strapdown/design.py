@@ -195,7 +195,8 @@ def _about_up(stop: Segment, count: int, step: float) -> Array:
     """Mean rate of turn about the vertical in each `step` [s] of the alignment, rad/s, (count,)."""
     if not isinstance(stop.motion, Cycle):
         return np.zeros(count)
-    angle = RotationCycle.of(stop.motion, math.inf).angle(np.arange(count + 1) * step)
+    edges: Array = step * np.arange(count + 1, dtype=np.float64)
+    angle = RotationCycle.of(stop.motion, math.inf).angle(edges)
     return np.asarray(np.diff(angle) / step)
 
 
