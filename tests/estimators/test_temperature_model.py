@@ -13,7 +13,15 @@ import pytest
 from recorded import from_means, from_samples, real, segment, sensor
 
 from planrunner.checking import check_plan
-from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.analysis import combined
+from planrunner.estimators.interface import (
+    Coefficient,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Setup,
+)
 from planrunner.estimators.temperature.curve import (
     HeldOut,
     chosen,
@@ -25,9 +33,12 @@ from planrunner.estimators.temperature.curve import (
 from planrunner.estimators.temperature.temperature_model import TemperatureModel, TemperatureModelParameters
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
+from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 SITE = Site(math.radians(40.0))
 KELVIN = 273.15
+NOTHING = Setup()
+CHAMBER = Setup(inputs=Inputs({"temperature": InputQuantity("temperature", 0.0, "K", 0.2)}))
 
 
 def given(temperature: object, value: object, u: object = 0.0, name: str = "K", unit: str = "1") -> Estimate:
@@ -44,10 +55,11 @@ def given(temperature: object, value: object, u: object = 0.0, name: str = "K", 
     )
 
 
-def model(*uses: Estimate, recorded: tuple = (), **keys: object) -> Estimate:  # type: ignore[type-arg]
+def model(*uses: Estimate, recorded: tuple = (), setup: Setup = NOTHING, **keys: object) -> Estimate:  # type: ignore[type-arg]
     parameters = TemperatureModelParameters(**keys)  # type: ignore[arg-type]
     named = {f"cal{n}": one for n, one in enumerate(uses)}
-    return TemperatureModel().estimate(EstimateRequest("curve", recorded, parameters, SITE, sensor("gyro"), named))
+    request = EstimateRequest("curve", recorded, parameters, SITE, sensor("gyro"), named, setup=setup)
+    return TemperatureModel().estimate(request)
 
 
 # -- by hand ---------------------------------------------------------------------------------------------------------
@@ -319,6 +331,43 @@ def test_what_other_estimates_cannot_give_is_told_by_check(
     found = check_plan(tmp_path / "plan.yaml").findings.errors
     assert [one.code for one in found] == ([] if code is None else [code])
     assert all(words in one.message for one in found)
+
+
+def test_a_chamber_that_is_warmer_than_it_says_moves_the_curve() -> None:
+    """Against the fit of what is measured where it is warmer by a little, and taken for the temperature that was planned."""
+    celsius, powers = np.linspace(-40, 80, 13), (3.0, 2e-2, -3e-4, 5e-6)
+    one, *others = (
+        model(given(celsius, np.polynomial.polynomial.polyval(celsius + warmer - 25, powers)), setup=setup, order=3)
+        for warmer, setup in ((0.0, CHAMBER), (0.01, NOTHING), (-0.01, NOTHING))
+    )
+    moved = [(up.value - down.value) / 0.02 for up, down in zip(*(item.coefficients for item in others), strict=True)]
+    (acting,) = one.influences
+    assert acting.sensitivities[:, 0] == pytest.approx(moved, rel=1e-5, abs=1e-9)
+    spread = math.hypot(one.coefficients[0].standard_uncertainty, 0.2 * acting.sensitivities[0, 0])
+    assert combined(one).coefficients[0].standard_uncertainty == pytest.approx(spread)
+
+
+def test_a_warmer_chamber_moves_the_knots_of_a_spline_along_it() -> None:
+    """By its slope, which scipy's natural spline through the same knots has too."""
+    celsius = np.linspace(-40, 80, 13)
+    found = model(given(celsius, np.sin(celsius / 30)), setup=CHAMBER, form="spline", order=3)
+    knots = found.extra["curves"]["K"]["knots_degC"]  # type: ignore[index]
+    spline = pytest.importorskip("scipy.interpolate").CubicSpline(
+        knots, [item.value for item in found.coefficients], bc_type="natural"
+    )
+    assert found.influences[0].sensitivities[:, 0] == pytest.approx(spline(knots, 1), rel=1e-6)
+
+
+def test_the_sensors_own_thermometer_is_not_the_chambers() -> None:
+    up = ramp("up", -20, 60, lambda t: 0.1 + 0.002 * (t - 25))
+    keys = {"channels": ("gyro",), "order": 1, "setup": CHAMBER}
+    assert model(recorded=(up,), temperature_channel="inside", **keys).influences == ()
+    held = tuple(
+        from_means(replace(segment(f"S{t}"), temperature=t + KELVIN), {"gyro": 2.0 + 0.5 * t}, "deg/h", 0.01)
+        for t in (0, 10, 20)
+    )
+    (acting,) = model(recorded=held, **keys).influences
+    assert acting.sensitivities[:, 0] == pytest.approx([0.5, 0.0])
 
 
 def test_residuals_that_resemble_each_other() -> None:

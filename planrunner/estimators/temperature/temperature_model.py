@@ -29,6 +29,7 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, R
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.uncertainty.decision import expanded_uncertainty
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
@@ -149,6 +150,7 @@ class TemperatureModel:
             tuple(warning for one in models for warning in _warnings(one)),
             tuple(recorded.label for recorded in request.segments),
             {"curves": {one.points.name: _plain(one) for one in models}},
+            _influences(request, models, len(coefficients)),
         )
 
 
@@ -221,6 +223,20 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
             rows.append(Coefficient(f"hysteresis_{name}", largest, text, u, description=words))
             blocks.append(np.array([[u**2]]))
     return tuple(rows), independent(blocks)
+
+
+def _influences(request: EstimateRequest, models: Sequence[Modelled], count: int) -> tuple[Influence, ...]:
+    """On all coefficients: a chamber that is warmer than it says gives every curve as it is at another temperature. The sensor's own
+    thermometer is not the chamber's."""
+    stated = request.setup.inputs.get("temperature")
+    if stated is None or request.parameters.temperature_channel is not None:
+        return ()
+    sensitivities, start = np.zeros((count, 1)), 0
+    for one in models:
+        slopes = one.fit.slopes()
+        sensitivities[start : start + len(slopes), 0] = slopes
+        start += len(slopes) + (hysteresis(one.points) is not None)
+    return (Influence(stated, sensitivities),)
 
 
 def _per_kelvin(text: str, power: int) -> str:
