@@ -1,6 +1,7 @@
 """Do the 95 % intervals that combine the data with stated inputs hold the truth 95 % of the time? Simulated campaigns.
 
-`python tests/estimators/budget_coverage.py [runs]` prints the figures of docs/uncertainty-budgets.md. In every run the world differs from
+`python tests/estimators/budget_coverage.py [runs] [name]` prints the figures of docs/uncertainty-budgets.md, or those with this in their
+name. In every run the world differs from
 what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run, the table's error at every position, the
 error of every rate and one that all rates share; with white noise and flicker, which is
 declared as it is, on top. The generators are written apart from planrunner.
@@ -160,7 +161,7 @@ def main() -> None:
     campaigns = [(name, static_coverage, one) for name, one in STATIC.items()]
     campaigns += [(name, rate_coverage, one) for name, one in RATE.items()]  # type: ignore[misc, arg-type]
     for name, measure, campaign in campaigns:
-        if only in ("", measure.__name__):
+        if only in f"{measure.__name__}, {name}":
             found = measure(campaign, runs, 20)
             low, high = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
             shown = f"{100 * found[low]:.1f} ({low}) … {100 * found[high]:.1f} ({high})"

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import physical_set
 from planrunner.estimators.interface import Estimate, EstimateRequest
-from planrunner.estimators.linear_influences import linear_influences
-from planrunner.estimators.observation_effects import functionals_of, position_effects
+from planrunner.estimators.observation_effects import functionals_of
+from planrunner.estimators.stated_influences import stated_influences
+from planrunner.estimators.table_effects import table_effects
 from planrunner.physics import flexure_gyro
 from planrunner.uncertainty.influences import Influence
 
@@ -58,9 +59,9 @@ def _here(request: EstimateRequest, matrix: Array, coefficients: Array) -> list[
     """On i − X·c through the verification positions: what a fit of one coefficient a position would show."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
-    positions = position_effects(model, segments, request.site, request.setup.inputs, coefficients)
-    stated = linear_influences(request, model, (), coefficients, each)
-    return [*stated, *(one.through(functionals_of(each)) for one in positions)]
+    table = table_effects(model, segments, request.site, request.setup, coefficients)
+    stated = stated_influences(model, segments, request.site, request.setup.inputs, coefficients, each)
+    return [*stated, *(one.through(functionals_of(each)) for one in table)]
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
