@@ -1,10 +1,9 @@
 """Do the 95 % intervals that combine the data with stated inputs hold the truth 95 % of the time? Simulated campaigns.
 
 `python tests/estimators/budget_coverage.py [runs] [name]` prints the figures of docs/uncertainty-budgets.md, or those with this in their
-name. In every run the world differs from
-what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run, the table's error at every position, the
-error of every rate and one that all rates share; with white noise and flicker, which is
-declared as it is, on top. The generators are written apart from planrunner.
+name. In every run the world differs from what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run,
+the table's error at every position, the error of every rate and one that all rates share; with white noise and flicker, which is declared
+as it is, on top. The generators are written apart from planrunner.
 """
 
 from __future__ import annotations
