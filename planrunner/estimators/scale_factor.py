@@ -28,7 +28,6 @@ from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import expected_covariance, planned_blocks
-from planrunner.estimators.rate_influences import all_rates
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
@@ -217,7 +216,10 @@ def _held(request: EstimateRequest | DesignRequest, slopes: Array, rates: Array)
 def _common(
     request: EstimateRequest | DesignRequest, functionals: Array, slopes: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """What the plan says that all rates have wrong alike: it is in the slope and leaves no scatter."""
+    """What the plan says that all rates have wrong alike, such as the table's clock: it is in the slope and leaves no scatter.
+
+    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); slopes: (m,), output unit per rad/s.
+    """
     common = request.parameters.rate_uncertainty
     if common is None or not common.value:
         return ()
@@ -225,7 +227,7 @@ def _common(
     quantity = InputQuantity(
         "table rate, common", 0.0, "1", common.value, source=source, shown="ppm", shown_factor=1e-6
     )
-    return (all_rates(quantity, functionals, slopes, rates),)
+    return (Influence(quantity, -np.einsum("qmn,m,n->q", functionals, slopes, rates)[:, None]),)
 
 
 def _metrics(
@@ -240,7 +242,7 @@ def _metrics(
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
     full_scale = float(np.abs(observations.mean[:, k]).max())
-    freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
+    freedom = float(fit.freedoms[k]) if basis == "residual" else fit.noises[k].degrees_of_freedom
     found = []
     if full_scale > 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import Setup
 from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.rate_influences import rate_part
 from planrunner.estimators.stated_influences import mean_stimulus
 from planrunner.estimators.turned_segments import DIRECTIONS, UP, turned
 from planrunner.instruments.models import TableModel
@@ -61,6 +60,11 @@ def rate_effects(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[E
     own = rates[:, None] == different
     changes = {output: -change[:, None] * own for output, change in enumerate(moved)}
     return (Effect(quantity, changes, tuple(map(rate_part, different))),)
+
+
+def rate_part(rate: float) -> str:
+    """Name of the error of one commanded rate [rad/s], so that it is known for the same wherever it acts."""
+    return f"{np.degrees(rate):.9g} deg/s"
 
 
 def orthogonality_tilts(
