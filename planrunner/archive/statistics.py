@@ -74,11 +74,16 @@ def _products(values: Array) -> Array:
     return out
 
 
+def _range(columns: list[Array]) -> tuple[Array, Array]:
+    """The smallest and the largest sample of each column, NaN where there is one."""
+    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+
+
 class _Gathered:
     """What one pass keeps: a chunk of samples and a few numbers a channel and a batch, whatever the length.
 
-    Samples wait in the chunk as deviations from its first. The mean is within √n standard deviations of any sample, so that bringing
-    sums of products from there to the mean costs at most n roundings.
+    Samples wait in the chunk as deviations from its first one. No sample is further than √n standard deviations from the mean of n, so
+    that bringing sums of products from it to the mean costs at most n roundings.
     """
 
     def __init__(self, channels: int, rows: int):
@@ -89,7 +94,7 @@ class _Gathered:
         self.start, self.end, self.gap = math.nan, math.nan, 0.0
         self.chunk = np.empty((channels, max(1, min(CHUNK, rows))))
         self.filled = 0
-        self.first = np.zeros(channels)  # sample of the chunk
+        self.first = np.zeros(channels)  # the chunk's first sample
         self.merged = 0  # samples, without those that wait in the chunk
         self.origin = np.zeros(channels)  # the segment's first sample: means and batch sums are of deviations from it
         self.mean = np.zeros(channels)
@@ -106,13 +111,13 @@ class _Gathered:
         here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
         at = self.edges[here] - self.row
         self.row += len(time)
-        low, high = (np.array([pick(column) for column in columns]) for pick in (np.min, np.max))
+        low, high = _range(columns)
         if not (low.min() > -LARGEST and high.max() < LARGEST):  # neither holds where there is a NaN
             good = np.all([np.abs(column) < LARGEST for column in columns], axis=0)
             at = np.concatenate(([0], np.cumsum(good)))[at]
             time, columns = time[good], [column[good] for column in columns]
             if len(time):
-                low, high = (np.array([pick(column) for column in columns]) for pick in (np.min, np.max))
+                low, high = _range(columns)
         self.begins[here] = self.count + at
         if len(time):
             np.minimum(self.minimum, low, out=self.minimum)
