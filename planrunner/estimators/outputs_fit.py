@@ -13,7 +13,7 @@ different questions:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,9 @@ class OutputsFit:
     noises: what is known from within the segments, for each output. spreads: (m, n), the standard uncertainties that the observations were
     weighted by beside the effects: the noises', or with a part between segments added (`between_segments`). between: (m,), that part.
     ratios: (m,), residual variance over that expected from noise and effects. effects: those that are in the weights; the others (where
-    an output's noise is not known) are in `unweighted`. freedoms: (m,), of each output's variance factor: those of its residuals, or
-    fewer where equal weights leave some of them larger than others. pooled: whether one variance factor holds for all outputs, as it does
-    when their noise stays in the proportion that is known beforehand; pooled_freedom: its degrees of freedom. gains: (m, p, n),
-    coefficients from observations. cofactors: by basis, (m, p, m, p), covariance of the coefficients before the variance factors.
+    an output's noise is not known) are in `unweighted`. pooled: whether one variance factor holds for all outputs, as it does when their
+    noise stays in the proportion that is known beforehand; pooled_freedom: its degrees of freedom. gains: (m, p, n), coefficients from
+    observations. cofactors: by basis, (m, p, m, p), covariance of the coefficients before the variance factors.
     """
 
     outputs: tuple[str, ...]
@@ -52,7 +51,6 @@ class OutputsFit:
     unweighted: tuple[Effect, ...]
     cofactors: Mapping[str, Array]
     gains: Array
-    freedoms: Array
     pooled: bool = False
     pooled_freedom: float = 0.0
 
@@ -103,11 +101,11 @@ class OutputsFit:
         m, p = self.coefficients.shape
         if basis == "residual" and self.pooled:
             return np.full(len(gradients), self.pooled_freedom)
-        own = self.freedoms if basis == "residual" else np.array([noise.degrees_of_freedom for noise in self.noises])
+        own = [float(self.freedom) if basis == "residual" else noise.degrees_of_freedom for noise in self.noises]
         g, whole = gradients.reshape(-1, m, p), self.covariance(basis).reshape(m, p, m, p)
         shares = np.einsum("qai,aiaj,qaj->qa", g, whole, g)
         total, squares = shares.sum(axis=1), (shares**2 / own).sum(axis=1)
-        return np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), own.min())
+        return np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), min(own))
 
 
 def fit_outputs(
@@ -150,7 +148,6 @@ def fit_outputs(
         left,
         _cofactors(gains, noises, spreads, observations.correlation, acting),
         gains,
-        np.array([one.freedom for one in found]),
         pooled,
         _pooled_freedom(matrix, gains, spreads, observations.correlation, acting) if pooled else 0.0,
     )
@@ -164,7 +161,6 @@ class _Fitted:
     gains: Array
     spread: Array
     ratio: float
-    freedom: float
     between: float = 0.0
 
 
@@ -192,22 +188,16 @@ class _Weighting:
             weighted = np.linalg.solve(mixed(spread, self.effects, self.output), self.matrix)
         else:
             weighted = self.matrix / spread[:, None] ** 2
-        return _Fitted(
-            found, found.cofactor @ weighted.T, spread, ratio, found.degrees_of_freedom, between
-        )  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
+        return _Fitted(found, found.cofactor @ weighted.T, spread, ratio, between)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
 
     def equal(self, noise: Noise) -> _Fitted:
-        """All segments alike, with the variance factor that their covariance makes of the residuals."""
-        ratio = self._fit(noise.sigma).variance_factor
-        n, p = self.matrix.shape
-        spread = size = np.full(n, np.sqrt(np.mean(noise.sigma**2)))
-        freedom = float(n - p)
-        if self.effects and n > p:
-            left = _left(self.matrix, mixed(spread, self.effects, self.output))
-            size = np.full(n, np.sqrt(np.trace(left) / freedom))
-            freedom = float(np.trace(left) ** 2 / np.sum(left * left.T))  # Satterthwaite: a sum of unlike squares
-        found = least_squares.fit(self.matrix, self.observed, size, self.magnitudes, self.names)
-        return _Fitted(found, found.cofactor @ (self.matrix / size[:, None] ** 2).T, spread, ratio, freedom)
+        """All segments alike. How large the residuals are for what is known is judged by the fit that weights them by it: of residuals of
+        unlike size a few would decide."""
+        spread = np.full(len(self.observed), np.sqrt(np.mean(noise.sigma**2)))
+        found = least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names)
+        found = replace(found, chi_squared=self._fit(spread).chi_squared)
+        gains = found.cofactor @ (self.matrix / spread[:, None] ** 2).T
+        return _Fitted(found, gains, spread, self._fit(noise.sigma).variance_factor)
 
     def _fit(self, spread: Array) -> LinearFit:
         covariance = mixed(spread, self.effects, self.output) if self.effects else None
@@ -252,13 +242,6 @@ def _pooled_freedom(
 def _between_outputs(spreads: Array, correlation: Array, effects: Sequence[Effect], one: int, other: int) -> Array:
     noise = np.diag(correlation[one, other] * spreads[one] * spreads[other])
     return np.asarray(noise + sum(effect.covariance(one, other) for effect in effects))
-
-
-def _left(matrix: Array, covariance: Array) -> Array:
-    """What equal weights leave of the observations' covariance (n, n) in the residuals, (I − H)·V: its trace is their expected sum of
-    squares."""
-    basis = np.linalg.qr(matrix / np.abs(matrix).max(axis=0, initial=1e-300))[0]
-    return np.asarray(covariance - basis @ (basis.T @ covariance))
 
 
 def exceeds_noise(found: LinearFit, noise: Noise) -> bool:

@@ -242,7 +242,7 @@ def _metrics(
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
     full_scale = float(np.abs(observations.mean[:, k]).max())
-    freedom = float(fit.freedoms[k]) if basis == "residual" else fit.noises[k].degrees_of_freedom
+    freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
     found = []
     if full_scale > 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
