@@ -1,7 +1,7 @@
 """Statistics of a segment, made in one pass over its samples.
 
-Samples are taken in chunks of a fixed number of rows counted from the segment's beginning, so the result does not
-depend on how they were cut into blocks, row groups or files. Means and covariances of chunks are merged by the
+Samples that count are taken in chunks of a fixed number from the segment's beginning, so the result does not depend on
+how they were cut into blocks, row groups or files. Means and covariances of chunks are merged by the
 formula of Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances"
 (1979). The standard error of the mean comes from the scatter of consecutive batch means (Law, "Simulation Modeling
 and Analysis", 5th ed., section 9.5.3), which accounts for noise that is correlated over less than a batch.
@@ -22,11 +22,13 @@ Array = NDArray[np.float64]
 
 BATCHES = 32
 CHUNK = 65_536
+UNSHARED = 8_192
+"""BLAS shares the inner product of more than 10 000 numbers out to threads."""
 LARGEST = 1e100
 """A larger sample is no measurement: its square could not be told from infinity."""
 
 
-def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int = CHUNK) -> Iterator[tuple[Array, Array]]:
+def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
     """The same samples as (time (n,), values (k, n)), every piece but the last of exactly `rows` rows."""
     time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
     for block in blocks:
@@ -51,45 +53,77 @@ def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -
     sample, covariance and standard error are NaN; with none, the mean too.
     """
     gathered = _Gathered(len(channels), rows)
-    for time, values in rechunk(blocks, channels):
-        gathered.add(time, values)
+    for block in blocks:
+        if len(block.time):
+            gathered.add(block.time, [block.channels[name] for name in channels])
     return gathered.statistics(tuple(channels))
 
 
+def _products(values: Array) -> Array:
+    """values @ values.T, (k, k), as inner products of short pieces: threads' waiting for each other would cost more than the sums, and
+    as a matrix product of a few long rows it is slower too."""
+    channels, rows = values.shape
+    whole = rows - rows % UNSHARED
+    out = np.zeros((channels, channels))
+    for part, size in ((values[:, :whole], UNSHARED), (values[:, whole:], rows - whole)):
+        if part.size:
+            pieces = part.reshape(channels, -1, 1, size)
+            for row, piece in enumerate(pieces):
+                out[row, row:] += (pieces[row:] @ piece.swapaxes(1, 2)).sum(axis=(1, 2, 3))
+                out[row:, row] = out[row, row:]
+    return out
+
+
+def _range(columns: list[Array]) -> tuple[Array, Array]:
+    """The smallest and the largest sample of each column, NaN where there is one."""
+    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+
+
 class _Gathered:
-    """What one pass keeps: a few numbers a channel and a batch, whatever the length."""
+    """What one pass keeps: a chunk of samples and a few numbers a channel and a batch, whatever the length.
+
+    Samples wait in the chunk as deviations from its first one. No sample is further than √n standard deviations from the mean of n, so
+    that bringing sums of products from it to the mean costs at most n roundings.
+    """
 
     def __init__(self, channels: int, rows: int):
         self.row = 0
         self.count = 0
-        self.mean = np.zeros(channels)
-        self.squares = np.zeros((channels, channels))  # sum of products of deviations from the mean
         self.minimum = np.full(channels, math.inf)
         self.maximum = np.full(channels, -math.inf)
-        self.shift: Array | None = None  # batch sums are of deviations from this, to keep their last digits
+        self.start, self.end, self.gap = math.nan, math.nan, 0.0
+        self.chunk = np.empty((channels, max(1, min(CHUNK, rows))))
+        self.filled = 0
+        self.first = np.zeros(channels)  # the chunk's first sample
+        self.merged = 0  # samples, without those that wait in the chunk
+        self.origin = np.zeros(channels)  # the segment's first sample: means and batch sums are of deviations from it
+        self.mean = np.zeros(channels)
+        self.squares = np.zeros((channels, channels))  # sum of products of deviations from the mean
         batches = max(1, min(BATCHES, rows))
         self.edges = np.linspace(0, rows, batches + 1).round().astype(np.int64)
+        self.begins = np.full(batches + 1, np.iinfo(np.int64).max)  # the edges, counted in samples that are used
+        self.begins[0] = 0
         self.batch_sum = np.zeros((channels, batches))
         self.batch_count = np.zeros(batches)
-        self.start, self.end, self.gap = math.nan, math.nan, 0.0
 
-    def add(self, time: Array, values: Array) -> None:
-        rows = np.arange(self.row, self.row + len(time))
-        first = self.row
+    def add(self, time: Array, columns: list[Array]) -> None:
+        """Take the next rows in, one or more."""
+        here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
+        at = self.edges[here] - self.row
         self.row += len(time)
-        low, high = values.min(axis=1), values.max(axis=1)
-        whole = bool(np.all(low > -LARGEST) and np.all(high < LARGEST))  # neither holds where there is a NaN
-        if not whole:
-            good = (np.abs(values) < LARGEST).all(axis=0)
-            if not good.any():
-                return
-            time, values, rows = time[good], values[:, good], rows[good]
-            low, high = values.min(axis=1), values.max(axis=1)
-        self._times(time)
-        self._batches(values, rows, first, whole)
-        np.minimum(self.minimum, low, out=self.minimum)
-        np.maximum(self.maximum, high, out=self.maximum)
-        self._merge(values, values.mean(axis=1))
+        low, high = _range(columns)
+        if not (low.min() > -LARGEST and high.max() < LARGEST):  # neither holds where there is a NaN
+            good = np.all([np.abs(column) < LARGEST for column in columns], axis=0)
+            at = np.concatenate(([0], np.cumsum(good)))[at]
+            time, columns = time[good], [column[good] for column in columns]
+            if len(time):
+                low, high = _range(columns)
+        self.begins[here] = self.count + at
+        if len(time):
+            np.minimum(self.minimum, low, out=self.minimum)
+            np.maximum(self.maximum, high, out=self.maximum)
+            self._times(time)
+            self._fill(columns, len(time))
 
     def _times(self, time: Array) -> None:
         if self.count:
@@ -97,34 +131,43 @@ class _Gathered:
         else:
             self.start = float(time[0])
         if len(time) > 1:
-            self.gap = max(self.gap, float(np.diff(time).max()))
+            self.gap = max(self.gap, float((time[1:] - time[:-1]).max()))
         self.end = float(time[-1])
 
-    def _batches(self, values: Array, rows: NDArray[np.int64], first: int, whole: bool) -> None:
-        if self.shift is None:
-            self.shift = values[:, 0].copy()
-        shifted = values - self.shift[:, None]
-        at = self.edges[:-1] - first if whole else np.searchsorted(rows, self.edges[:-1])
-        first_batch = int(np.searchsorted(self.edges, rows[0], side="right")) - 1
-        last_batch = int(np.searchsorted(self.edges, rows[-1], side="right")) - 1
-        bounds = np.clip(at[first_batch : last_batch + 1], 0, len(rows))
-        bounds[0] = 0
-        sizes = np.diff(np.append(bounds, len(rows)))
-        present = sizes > 0
-        batches = np.arange(first_batch, last_batch + 1)[present]
-        self.batch_sum[:, batches] += np.add.reduceat(shifted, bounds[present], axis=1)
-        self.batch_count[batches] += sizes[present]
+    def _fill(self, columns: list[Array], count: int) -> None:
+        taken = 0
+        while taken < count:
+            if self.filled == 0:
+                self.first = np.array([column[taken] for column in columns])
+                if self.count == 0:
+                    self.origin = self.first
+            step = min(self.chunk.shape[1] - self.filled, count - taken)
+            for row, column in enumerate(columns):
+                place = self.chunk[row, self.filled : self.filled + step]
+                np.subtract(column[taken : taken + step], self.first[row], out=place)
+            self.filled, self.count, taken = self.filled + step, self.count + step, taken + step
+            if self.filled == self.chunk.shape[1]:
+                self._merge()
 
-    def _merge(self, values: Array, mean: Array) -> None:
-        count = values.shape[1]
-        deviations = values - mean[:, None]
-        total = self.count + count
-        difference = mean - self.mean
-        self.squares += deviations @ deviations.T + np.outer(difference, difference) * (self.count * count / total)
-        self.mean = self.mean + difference * (count / total)
-        self.count = total
+    def _merge(self) -> None:
+        """Take up what waits in the chunk."""
+        values, count, shift = self.chunk[:, : self.filled], self.filled, self.first - self.origin
+        at = np.minimum(np.maximum(self.begins - self.merged, 0), count)
+        sizes = at[1:] - at[:-1]
+        present = np.flatnonzero(sizes)
+        sums = np.add.reduceat(values, at[present], axis=1)
+        self.batch_sum[:, present] += sums + np.outer(shift, sizes[present])
+        self.batch_count[present] += sizes[present]
+        total = sums.sum(axis=1)
+        difference = shift + total / count - self.mean
+        before, self.merged, self.filled = self.merged, self.merged + count, 0
+        self.squares += _products(values) - np.outer(total, total) / count
+        self.squares += np.outer(difference, difference) * (before * count / self.merged)
+        self.mean = self.mean + difference * (count / self.merged)
 
     def statistics(self, channels: tuple[str, ...]) -> Statistics:
+        if self.filled:
+            self._merge()
         unknown = np.full(len(channels), math.nan)
         used = self.batch_count > 0
         batches = int(used.sum())
@@ -138,7 +181,7 @@ class _Gathered:
             channels=channels,
             count=self.count,
             rejected=self.row - self.count,
-            mean=self.mean if self.count else unknown,
+            mean=self.origin + self.mean if self.count else unknown,
             minimum=self.minimum if self.count else unknown,
             maximum=self.maximum if self.count else unknown,
             covariance=self.squares / (self.count - 1) if self.count > 1 else np.full_like(self.squares, math.nan),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,8 +69,8 @@ def unlike_outputs(fit: OutputsFit) -> str:
     )
 
 
-def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
-    """Notes and warnings on the basis that was chosen, for the report."""
+def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[list[str], list[str]]:
+    """Notes and warnings on the basis that was chosen, for the report. channels: whose flicker reaches the outputs; these without it."""
     notes, warnings = [], []
     if basis == "residual":
         together = ", pooled over the outputs" if fit.pooled else ""
@@ -84,7 +85,7 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
             "Uncertainties rest on the noise within the segments and on what is stated; whatever else changes from segment to segment is "
             "not in them."
         )
-    notes += _weights(fit)
+    notes += _weights(fit, channels or fit.outputs)
     for found in compare(fit):
         text = (
             f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the segments and what "
@@ -117,14 +118,14 @@ def judge(fit: OutputsFit, basis: str) -> tuple[list[str], list[str]]:
     return notes, warnings
 
 
-def _weights(fit: OutputsFit) -> list[str]:
+def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[str]:
     """What is weighted beside the noise, and the outputs for which nobody said how large their flicker is."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)
         notes.append(f"Weighted beside the noise: {', '.join(names)}.")
     flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
-    silent = [name for name in fit.outputs if f"bias instability {name}" not in flickering]
+    silent = [name for name in channels if f"bias instability {name}" not in flickering]
     if silent:
         notes.append(
             f"No bias instability is declared for {', '.join(silent)}: the intervals hold for noise that is white from segment to segment."

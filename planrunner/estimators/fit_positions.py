@@ -1,4 +1,4 @@
-"""The fit that estimators from positions share, weighted by the noise within them, declared flicker and the table's positions."""
+"""The fit that estimators from positions share, weighted by the noise within them, declared flicker and what the table has wrong."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from planrunner.estimators.flicker import flicker_effects
 from planrunner.estimators.interface import EstimateRequest
-from planrunner.estimators.observation_effects import Array, Effect, position_effects
+from planrunner.estimators.observation_effects import Array
 from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
+from planrunner.estimators.table_effects import table_effects
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Segment
 
@@ -26,9 +27,10 @@ def fit_positions(
 
     How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
     """
-    parameters, inputs = request.parameters, request.setup.inputs
-    effects: tuple[Effect, ...] = flicker_effects(observations, inputs, parameters.drift_span.value)
-    if inputs.get("table position"):
-        about = fit_outputs(matrix, observations, magnitudes, model.names).coefficients
-        effects = (*effects, *position_effects(model, segments, request.site, inputs, about))
+    parameters = request.parameters
+    about = fit_outputs(matrix, observations, magnitudes, model.names).coefficients
+    effects = (
+        *flicker_effects(observations, request.setup.inputs, parameters.drift_span.value),
+        *table_effects(model, segments, request.site, request.setup, about),
+    )
     return fit_outputs(matrix, observations, magnitudes, model.names, parameters.uncertainty, pooled, effects=effects)

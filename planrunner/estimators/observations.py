@@ -95,12 +95,12 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         mean,
         error,
         np.array([recorded.statistics.batches for recorded in segments]),
-        *_times(segments),
+        *recorded_times(segments),
         correlation,
     )
 
 
-def _times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
+def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
     """Beginnings and ends [s]; beginnings as they were planned where the recorded ones are not on one clock, so that segments overlap."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.end - recorded.statistics.start, 1e-9) for recorded in segments])

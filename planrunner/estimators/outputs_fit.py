@@ -13,7 +13,7 @@ different questions:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,13 +191,13 @@ class _Weighting:
         return _Fitted(found, found.cofactor @ weighted.T, spread, ratio, between)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
 
     def equal(self, noise: Noise) -> _Fitted:
-        """All segments alike, with the variance factor that their covariance makes of the residuals."""
-        ratio = self._fit(noise.sigma).variance_factor
-        spread = size = np.full(len(self.observed), np.sqrt(np.mean(noise.sigma**2)))
-        if self.effects:
-            size = _residual_size(self.matrix, mixed(spread, self.effects, self.output))
-        found = least_squares.fit(self.matrix, self.observed, size, self.magnitudes, self.names)
-        return _Fitted(found, found.cofactor @ (self.matrix / size[:, None] ** 2).T, spread, ratio)
+        """All segments alike. How large the residuals are for what is known is judged by the fit that weights them by it: of residuals of
+        unlike size a few would decide."""
+        spread = np.full(len(self.observed), np.sqrt(np.mean(noise.sigma**2)))
+        found = least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names)
+        found = replace(found, chi_squared=self._fit(spread).chi_squared)
+        gains = found.cofactor @ (self.matrix / spread[:, None] ** 2).T
+        return _Fitted(found, gains, spread, self._fit(noise.sigma).variance_factor)
 
     def _fit(self, spread: Array) -> LinearFit:
         covariance = mixed(spread, self.effects, self.output) if self.effects else None
@@ -242,15 +242,6 @@ def _pooled_freedom(
 def _between_outputs(spreads: Array, correlation: Array, effects: Sequence[Effect], one: int, other: int) -> Array:
     noise = np.diag(correlation[one, other] * spreads[one] * spreads[other])
     return np.asarray(noise + sum(effect.covariance(one, other) for effect in effects))
-
-
-def _residual_size(matrix: Array, covariance: Array) -> Array:
-    """(n,), all alike: the standard uncertainty of equally weighted observations that leads one to expect the residuals that those of
-    this covariance leave on average."""
-    n, p = matrix.shape
-    basis = np.linalg.qr(matrix / np.abs(matrix).max(axis=0, initial=1e-300))[0]
-    left = np.trace(covariance) - np.einsum("ni,nm,mi->", basis, covariance, basis)
-    return np.full(n, np.sqrt(left / (n - p) if n > p else np.trace(covariance) / n))
 
 
 def exceeds_noise(found: LinearFit, noise: Noise) -> bool:

@@ -76,11 +76,13 @@ def expected_fit(
     return gains, np.asarray((gains * sigma) @ (gains * sigma).T)
 
 
-def expected_covariance(request: DesignRequest, block: DesignBlock, span: float) -> tuple[Array, Array]:
-    """The same gains, and the covariance with declared flicker: constants hold over `span` s."""
-    flicker = planned_flicker(request.segments, [block.output], request.setup.inputs, span)
-    gains, covariance = expected_fit(request, block, flicker)
-    return gains, covariance + sum(one.through(functionals_of(gains[None])).covariance for one in flicker)
+def expected_covariance(
+    request: DesignRequest, block: DesignBlock, span: float, table: Sequence[Effect] = ()
+) -> tuple[Array, Array]:
+    """The same gains, and the covariance with the table's effects and declared flicker: constants hold over `span` s."""
+    effects = (*planned_flicker(request.segments, [block.output], request.setup.inputs, span), *table)
+    gains, covariance = expected_fit(request, block, effects)
+    return gains, covariance + sum(one.through(functionals_of(gains[None])).covariance for one in effects)
 
 
 def _sigma(request: DesignRequest, noise: NoiseModel) -> Array:

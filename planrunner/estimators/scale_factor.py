@@ -24,13 +24,14 @@ from planrunner.estimators.interface import (
     EstimationError,
     Table,
 )
+from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import expected_covariance, planned_blocks
-from planrunner.estimators.rate_influences import all_rates, each_rate
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
+from planrunner.estimators.table_effects import rate_effects
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
@@ -97,8 +98,10 @@ class ScaleFactor:
             nominal = request.sensor.nominal.get(f"K_{name}", math.nan) / output_unit.factor
             if np.unique(rates).size > 1 and np.all(sigma > 0) and math.isfinite(nominal):
                 shown, factor = slope_unit(rate_unit, output_unit)
-                gains, covariance = expected_covariance(request, block, request.parameters.drift_span.value)
-                stated = _influences(request, gains[1:, None], np.array([nominal]), rates)
+                slope = np.array([nominal])
+                held = _held(request, slope, rates)
+                gains, covariance = expected_covariance(request, block, request.parameters.drift_span.value, held)
+                stated = _common(request, gains[1:, None], slope, rates)
                 variance = covariance[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
                 predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
         named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
@@ -118,15 +121,14 @@ class ScaleFactor:
                 f"{request.name}: all segments have the same rate, so a line cannot be told from a constant"
             )
         matrix = np.column_stack([np.ones(len(rates)), rates])
-        fit = fit_outputs(
-            matrix,
-            observations,
-            np.array([1.0, np.abs(rates).max()]),
-            TERMS,
-            parameters.uncertainty,
-            equal=parameters.weights == "equal",
-            effects=flicker_effects(observations, request.setup.inputs, parameters.drift_span.value),
+        magnitudes = np.array([1.0, np.abs(rates).max()])
+        slopes = fit_outputs(matrix, observations, magnitudes, TERMS).coefficients[:, 1]
+        effects = (
+            *flicker_effects(observations, request.setup.inputs, parameters.drift_span.value),
+            *_held(request, slopes, rates),
         )
+        equal = parameters.weights == "equal"
+        fit = fit_outputs(matrix, observations, magnitudes, TERMS, parameters.uncertainty, equal=equal, effects=effects)
         require_basis(fit, parameters.uncertainty, request.name)
         return _assemble(request, observations, rates, fit)
 
@@ -181,8 +183,8 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
         notes.append(
             "All rates have one sign, so asymmetry cannot be told, and an offset that depends on the sense of rotation is in F0."
         )
-    stated = _influences(request, functionals, fit.coefficients[:, 1], rates)
-    if not stated:
+    stated = _common(request, functionals, fit.coefficients[:, 1], rates)
+    if not (stated or request.setup.inputs.get("table rate")):
         notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
     recorded = resolution_influences(request, observations.channels, functionals)
     return Estimate(
@@ -205,21 +207,27 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
     )
 
 
-def _influences(
+def _held(request: EstimateRequest | DesignRequest, slopes: Array, rates: Array) -> tuple[Effect, ...]:
+    """How well the bench says that each rate is held, on outputs of these slopes (m,)."""
+    stated = request.setup.inputs.get("table rate")
+    return rate_effects(stated, np.outer(slopes, rates), rates) if stated else ()
+
+
+def _common(
     request: EstimateRequest | DesignRequest, functionals: Array, slopes: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """Of the table's rate: what the bench states of each rate, and what the plan states of all of them."""
-    found = []
-    if held := request.setup.inputs.get("table rate"):
-        found.append(each_rate(held, functionals, slopes, rates))
+    """What the plan says that all rates have wrong alike, such as the table's clock: it is in the slope and leaves no scatter.
+
+    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); slopes: (m,), output unit per rad/s.
+    """
     common = request.parameters.rate_uncertainty
-    if common is not None and common.value > 0:
-        source = f"plan estimates.{request.name}.rate_uncertainty"
-        quantity = InputQuantity(
-            "table rate, common", 0.0, "1", common.value, source=source, shown="ppm", shown_factor=1e-6
-        )
-        found.append(all_rates(quantity, functionals, slopes, rates))
-    return tuple(found)
+    if common is None or not common.value:
+        return ()
+    source = f"plan estimates.{request.name}.rate_uncertainty"
+    quantity = InputQuantity(
+        "table rate, common", 0.0, "1", common.value, source=source, shown="ppm", shown_factor=1e-6
+    )
+    return (Influence(quantity, -np.einsum("qmn,m,n->q", functionals, slopes, rates)[:, None]),)
 
 
 def _metrics(
@@ -241,10 +249,8 @@ def _metrics(
         words = f"{name}: largest residual over the largest output"
         residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
         noise = fit.spreads[k] ** 2 if basis == "residual" else fit.noises[k].sigma ** 2
-        flicker = (
-            residual @ (observed - np.diag(noise)) @ residual
-        )  # but for what all rates share, which leaves no residual
-        u = math.sqrt(factor * float(noise[worst] + flicker)) / full_scale * 1e6
+        beside = residual @ (observed - np.diag(noise)) @ residual  # of the effects what is not taken up by the line
+        u = math.sqrt(factor * float(noise[worst] + beside)) / full_scale * 1e6
         answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
         found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words), answers))
     responds = np.ptp(observations.mean[:, k]) > 0

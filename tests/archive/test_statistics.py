@@ -71,7 +71,6 @@ def test_the_cuts_do_not_matter(data: st.DataObject) -> None:
     time = np.arange(rows) * 0.1
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(one_pass, "CHUNK", 37)
-        patch.setattr(one_pass.rechunk, "__defaults__", (37,))
         one = statistics_of(blocks_of(time, values, []), NAMES[:2], rows)
         cuts = data.draw(st.lists(st.integers(0, rows), max_size=8))
         many = statistics_of(blocks_of(time, values, cuts), NAMES[:2], rows)
@@ -114,12 +113,37 @@ def test_few_and_no_samples() -> None:
 
 
 def test_large_offset_keeps_its_digits() -> None:
-    """Scatter of 1e-3 on 1e9, of which a naive sum of squares would lose every digit."""
-    values = 1e9 + np.round(np.random.default_rng(1).standard_normal((1, 200_000)) * 1e-3 * 2**23) / 2**23
-    got = statistics_of(blocks_of(np.arange(200_000.0), values, []), NAMES[:1], 200_000)
-    exact = (values[0] - 1e9).var(ddof=1)
-    assert got.covariance[0, 0] == pytest.approx(exact, rel=1e-6)
-    assert got.standard_error[0] == pytest.approx(math.sqrt(exact / 200_000), rel=0.4)
+    """Scatter of 1e-3 on 1e9, of which a naive sum of squares would lose every digit. The steps of 2⁻²³ are exact there."""
+    noise = np.random.default_rng(1).standard_normal((2, 200_000))
+    noise[1] += noise[0] + np.linspace(0, 30, 200_000)
+    steps = np.round(noise * 1e-3 * 2**23) / 2**23
+    got = statistics_of(blocks_of(np.arange(200_000.0), 1e9 + steps, [70_000]), NAMES[:2], 200_000)
+    np.testing.assert_allclose(got.covariance, np.cov(steps), rtol=1e-11)
+    np.testing.assert_allclose(got.standard_error, by_numpy(steps, 200_000), rtol=1e-11)
+    np.testing.assert_allclose(got.mean - 1e9, steps.mean(axis=1), atol=2**-23)
+
+
+def test_glitches_where_chunks_begin_cost_no_digits() -> None:
+    """Products are summed about a chunk's first sample: the worst that this can be. Sums in long double tell what is right."""
+    values = np.random.default_rng(2).standard_normal((2, 2 * CHUNK + 5))
+    values[:, [0, CHUNK]] = [[1e6, -3e7], [2e9, 1e5]]
+    got = statistics_of(blocks_of(np.arange(values.shape[1]) * 1.0, values, []), NAMES[:2], values.shape[1])
+    exact = values.astype(np.longdouble)
+    mean = exact.mean(axis=1)
+    deviations = exact - mean[:, None]
+    covariance = np.array([[(one * other).sum() for other in deviations] for one in deviations]) / (values.shape[1] - 1)
+    assert (abs(got.mean - mean) < 1e-13 * np.sqrt(np.diag(covariance))).all()
+    np.testing.assert_allclose(got.covariance, covariance.astype(float), rtol=1e-11)
+
+
+def test_lost_blocks_leave_their_batches_empty() -> None:
+    """A third of the rows lost in one piece, across blocks and batches, and the very first rows as well."""
+    values = np.random.default_rng(3).standard_normal((2, 3200)) + 7
+    values[0, 500:1500] = np.nan
+    values[1, :7] = np.inf
+    got = statistics_of(blocks_of(np.arange(3200.0), values, [7, 600, 700, 1450, 2000]), NAMES[:2], 3200)
+    assert (got.count, got.rejected, got.batches, got.start, got.largest_gap) == (2193, 1007, BATCHES - 10, 7.0, 1001.0)
+    np.testing.assert_allclose(got.standard_error, by_numpy(values, 3200), rtol=1e-12)
 
 
 def test_rechunk_gives_pieces_of_one_size() -> None:

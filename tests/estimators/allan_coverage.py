@@ -1,7 +1,7 @@
 """How often Allan intervals hold the truth: simulated records of one kind of noise each, made by a generator apart from the package.
 
-`python tests/estimators/allan_coverage.py [records]` prints the tables of docs/allan-deviation.md. What is true of a deviation is not
-taken from a formula: it is the root of the mean of the variances of all records, since the estimator of the variance has no bias.
+`python tests/estimators/allan_coverage.py [records]` prints the tables of docs/allan-deviation.md. What is true of a deviation is
+integrated from the spectrum of the noise, and so is what a chi-squared interval can cover (`exact_allan_coverage`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 import simulated_noise
+from exact_allan_coverage import POWER, exact_coverage, true_variance
 
 from planrunner.estimators.allan.allan_deviation import LEAST_FREEDOM
+from planrunner.estimators.allan.confidence import degrees_of_freedom, interval
 from planrunner.estimators.allan.fit import TERMS, fit_noise
 from planrunner.estimators.allan.phase import Phase
 from planrunner.estimators.allan.table import deviations
 from planrunner.estimators.root_of_square import root_of
 
-KINDS = {"Q": 1.0, "N": 1.0, "B": 1.0, "K": 1.0}
 MIXTURE = {"Q": 0.2, "N": 0.16, "B": 0.04, "K": 0.0013}
 SAMPLES = 2**12
 
@@ -32,24 +33,41 @@ def record_of(values: np.ndarray) -> Phase:
     return Phase((x,), 1.0, 1, values.size, 0, 0, 0, 0)
 
 
-def deviation_coverage(records: int, seed: int, **noise: float) -> dict[str, np.ndarray]:
-    """By averaging factor, shape (k,): share of 95 % intervals below the truth, share above it, and share that holds it."""
-    draw = np.random.default_rng(seed)
-    factors = 2 ** np.arange(int(math.log2(SAMPLES // 4)) + 1)
-    value, low, high = (np.empty((records, factors.size)) for _ in range(3))
-    for n in range(records):
-        phase = record_of(simulated_noise.rate(draw, SAMPLES, 1.0, **noise))
+def factors_of(samples: int) -> np.ndarray:
+    return 2 ** np.arange(int(math.log2(samples // 4)) + 1)
+
+
+def deviation_coverage(kind: str, records: int, seed: int, samples: int = SAMPLES) -> dict[str, np.ndarray]:
+    """By averaging factor, shape (k,): share of 95 % intervals below the truth, above it, and with the truth inside; `told`: inside, where
+    the noise type is told and not found; `alphas`, (k, 7): how often each type from 2 to −4 was found."""
+    draw, factors = np.random.default_rng(seed), factors_of(samples)
+    truth = np.array([math.sqrt(true_variance(kind, m)) for m in factors])
+    freedoms = [degrees_of_freedom(POWER[kind], 2, m, samples + 1) for m in factors.tolist()]
+    below, above, told = np.zeros(factors.size), np.zeros(factors.size), np.zeros(factors.size)
+    alphas = np.zeros((factors.size, 7))
+    for _ in range(records):
+        phase = record_of(simulated_noise.rate(draw, samples, 1.0, **{kind: 1.0}))
         for k, row in enumerate(deviations(phase, "overlapping", factors, 0.95)):
-            value[n, k], low[n, k], high[n, k] = row.value, row.low, row.high
-    truth = np.sqrt(np.mean(value**2, axis=0))
-    below, above = np.mean(high < truth, axis=0), np.mean(low > truth, axis=0)
-    return {"factor": factors, "below": below, "above": above, "inside": 1 - below - above}
+            below[k] += row.high < truth[k]
+            above[k] += row.low > truth[k]
+            alphas[k, 2 - row.alpha] += 1
+            low, high = interval(row.value, freedoms[k], 0.95)
+            told[k] += low <= truth[k] <= high
+    inside = records - below - above
+    return {
+        "factor": factors,
+        "below": below / records,
+        "above": above / records,
+        "inside": inside / records,
+        "told": told / records,
+        "alphas": alphas / records,
+    }
 
 
 def coefficient_coverage(records: int, seed: int, **noise: float) -> dict[str, tuple[float, float, float]]:
     """By coefficient: share of value ± 1.96 u that holds the truth, mean error over u, spread of the errors over the median u."""
     draw = np.random.default_rng(seed)
-    factors = 2 ** np.arange(int(math.log2(SAMPLES // 4)) + 1)
+    factors = factors_of(SAMPLES)
     found = np.empty((records, 4, 2))
     for n in range(records):
         phase = record_of(simulated_noise.rate(draw, SAMPLES, 1.0, **noise))
@@ -74,13 +92,14 @@ def coefficient_coverage(records: int, seed: int, **noise: float) -> dict[str, t
 def main() -> None:
     records = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     print(f"{records} records of {SAMPLES} samples; 95 % intervals of the overlapping deviation, in %")
-    for seed, (name, size) in enumerate(KINDS.items()):
-        shares = deviation_coverage(records, 40 + seed, **{name: size})
-        cells = [
-            f"{m}: {100 * i:.1f} ({100 * b:.1f}, {100 * a:.1f})"
-            for m, i, b, a in zip(shares["factor"], shares["inside"], shares["below"], shares["above"], strict=True)
-        ]
-        print(f"{name}: {'; '.join(cells)}", flush=True)
+    for seed, name in enumerate(POWER):
+        shares = deviation_coverage(name, records, 40 + seed)
+        for k, m in enumerate(shares["factor"].tolist()):
+            exact = exact_coverage(name, m, SAMPLES, degrees_of_freedom(POWER[name], 2, m, SAMPLES + 1))
+            inside, below, above, told = (100 * shares[what][k] for what in ("inside", "below", "above", "told"))
+            rightly = 100 * shares["alphas"][k, 2 - POWER[name]]
+            shown = f"{inside:.1f} ({below:.1f}, {above:.1f}); type told {told:.1f}, exactly {100 * exact:.1f}; found in {rightly:.0f}"
+            print(f"{name} {m}: {shown}", flush=True)
     for seed, noise in enumerate([MIXTURE, {"N": 1.0, "B": 0.2}, {"N": 1.0, "K": 0.01}, {"B": 1.0}, {"K": 1.0}]):
         found = coefficient_coverage(records, 60 + seed, **noise)
         cells = [f"{name} {100 * i:.1f} (bias {m:+.2f} u, spread {s:.2f} u)" for name, (i, m, s) in found.items()]

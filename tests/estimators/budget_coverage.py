@@ -1,9 +1,9 @@
 """Do the 95 % intervals that combine the data with stated inputs hold the truth 95 % of the time? Simulated campaigns.
 
-`python tests/estimators/budget_coverage.py [runs]` prints the figures of docs/uncertainty-budgets.md. In every run the world differs from
-what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run, the table's error at every position, the
-error of every rate and one that all rates share; with white noise and flicker, which is
-declared as it is, on top. The generators are written apart from planrunner.
+`python tests/estimators/budget_coverage.py [runs] [name]` prints the figures of docs/uncertainty-budgets.md, or those with this in their
+name. In every run the world differs from what is stated by draws from the stated distributions: latitude, gravity and azimuth once a run,
+the table's error at every position, the error of every rate and one that all rates share; with white noise and flicker, which is declared
+as it is, on top. The generators are written apart from planrunner.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ class Rates:
     flicker: float = 0.0
     each: float = 1e-5
     common: float = 5e-6
+    weights: str = "noise"
 
 
 LOUD = {"white": 0.09, "position": 30.0, "latitude": 60.0, "azimuth": 60.0, "gravity": 1e-2}
@@ -72,6 +73,8 @@ STATIC = {
 RATE = {
     "noise and rate errors alike": Rates("residual"),
     "noise and rate errors alike, noise within": Rates("within_segment"),
+    "noise and rate errors alike, equal weights": Rates("residual", weights="equal"),
+    "noise and rate errors alike, equal weights, noise within": Rates("within_segment", weights="equal"),
     "rate errors alone matter": Rates("residual", white=0.1),
     "rate errors alone matter, noise within": Rates("within_segment", white=0.1),
     "noise and rate errors alike, flicker 0.5 pulse/s": Rates("residual", flicker=0.5),
@@ -119,7 +122,7 @@ def rate_coverage(campaign: Rates, runs: int, seed: int) -> dict[str, float]:
         stated["bias instability gyro"] = InputQuantity("bias instability gyro", 0.0, "pulse/s", campaign.flicker)
     setup = Setup(inputs=Inputs(stated))
     keys = {"uncertainty": campaign.basis, "rate_uncertainty": parse_quantity(f"{campaign.common * 1e6:g} ppm")}
-    parameters = ScaleFactorParameters(outputs=("gyro",), **keys)
+    parameters = ScaleFactorParameters(outputs=("gyro",), weights=campaign.weights, **keys)
     rng = np.random.default_rng(seed)
     truth = {"K_gyro": SLOPE, "F0_gyro": OFFSET}
     hits = dict.fromkeys(truth, 0)
@@ -160,7 +163,7 @@ def main() -> None:
     campaigns = [(name, static_coverage, one) for name, one in STATIC.items()]
     campaigns += [(name, rate_coverage, one) for name, one in RATE.items()]  # type: ignore[misc, arg-type]
     for name, measure, campaign in campaigns:
-        if only in ("", measure.__name__):
+        if only in f"{measure.__name__}, {name}":
             found = measure(campaign, runs, 20)
             low, high = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
             shown = f"{100 * found[low]:.1f} ({low}) … {100 * found[high]:.1f} ({high})"

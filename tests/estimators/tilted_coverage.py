@@ -1,8 +1,8 @@
 """Do the 95 % intervals of tilted scale factors, temperature coefficients and fixture angles hold the truth 95 % of the time?
 
-`python tests/estimators/tilted_coverage.py [runs]` prints the figures of docs/scale-factor-in-one-mounting.md. Recordings come from hand
-formulas (`tilted_recording.py`), noise is drawn here: white noise and flicker of each mean, scale factors that change from repeat to
-repeat, fixture angles off by their stated uncertainty, table rates off by theirs, and the fixture skewed at each orientation.
+`python tests/estimators/tilted_coverage.py [runs [fixture]]` prints the figures of docs/scale-factor-in-one-mounting.md. Recordings come
+from hand formulas (`tilted_recording.py`), noise is drawn here: white noise and flicker of each mean, scale factors that change from repeat
+to repeat, fixture angles off by their stated uncertainty, table rates off by theirs, and the fixture skewed at each orientation.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,10 +18,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from coverage_experiment import BATCHES, flicker_in_segments
 from test_fixture_angles import GYROS as FIXED
 from test_fixture_angles import TRUE, X_UP, Y_UP, Z_UP, found, spins
 from tilted_recording import HOUR, THETA, Gyro, estimate, inputs, series
 
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.outputs_fit import BASES
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
@@ -38,6 +42,20 @@ SCENARIOS: dict[str, dict[str, float]] = {
     "with a fixture of 20 arcsec and table rates of 10 ppm": {"arcsec": 20.0, "rate": 10e-6},
     "with flicker of 0.1 deg/h, fixture and table": {"flicker": 0.1, "arcsec": 20.0, "rate": 10e-6},
 }
+# What the other bases make of flicker; the scale factors keep still from repeat to repeat, which neither basis would see.
+OTHER_BASES = [
+    (basis, {"flicker": flicker, "spread": 0.0})
+    for basis in ("residual", "within_segment")
+    for flicker in (0.0, 0.1, 1.0)
+]
+
+FIXTURE: dict[str, dict[str, float]] = {
+    "white noise": {},
+    "flicker 1 deg/h": {"flicker": 1.0},
+    "orientations off by 3 arcsec, rates by 10 ppm": {"skew": 3.0, "rate": 10e-6},
+    "flicker 1 deg/h, orientations off by 3 arcsec, rates by 10 ppm": {"flicker": 1.0, "skew": 3.0, "rate": 10e-6},
+}
+PAUSE = 24.0  # s
 
 
 def flicker_means(rng: np.random.Generator, count: int, floor: float) -> np.ndarray:
@@ -62,9 +80,18 @@ def holds(item: object, truth: float) -> bool:
 
 
 def scale_factor_coverage(
-    runs: int, seed: int, repeats: int = 6, flicker: float = 0.0, arcsec: float = 0.0, rate: float = 0.0
+    runs: int,
+    seed: int,
+    repeats: int = 6,
+    flicker: float = 0.0,
+    arcsec: float = 0.0,
+    rate: float = 0.0,
+    basis: str = "repeats",
+    spread: float = SPREAD,
 ) -> dict[str, float]:
-    """Share of runs whose interval holds the truth: K at 20 and at −40 degC, and the temperature coefficient, of the axis x."""
+    """Share of runs whose interval holds the truth: K at 20 and at −40 degC, and the temperature coefficient, of the axis x.
+
+    flicker: deg/h; arcsec: of the fixture; rate: relative; spread: of K from repeat to repeat, relative."""
     rng = np.random.default_rng(seed)
     hits = dict.fromkeys(("K_x", "K_x_-40degC", "temperature_coefficient_x"), 0)
     stated = inputs(AXES, arcsec, rate)
@@ -83,34 +110,52 @@ def scale_factor_coverage(
         for celsius in CELSIUS:
             for repeat in range(1, repeats + 1):
                 drawn = {
-                    axis: Gyro(gyro.K * (1 + SPREAD * rng.standard_normal()), gyro.slope, gyro.bias)
+                    axis: Gyro(gyro.K * (1 + spread * rng.standard_normal()), gyro.slope, gyro.bias)
                     for axis, gyro in GYROS.items()
                 }
                 recorded += series(
                     real, drawn, celsius, repeat, RATES, lambda value: DWELL, draw, WHITE / math.sqrt(DWELL), errors
                 )
-        result = estimate(recorded, AXES, stated, uncertainty="repeats")
+        result = estimate(recorded, AXES, stated, uncertainty=basis)
         for name in hits:
             hits[name] += holds(result[name], truth[name])
     return {name: count / runs for name, count in hits.items()}
 
 
-def fixture_coverage(
-    runs: int, seed: int, basis: str = "residual", skew: float = 0.0, rate: float = 0.0
-) -> dict[str, float]:
-    """Share of runs whose interval holds the truth: angle and scale factor of each axis. skew: standard, arcsec; rate: relative."""
-    rng = np.random.default_rng(seed)
+def spun(draw: np.random.Generator, world: Mapping[str, float]) -> list[RecordedSegment]:
+    """Three orientations with four rates each: noise of batch means, white and flicker, on top of what the hand formulas give."""
+    rates = (100.0, -100.0, 50.0, -50.0)
+    off = world.get("skew", 0.0) * HOUR * draw.standard_normal((3, 3))
+    errors = {value: world.get("rate", 0.0) * draw.standard_normal() for value in rates}
+    made = spins([Z_UP, X_UP, Y_UP], TRUE, None, 0.0, off, errors)
+    n = len(made)
+    batches = 1e-4 * math.sqrt(BATCHES) * draw.standard_normal((len(TRUE), n, BATCHES))
+    if flicker := world.get("flicker", 0.0):
+        batches = batches + flicker_in_segments(draw, (len(TRUE),), flicker / 3600, n, DWELL, PAUSE, 7200.0)
+    mean, error = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
+    found = []
+    for k, one in enumerate(made):
+        start, known = k * (DWELL + PAUSE), one.statistics
+        statistics = replace(
+            known, mean=known.mean + mean[:, k], standard_error=error[:, k], start=start, end=start + known.end
+        )
+        found.append(replace(one, statistics=statistics))
+    return found
+
+
+def fixture_coverage(runs: int, seed: int, basis: str = "residual", **world: float) -> dict[str, float]:
+    """Share of runs whose interval holds the truth: angle and scale factor of each axis. world: skew, standard, arcsec; rate, relative;
+    flicker, bias instability, deg/h; all stated as they are."""
+    draw = np.random.default_rng(seed)
     hits = {f"{word}_{axis}": 0 for word in ("angle", "K") for axis in TRUE}
-    held = {}
-    if skew:
-        held["table position"] = InputQuantity("table position", 0.0, "rad", skew * HOUR)
-    if rate:
-        held["table rate"] = InputQuantity("table rate", 0.0, "1", rate)
+    held = [
+        InputQuantity("table position", 0.0, "rad", world.get("skew", 0.0) * HOUR),
+        InputQuantity("table rate", 0.0, "1", world.get("rate", 0.0)),
+        *(InputQuantity(f"bias instability gyro_{x}", 0.0, "deg/s", world.get("flicker", 0.0) / 3600) for x in TRUE),
+    ]
+    stated = Inputs({one.name: one for one in held if one.standard_uncertainty})
     for _ in range(runs):
-        off = skew * HOUR * rng.standard_normal((3, 3))
-        errors = {value: rate * rng.standard_normal() for value in (100.0, -100.0, 50.0, -50.0)}
-        recorded = spins([Z_UP, X_UP, Y_UP], TRUE, rng, 1e-4, off, errors)
-        result = found(recorded, inputs=Inputs(held), uncertainty=basis)
+        result = found(spun(draw, world), inputs=stated, uncertainty=basis)
         for axis, (angle, _) in TRUE.items():
             hits[f"angle_{axis}"] += holds(result[f"angle_{axis}"], angle)
             hits[f"K_{axis}"] += holds(result[f"K_{axis}"], FIXED[axis].K)
@@ -120,13 +165,23 @@ def fixture_coverage(
 def main() -> None:
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     print(f"{runs} runs each; share of the 95 % intervals that hold the truth, in %", flush=True)
+    only = sys.argv[2] if len(sys.argv) > 2 else ""
     for name, keys in SCENARIOS.items():
+        if only:
+            continue
         shares = scale_factor_coverage(runs, 31, **keys)  # type: ignore[arg-type]
         print(f"{name}: " + ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items()), flush=True)
-    for skew, rate in ((0.0, 0.0), (3.0, 10e-6)):
-        shares = fixture_coverage(runs, 32, skew=skew, rate=rate)
+    for other, keys in () if only else OTHER_BASES:
+        shares = scale_factor_coverage(runs, 33, basis=other, **keys)  # type: ignore[arg-type]
         shown = ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items())
-        print(f"fixture, skew {skew:g} arcsec, rates {rate * 1e6:g} ppm: {shown}", flush=True)
+        print(f"{other}, flicker {keys['flicker']:g} deg/h: {shown}", flush=True)
+    for name, world in FIXTURE.items():
+        if only not in f"fixture, {name}":
+            continue
+        for basis in BASES:
+            shares = fixture_coverage(runs, 32, basis, **world)
+            shown = ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items())
+            print(f"fixture, {name}, {basis}: {shown}", flush=True)
 
 
 if __name__ == "__main__":

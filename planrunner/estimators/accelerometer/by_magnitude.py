@@ -1,16 +1,25 @@
-"""An accelerometer triad held against the magnitude of gravity: nine parameters from still spans or segments in unknown attitudes."""
+"""An accelerometer triad held against the magnitude of gravity: nine parameters from still spans or segments in unknown attitudes.
+
+Where Gauss–Newton with equal weights ends, one step more is taken: the linear fit of |f| − g that estimators from positions share, weighted
+by the noise within the poses and the declared flicker of each channel, which reaches |f| along the direction in which the channel felt it.
+How a table stands does not matter: |f| is g in any attitude.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude
 from planrunner.estimators.accelerometer.still_detection import still_spans
+from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.flicker import flicker_effects
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Plot, Table
-from planrunner.estimators.observations import SIGNIFICANCE, observe
+from planrunner.estimators.observation_effects import Effect
+from planrunner.estimators.observations import Observations, observe, recorded_times
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import Influence
@@ -22,49 +31,40 @@ _WORDS = {
     "scale": "Scale factor of the {} axis",
     "gamma": "Non-orthogonality of the axes {} and {}: 90° less their angle",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class _Poses:
-    """Mean readings (n, 3), m/s², their standard errors (n, 3), the batches (n,) behind those, and when they were, s."""
-
-    labels: tuple[str, ...]
-    mean: Array
-    error: Array
-    batches: NDArray[np.int64]
-    start: Array
-    end: Array
+_UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 
 
 def estimate(request: EstimateRequest) -> Estimate:
     """The nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
     poses = _found(request) if request.detection is not None else _recorded(request)
-    fit = fit_magnitude(poses.mean, request.site.gravity)
-    within, freedom_within = _within(fit, poses)
-    if basis == "residual" and not fit.degrees_of_freedom:
-        raise EstimationError(
-            f"{request.name}: nine poses leave no residual; record more or write `uncertainty: within_segment`"
-        )
-    if basis == "within_segment" and within is None:
-        raise EstimationError(
-            f"{request.name}: the poses are too short to tell the noise within them; write `uncertainty: residual`"
-        )
-    bases = {
-        "residual": (fit.cofactor * fit.root_mean_square**2, float(fit.degrees_of_freedom)),
-        "within_segment": (within, freedom_within),
-    }
-    factors = np.array([unit("mg").factor] * 3 + [1.0] * 3 + [unit("mrad").factor] * 3)
-    units = ["mg"] * 3 + ["1"] * 3 + ["mrad"] * 3
-    chosen, freedom = bases[basis]
-    assert chosen is not None
-    covariance = chosen / np.outer(factors, factors)
-    values, spreads = fit.values / factors, np.sqrt(np.diag(covariance))
+    found = fit_magnitude(poses.mean * _factors(poses), request.site.gravity)
+    fit = _weighted(request, poses, found)
+    require_basis(fit, basis, request.name)
+    values, residuals = found.values + fit.coefficients[0], -fit.fits[0].residuals
+    scale = 1 / np.array([unit(text).factor for text in _UNITS])
+    covariance = fit.covariance(basis) * np.outer(scale, scale)
+    gradients = np.diag(scale)
     coefficients = tuple(
-        Coefficient(name, float(v), text, float(u), freedom, _describe(name))
-        for name, v, text, u in zip(NAMES, values, units, spreads, strict=True)
+        Coefficient(name, float(v), text, float(u), float(freedom), _describe(name))
+        for name, v, text, u, freedom in zip(
+            NAMES,
+            values * scale,
+            _UNITS,
+            np.sqrt(np.diag(covariance)),
+            fit.degrees_of_freedom(gradients, basis),
+            strict=True,
+        )
     )
-    notes, warnings = _judge(fit, poses, within, freedom_within, basis, request)
+    size = float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
+    notes, warnings = judge(fit, basis, poses.channels)
+    notes = [
+        f"{len(poses.labels)} poses; residuals of |f| {size * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} degrees of freedom; "
+        f"condition {found.condition:.3g}.",
+        f"Scale factors are relative to the site's gravity of {request.site.gravity:.6g} m/s².",
+        *notes,
+    ]
+    influences = (*_gravity(values, request), *fit.influences(basis))
     return Estimate(
         request.name,
         "accelerometer_multi_position",
@@ -77,117 +77,106 @@ def estimate(request: EstimateRequest) -> Estimate:
             "gravity": request.site.gravity,
             **_detection(request),
         },
-        (_bases_table(values, units, factors, bases), _pose_table(poses, fit)),
+        (_bases_table(values * scale, scale, fit), _pose_table(poses, residuals)),
         (
             Plot(
                 "Residuals of |f| per pose",
                 "pose",
                 "residual [m/s^2]",
                 poses.labels,
-                {"|f| − g": tuple(map(float, fit.residuals))},
+                {"|f| − g": tuple(map(float, residuals))},
             ),
         ),
         tuple(notes),
         tuple(warnings),
         tuple(recorded.label for recorded in request.segments),
-        {"root_mean_square": fit.root_mean_square, "poses": len(poses.labels), "condition": fit.condition},
-        _influences(fit, request),
+        {"root_mean_square": size, "poses": len(poses.labels), "condition": found.condition},
+        tuple(one.through(gradients) for one in influences),
     )
 
 
-def _influences(fit: GravityFit, request: EstimateRequest) -> tuple[Influence, ...]:
+def _weighted(request: EstimateRequest, poses: Observations, found: GravityFit) -> OutputsFit:
+    """The last step, of |f| − g as one output, m/s². Raises `EstimationError`."""
+    directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
+    felt = directions * poses.standard_error
+    variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)
+    magnitude = replace(
+        poses,
+        channels=("|f|",),
+        units=("m/s^2",),
+        mean=-found.residuals[:, None],
+        standard_error=np.sqrt(variance)[:, None],
+        correlation=np.eye(1),
+    )
+    span = request.parameters.drift_span.value
+    effects = [_along(one, directions) for one in flicker_effects(poses, request.setup.inputs, span)]
+    magnitudes = np.array([1.0] * 3 + [request.site.gravity] * 6)
+    return fit_outputs(found.jacobian, magnitude, magnitudes, NAMES, request.parameters.uncertainty, effects=effects)
+
+
+def _along(effect: Effect, directions: Array) -> Effect:
+    """An effect on channels as it reaches |f|. directions: (n, 3)."""
+    change = sum(directions[:, channel, None] * one for channel, one in effect.changes.items())
+    within = sum(directions[:, channel] ** 2 * one for channel, one in effect.within.items())
+    return replace(effect, changes={0: np.asarray(change)}, within={0: np.asarray(within)})
+
+
+def _gravity(values: Array, request: EstimateRequest) -> tuple[Influence, ...]:
     """Readings and biases are in m/s², so that scale factors alone follow the magnitude that they are held against: ∂s/∂g = −s/g."""
     gravity = request.setup.inputs.get("gravity")
     if gravity is None:
         return ()
     sensitivities = np.zeros((len(NAMES), 1))
-    sensitivities[3:6, 0] = -fit.values[3:6] / request.site.gravity
+    sensitivities[3:6, 0] = -values[3:6] / request.site.gravity
     return (Influence(gravity, sensitivities),)
 
 
-def _found(request: EstimateRequest) -> _Poses:
+def _found(request: EstimateRequest) -> Observations:
     """Still spans of all chosen segments."""
     outputs = request.parameters.outputs
+    assert request.detection is not None
     channels = request.detection.channels
     if set(channels) != set(outputs):
         raise EstimationError(
             f"stillness is looked for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
             "name the same `channels` under `segments`"
         )
+    whole = observe(request.segments, outputs, request.sensor)
     order = [channels.index(name) for name in outputs]
-    labels, means, errors, batches, start, end = [], [], [], [], [], []
-    for recorded in request.segments:
-        factors = _factors({name: recorded.units.get(name, "") for name in outputs})
+    begun, _ = recorded_times(request.segments)
+    labels, spans, late = [], [], []
+    for recorded, start in zip(request.segments, begun, strict=True):
         for number, span in enumerate(still_spans(recorded, request.detection), start=1):
             labels.append(f"{recorded.label} {number}" if len(request.segments) > 1 else f"still {number}")
-            means.append(span.mean[order] * factors)
-            errors.append(span.standard_error[order] * factors)
-            batches.append(span.batches)
-            start.append(span.start)
-            end.append(span.end)
+            spans.append(span)
+            late.append(start - recorded.statistics.start)
     if not labels:
         raise EstimationError(
             f"{request.name}: no still span was found: raise `threshold` or shorten `at_least` under `segments`"
         )
-    return _Poses(tuple(labels), np.array(means), np.array(errors), np.array(batches), np.array(start), np.array(end))
+    return replace(
+        whole,
+        labels=tuple(labels),
+        mean=np.array([span.mean[order] for span in spans]),
+        standard_error=np.array([span.standard_error[order] for span in spans]),
+        batches=np.array([span.batches for span in spans]),
+        start=np.array([span.start for span in spans]) + late,
+        end=np.array([span.end for span in spans]) + late,
+        correlation=np.eye(len(outputs)),  # that of the whole recording is one of motion
+    )
 
 
-def _recorded(request: EstimateRequest) -> _Poses:
+def _recorded(request: EstimateRequest) -> Observations:
     """Whole segments as poses."""
-    observations = observe(request.segments, request.parameters.outputs, request.sensor)
-    factors = _factors(dict(zip(observations.channels, observations.units, strict=True)))
-    start = np.array([recorded.statistics.start for recorded in request.segments])
-    end = np.array([recorded.statistics.end for recorded in request.segments])
-    error = observations.standard_error * factors
-    return _Poses(observations.labels, observations.mean * factors, error, observations.batches, start, end)
+    return observe(request.segments, request.parameters.outputs, request.sensor)
 
 
-def _factors(units: dict[str, str]) -> Array:
-    for name, text in units.items():
-        if not text or unit(text).dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(
-                f"channel '{name}' is {f'recorded in {text}' if text else 'not recorded'}: an acceleration is needed"
-            )
-    return np.array([unit(text).factor for text in units.values()])
-
-
-def _within(fit: GravityFit, poses: _Poses) -> tuple[Array | None, float]:
-    """Covariance from the noise within the poses (pooled), and its degrees of freedom; None where it cannot be told."""
-    variance = np.einsum("ni,ni->n", fit.directions**2, poses.error**2)
-    degrees = np.where(np.isfinite(variance), poses.batches - 1, 0)
-    usable = (degrees > 0) & (variance > 0)
-    if not usable.any():
-        return None, 0.0
-    total = float(degrees[usable].sum())
-    pooled = float(np.sum(degrees[usable] * variance[usable]) / total)
-    return fit.cofactor * pooled, total
-
-
-def _judge(
-    fit: GravityFit, poses: _Poses, within: Array | None, freedom: float, basis: str, request: EstimateRequest
-) -> tuple[list[str], list[str]]:
-    from scipy.special import fdtrc
-
-    notes = [
-        f"{len(poses.labels)} poses; residuals of |f| {fit.root_mean_square * 1e3:.3g} mm/s² rms, corrected for "
-        f"{fit.degrees_of_freedom} degrees of freedom; condition {fit.condition:.3g}.",
-        f"Scale factors are relative to the site's gravity of {request.site.gravity:.6g} m/s².",
-        "Uncertainties rest on the residuals of the poses."
-        if basis == "residual"
-        else "Uncertainties rest on the noise within the poses; how the poses were held is not in them.",
-    ]
-    warnings = []
-    if within is not None and fit.degrees_of_freedom:
-        ratio = float(fit.root_mean_square**2 * fit.cofactor[0, 0] / within[0, 0])
-        chance = float(fdtrc(fit.degrees_of_freedom, freedom, ratio))
-        text = f"The residual variance is {ratio:.3g} times that expected from the noise within the poses"
-        if chance < SIGNIFICANCE:
-            warnings.append(
-                f"{text} (chance of that from noise alone: {chance:.2g}): the within-segment uncertainties are too small."
-            )
-        else:
-            notes.append(f"{text}, which noise alone explains (probability {chance:.2g}).")
-    return notes, warnings
+def _factors(poses: Observations) -> Array:
+    """To m/s², (3,)."""
+    for name, text in zip(poses.channels, poses.units, strict=True):
+        if unit(text).dimension != DIMENSIONS["acceleration"]:
+            raise EstimationError(f"channel '{name}' is recorded in {text}: an acceleration is needed")
+    return np.array([unit(text).factor for text in poses.units])
 
 
 def _describe(name: str) -> str:
@@ -202,28 +191,31 @@ def _detection(request: EstimateRequest) -> dict[str, str]:
     return {"window": str(found.window), "threshold": str(found.threshold), "at_least": str(found.at_least)}
 
 
-def _bases_table(
-    values: Array, units: list[str], factors: Array, bases: dict[str, tuple[Array | None, float]]
-) -> Table:
-    columns, parts = ["coefficient", "unit", "value"], []
-    for basis, (covariance, freedom) in bases.items():
-        if covariance is not None and freedom:
+def _bases_table(values: Array, scale: Array, fit: OutputsFit) -> Table:
+    """values: (9,), in the results' units; scale: (9,), to them."""
+    columns: list[str] = ["coefficient", "unit", "value"]
+    parts: list[tuple[Array, Array]] = []
+    for basis in BASES:
+        if fit.available(basis):
             shown = basis.replace("_", " ")
             columns += [f"u ({shown})", f"dof ({shown})", f"U 95 % ({shown})"]
-            parts.append((np.sqrt(np.diag(covariance)) / factors, freedom))
+            freedom = fit.degrees_of_freedom(np.diag(scale), basis)
+            parts.append((np.sqrt(np.diag(fit.covariance(basis))) * scale, freedom))
     rows = []
     for k, name in enumerate(NAMES):
-        row: list[object] = [name, units[k], float(values[k])]
-        for spreads, freedom in parts:
-            row += [float(spreads[k]), freedom, expanded_uncertainty(float(spreads[k]), freedom)]
+        row: list[object] = [name, _UNITS[k], float(values[k])]
+        for spreads, freedoms in parts:
+            u, dof = float(spreads[k]), float(freedoms[k])
+            row += [u, dof, expanded_uncertainty(u, dof)]
         rows.append(tuple(row))
     return Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows))
 
 
-def _pose_table(poses: _Poses, fit: GravityFit) -> Table:
+def _pose_table(poses: Observations, residuals: Array) -> Table:
     columns = ("pose", "start [s]", "end [s]", "x [m/s^2]", "y [m/s^2]", "z [m/s^2]", "residual of |f| [m/s^2]")
+    readings = poses.mean * _factors(poses)
     rows = [
-        (label, float(poses.start[n]), float(poses.end[n]), *map(float, poses.mean[n]), float(fit.residuals[n]))
+        (label, float(poses.start[n]), float(poses.end[n]), *map(float, readings[n]), float(residuals[n]))
         for n, label in enumerate(poses.labels)
     ]
     return Table("Poses and residuals", columns, tuple(rows))

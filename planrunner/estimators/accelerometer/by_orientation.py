@@ -16,11 +16,13 @@ from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.error_model import error_model
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Table
-from planrunner.estimators.linear_influences import linear_influences
+from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.resolution_influences import resolution_influences
+from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.triad import scale_and_misalignments
 from planrunner.physics.earth import Site
 from planrunner.physics.terms import ErrorModel
@@ -66,7 +68,11 @@ def estimate(request: EstimateRequest) -> Estimate:
         Coefficient(name, value, text, float(u), float(dof), words)
         for (name, value, text, _, words), u, dof in zip(rows, spreads, freedom, strict=True)
     )
-    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains)
+    stated = (
+        *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
+        *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
+        *fit.influences(basis),
+    )
     notes, warnings = judge(fit, basis)
     left_out = [name for name in TERMS if name not in model.names]
     if left_out:
@@ -92,7 +98,7 @@ def estimate(request: EstimateRequest) -> Estimate:
         tuple(warnings),
         observations.labels,
         {"root_mean_square": [float(np.sqrt(np.sum(one.residuals**2) / max(1, fit.freedom))) for one in fit.fits]},
-        tuple(one.through(gradients) for one in (*stated, *fit.influences(basis))),
+        tuple(one.through(gradients) for one in stated),
     )
 
 

@@ -29,30 +29,18 @@ _WORST_CONDITION = 1e4
 
 @dataclass(frozen=True, slots=True)
 class GravityFit:
-    """values: (9,) in the order of `NAMES`; m/s², ratios, rad. cofactor: (9, 9), for observations of unit weight. residuals: (n,),
-    m/s², of the magnitude. directions: (n, 3), d(residual)/d(reading). condition: of the Jacobian with biases over g."""
+    """values: (9,) in the order of `NAMES`; m/s², ratios, rad. residuals: (n,), m/s², of the magnitude. jacobian: (n, 9), of the residuals.
+    directions: (n, 3), d(residual)/d(reading). condition: of the Jacobian with biases over g."""
 
     values: Array
-    cofactor: Array
     residuals: Array
+    jacobian: Array
     directions: Array
     condition: float
 
-    @property
-    def degrees_of_freedom(self) -> int:
-        return len(self.residuals) - len(NAMES)
-
-    @property
-    def root_mean_square(self) -> float:
-        """sqrt(sum of squares / degrees of freedom), m/s²."""
-        return float(np.sqrt(np.sum(self.residuals**2) / self.degrees_of_freedom)) if self.degrees_of_freedom else 0.0
-
 
 def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
-    """Nine parameters from mean readings (n, 3), m/s², of n ≥ 9 still poses. Raises `EstimationError`.
-
-    Every pose has the same weight: what matters is how the poses were held, not the noise within them.
-    """
+    """Nine parameters from mean readings (n, 3), m/s², of n ≥ 9 still poses, all of the same weight. Raises `EstimationError`."""
     if len(readings) < len(NAMES):
         raise EstimationError(
             f"{len(readings)} still spans cannot give {len(NAMES)} parameters: record more poses, or look at the threshold and `at_least`"
@@ -70,8 +58,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
             break
         if np.abs(step / scale).max() < 1e-13:
             residuals, jacobian, directions = _linearise(readings, values, gravity)
-            cofactor = np.linalg.inv((jacobian * scale).T @ (jacobian * scale)) * np.outer(scale, scale)
-            return GravityFit(values, cofactor, residuals, directions, rank.look(jacobian * scale).condition)
+            return GravityFit(values, residuals, jacobian, directions, rank.look(jacobian * scale).condition)
     raise EstimationError(
         "the readings do not lie near a sphere of radius g, so no calibration was found: check the channels' units and that spans are still"
     )

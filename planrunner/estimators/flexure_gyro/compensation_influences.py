@@ -1,8 +1,8 @@
-"""How residual sums of squares after compensation follow what is stated of the bench, to first order.
+"""How residuals after compensation, and their sums of squares, follow what is stated of the bench.
 
 With c the coefficients of a set, X the verification positions' design and i the outputs, the residual is r = M⁻¹·(i − X·c). An input
 that is stated wrong reaches it twice: through X, and through c, whose calibration used the same latitude, gravity, azimuth and
-table. Both ways stand in the list as influences of the same input, so that the budget adds them with their signs before it squares.
+table. Both ways stand in the list as influences of the same input, so that they are added with their signs.
 M is a part of c: with X̃, whose rates are those that were recovered (ω + r) instead of the planned ones, dr = −M⁻¹·X̃·dc has both.
 """
 
@@ -15,52 +15,68 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import physical_set
 from planrunner.estimators.interface import Estimate, EstimateRequest
-from planrunner.estimators.linear_influences import linear_influences
-from planrunner.estimators.observation_effects import functionals_of, position_effects
+from planrunner.estimators.observation_effects import functionals_of
+from planrunner.estimators.stated_influences import stated_influences
+from planrunner.estimators.table_effects import table_effects
 from planrunner.physics import flexure_gyro
+from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
 
-def compensation_influences(
+def residual_influences(
     request: EstimateRequest, units: tuple[str, ...], matrix: Array, residuals: Mapping[str, Array], rate: float
 ) -> tuple[Influence, ...]:
-    """On the residual sums of squares of the sets, in their order, then on the ratios of the others to the first.
+    """On the residuals of the sets in their order, of each first those of one rate at all positions, then of the other, (sets·2·v,).
 
     units: of the outputs; matrix: (v, p) of the verification positions, SI; residuals: by set, (v, 2), in units of `rate` rad/s.
     """
-    names = tuple(residuals)
-    first = float(np.sum(residuals[names[0]] ** 2))
     found: list[Influence] = []
-    for place, name in enumerate(names):
+    for place, (name, values) in enumerate(residuals.items()):
         coefficients = np.array(request.uses[name].extra["coefficients"])
-        inverse = np.linalg.inv(coefficients[:, 1:3])
-        # ∂RSS/∂(i − X·c), output after output, (2·v,): 2·rᵀ·M⁻¹.
-        by_output = 2 * (residuals[name] @ inverse).T.ravel() / rate
-        own = float(np.sum(residuals[name] ** 2))
-        gradient = np.zeros((2 * len(names) - 1, by_output.size))
-        gradient[place] = by_output
-        if place:
-            gradient[len(names) + place - 1] = by_output / first
-        else:
-            for other, values in enumerate(names[1:]):
-                ratio = float(np.sum(residuals[values] ** 2)) / own
-                gradient[len(names) + other] = -by_output * ratio / own
-        found += [one.through(gradient) for one in _here(request, matrix, coefficients)]
+        own = np.zeros((len(residuals), values.size, values.size))
+        own[place] = recovery(coefficients, len(values), rate)
+        of_all = own.reshape(-1, values.size)
+        found += [one.through(of_all) for one in _here(request, matrix, coefficients)]
         recovered = matrix.copy()
-        recovered[:, 1:3] += residuals[name] * rate
-        found += [one.through(-gradient @ np.kron(np.eye(2), recovered)) for one in _carried(request.uses[name], units)]
-    return tuple(found)
+        recovered[:, 1:3] += values * rate
+        found += [one.through(-of_all @ np.kron(np.eye(2), recovered)) for one in _carried(request.uses[name], units)]
+    return merged(found)
+
+
+def recovery(coefficients: Array, positions: int, rate: float) -> Array:
+    """Rates in units of `rate` rad/s from outputs less what the coefficients (2, p) say of them, (2·v, 2·v); output, or rate, after the
+    other."""
+    return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
+
+
+def compensation_influences(
+    on_residuals: tuple[Influence, ...], residuals: Mapping[str, Array]
+) -> tuple[Influence, ...]:
+    """On the residual sums of squares of the sets, in their order, then on the ratios of the others to the first, to first order.
+
+    on_residuals: as `residual_influences` gives them; residuals: by set, (v, 2).
+    """
+    flat = [values.T.ravel() for values in residuals.values()]
+    sums = [float(own @ own) for own in flat]
+    gradient = np.zeros((2 * len(flat) - 1, len(flat), flat[0].size))
+    for place, own in enumerate(flat):
+        gradient[place, place] = 2 * own
+        if place:
+            ratio = len(flat) + place - 1
+            gradient[ratio, place] = 2 * own / sums[0]
+            gradient[ratio, 0] = -2 * flat[0] * sums[place] / sums[0] ** 2
+    return tuple(one.through(gradient.reshape(len(gradient), -1)) for one in on_residuals)
 
 
 def _here(request: EstimateRequest, matrix: Array, coefficients: Array) -> list[Influence]:
     """On i − X·c through the verification positions: what a fit of one coefficient a position would show."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
-    positions = position_effects(model, segments, request.site, request.setup.inputs, coefficients)
-    stated = linear_influences(request, model, (), coefficients, each)
-    return [*stated, *(one.through(functionals_of(each)) for one in positions)]
+    table = table_effects(model, segments, request.site, request.setup, coefficients)
+    stated = stated_influences(model, segments, request.site, request.setup.inputs, coefficients, each)
+    return [*stated, *(one.through(functionals_of(each)) for one in table)]
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:

@@ -1,9 +1,9 @@
-"""What residuals to expect after compensation, from the positions alone.
+"""What residuals to expect after compensation, from the positions, their noise and what is stated of the bench.
 
 To first order the residual of a set on a verification position is M⁻¹·(e − x·δ), with e the noise of that position, x its row of the
-design and δ the error of the coefficients. M is nearly a multiple of a rotation and drops out of ratios when both outputs have the
-same noise. All sets share the verification noise, which is why single ratios scatter less than independent sums would. Flicker ties
-calibration and verification together: what drifts slowly is in both and cancels.
+design and δ the error of the coefficients. All sets share the verification noise, which is why single ratios scatter less than
+independent sums would. Flicker ties calibration and verification together: what drifts slowly is in both and cancels. So does the
+table where a verification position is one of the calibration's.
 """
 
 from __future__ import annotations
@@ -21,54 +21,64 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """expected: residual sum of squares by set, in the covariances' units, both outputs.
-
-    ratios: by set, (5 %, median, 95 %, half of the central 68.27 %) of the ratio to the first set. relative_spread: by set, half of the
-    central 68.27 % of the sum, over its expectation.
-    """
+    """expected: residual sum of squares by set. ratios: by set, (5 %, median, 95 %) of the ratio to the first set. Both from noise and from
+    what is stated. relative_spread: by set, half of the central 68.27 % of the sum over its expectation; ratio_spread: the same of the
+    ratio, not over it; both from noise alone."""
 
     expected: dict[str, float]
-    ratios: dict[str, tuple[float, float, float, float]]
+    ratios: dict[str, tuple[float, float, float]]
     relative_spread: dict[str, float]
+    ratio_spread: dict[str, float]
 
 
-def expected_sums(verification: Array, sets: Mapping[str, Array], covariances: Array) -> dict[str, float]:
-    """Expected residual sum of squares of each set over both outputs: what the noise of the verification positions and what that of the
-    calibration make of it, exactly.
+def noise_maps(verification: Array, sets: Mapping[str, Array], covariances: Array) -> dict[str, Array]:
+    """By set, (2·v, z): what z independent inputs of standard deviation one make of the outputs less what the coefficients say of them, at
+    the verification positions, output after output.
 
     verification: (v, p), the verification positions' design. sets: by name, (2, p, n), coefficients from the calibration's observations.
     covariances: (2, N, N), of the observations of each output, first of the v verification positions, then of the sets in their order.
     """
-    carried = _carried(verification, sets)
-    return {
-        name: float(sum(np.trace(own @ covariance @ own.T) for own, covariance in zip(maps, covariances, strict=True)))
-        for name, maps in carried.items()
-    }
+    roots = [square_root(one) for one in covariances]
+    found = {}
+    for name, maps in _carried(verification, sets).items():
+        one, other = (own @ root for own, root in zip(maps, roots, strict=True))
+        apart = (np.zeros((len(one), other.shape[1])), np.zeros((len(other), one.shape[1])))
+        found[name] = np.block([[one, apart[0]], [apart[1], other]])
+    return found
 
 
-def predict_residuals(
-    verification: Array, sets: Mapping[str, Array], covariances: Array, trials: int, seed: int
-) -> Prediction:
-    """The same with the scatter of the sums and of their ratios, from seeded simulated experiments."""
+def expected_sum(maps: Array) -> float:
+    """Expected sum of squares of what independent inputs of standard deviation one make by `maps` (r, z)."""
+    return float(np.sum(maps**2))
+
+
+def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], trials: int, seed: int) -> Prediction:
+    """From seeded simulated experiments. noise, stated: by set, (r, z) and (r, s), what independent inputs of standard deviation one, which
+    all sets share, make of the residuals."""
     rng = np.random.default_rng(seed)
-    noise = [square_root(one) for one in covariances]
-    drawn = [root @ rng.standard_normal((root.shape[1], trials)) for root in noise]
-    expected = expected_sums(verification, sets, covariances)
-    sums = {
-        name: sum((np.sum((own @ one) ** 2, axis=0) for own, one in zip(maps, drawn, strict=True)), np.zeros(trials))
-        for name, maps in _carried(verification, sets).items()
-    }
-    first = next(iter(sums))
-    ratios, spreads = {}, {}
-    for name, total in sums.items():
-        low, high = np.quantile(total, (0.158655, 0.841345))
-        spreads[name] = float(high - low) / 2 / expected[name]
-        if name != first:
-            five, lower, middle, upper, ninety_five = np.quantile(
-                total / sums[first], (0.05, 0.158655, 0.5, 0.841345, 0.95)
-            )
-            ratios[name] = (float(five), float(middle), float(ninety_five), float(upper - lower) / 2)
-    return Prediction(expected, ratios, spreads)
+    first = next(iter(noise))
+    drawn = rng.standard_normal((noise[first].shape[1], trials))
+    inputs = rng.standard_normal((stated[first].shape[1], trials))
+    alone = {name: np.sum((own @ drawn) ** 2, axis=0) for name, own in noise.items()}
+    whole = {name: np.sum((own @ drawn + stated[name] @ inputs) ** 2, axis=0) for name, own in noise.items()}
+    others = [name for name in noise if name != first]
+    return Prediction(
+        {name: expected_sum(own) + expected_sum(stated[name]) for name, own in noise.items()},
+        {name: _range(whole[name] / whole[first]) for name in others},
+        {name: _half(alone[name]) / expected_sum(own) for name, own in noise.items()},
+        {name: _half(alone[name] / alone[first]) for name in others},
+    )
+
+
+def _range(drawn: Array) -> tuple[float, float, float]:
+    low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95))
+    return float(low), float(middle), float(high)
+
+
+def _half(drawn: Array) -> float:
+    """Half of the central 68.27 %."""
+    low, high = np.quantile(drawn, (0.158655, 0.841345))
+    return float(high - low) / 2
 
 
 def _carried(verification: Array, sets: Mapping[str, Array]) -> dict[str, list[Array]]:

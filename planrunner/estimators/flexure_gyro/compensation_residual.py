@@ -13,9 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.flexure_gyro.compensation_influences import compensation_influences
+from planrunner.estimators.flexure_gyro.compensation_influences import (
+    compensation_influences,
+    recovery,
+    residual_influences,
+)
 from planrunner.estimators.flexure_gyro.compensation_prediction import (
-    expected_sums,
+    expected_sum,
+    noise_maps,
     predict_residuals,
     weighted_inverse,
 )
@@ -37,6 +42,7 @@ from planrunner.estimators.observations import Observations, observe, within_seg
 from planrunner.physics import flexure_gyro
 from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
@@ -86,7 +92,8 @@ class CompensationResidual:
             noise.append(relative)
         _several(sets)
         variances = np.concatenate(noise, axis=1) ** 2
-        expected = expected_sums(matrix, sets, np.array([np.diag(one) for one in variances]))
+        maps = noise_maps(matrix, sets, np.array([np.diag(one) for one in variances]))
+        expected = {name: expected_sum(own) for name, own in maps.items()}
         first, *others = expected
         ratios = {f"ratio_{name}_to_{first}": expected[name] / expected[first] for name in others}
         notes = [
@@ -115,10 +122,26 @@ class CompensationResidual:
         }
         residuals = {name: (rates - matrix[:, 1:3]) / _DEG_H for name, rates in recovered.items()}
         sets = {name: np.array(used.extra["gains"]) for name, used in request.uses.items()}
-        covariances = _covariances(request, observations)
-        prediction = predict_residuals(matrix, sets, covariances, request.parameters.trials, request.parameters.seed)
-        stated = compensation_influences(request, observations.units, matrix, residuals, _DEG_H)
-        return replace(_assemble(request, observations.labels, residuals, prediction), influences=stated)
+        rates = {
+            name: recovery(np.array(used.extra["coefficients"]), len(matrix), _DEG_H)
+            for name, used in request.uses.items()
+        }
+        noise = noise_maps(matrix, sets, _covariances(request, observations))
+        stated = residual_influences(request, observations.units, matrix, residuals, _DEG_H)
+        prediction = predict_residuals(
+            {name: rates[name] @ own for name, own in noise.items()},
+            dict(zip(sets, _stated_maps(stated, len(sets), 2 * len(matrix)), strict=True)),
+            request.parameters.trials,
+            request.parameters.seed,
+        )
+        found = _assemble(request, observations.labels, residuals, prediction)
+        return replace(found, influences=compensation_influences(stated, residuals))
+
+
+def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
+    """(sets, residuals, s): what each of the s inputs makes of the residuals when it is off by its standard uncertainty."""
+    columns = [one.sensitivities * one.quantity.standard_uncertainty for one in stated]
+    return np.hstack([np.zeros((sets * residuals, 0)), *columns]).reshape(sets, residuals, -1)
 
 
 def _several(sets: Mapping[str, Any]) -> None:
@@ -135,8 +158,7 @@ def _relative(block: DesignBlock) -> Array:
 
 
 def _covariances(request: EstimateRequest, observations: Observations) -> Array:
-    """Of all observations of each output, (2, N, N), over the variance of the verification positions' noise: noise within the segments,
-    and declared flicker, which all segments of the run share."""
+    """Of all observations of each output, (2, N, N): noise within the segments, and declared flicker, which all segments share."""
     told = [used.extra for used in request.uses.values()]
     start = np.concatenate([observations.start, *(one["start"] for one in told)])
     end = np.concatenate([observations.end, *(one["end"] for one in told)])
@@ -149,7 +171,7 @@ def _covariances(request: EstimateRequest, observations: Observations) -> Array:
         covariance = np.diag(variance)
         if size := told[0]["bias_instability"][k]:
             covariance += size**2 * mean_covariance(start, end, span)
-        found.append(covariance / np.mean(noise.sigma**2))
+        found.append(covariance)
     return np.array(found)
 
 
@@ -174,7 +196,7 @@ def _assemble(
         covariance.append(spread**2)
     rows = []
     for name in names[1:]:
-        low, middle, high, spread = prediction.ratios[name]
+        (low, middle, high), spread = prediction.ratios[name], prediction.ratio_spread[name]
         measured = sums[name] / sums[first]
         words = f"Residual sum of squares of {name} over that of {first}"
         coefficients.append(Coefficient(f"ratio_{name}_to_{first}", measured, "1", spread, description=words))
@@ -206,7 +228,7 @@ def _assemble(
         (_residual_plot(labels, residuals),),
         (
             "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise and declared bias "
-            "instability; what the bench states is added to first order.",
+            "instability; what the bench states is added to first order. The expected range of a ratio has all of it.",
             _CLAIM,
             *notes,
         ),

@@ -25,12 +25,14 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
 )
-from planrunner.estimators.linear_influences import linear_influences
-from planrunner.estimators.observation_effects import functionals_of, position_effects
+from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.planned import expected_fit, matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
+from planrunner.estimators.resolution_influences import resolution_influences
+from planrunner.estimators.stated_influences import stated_influences
+from planrunner.estimators.table_effects import table_effects
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
 from planrunner.physics.terms import ErrorModel
@@ -184,8 +186,12 @@ def _make(request: EstimateRequest) -> _Made:
         found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
     except ValueError as error:
         raise EstimationError(f"{request.name}: {error}") from None
-    stated = linear_influences(request, model, parameters.outputs, fit.coefficients, fit.gains)
-    return _Made(observations, model, matrix, fit, found, (*stated, *fit.influences(basis)))
+    stated = (
+        *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
+        *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
+        *fit.influences(basis),
+    )
+    return _Made(observations, model, matrix, fit, found, stated)
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -242,7 +248,7 @@ def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[C
 
 def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
     """The coefficients at the sensor's declared values with the uncertainty that its declared noise and the bench's stated
-    inputs give: noise as each dwell averages it, and the table's position errors beside it."""
+    inputs give: noise as each dwell averages it, and what the table has wrong beside it."""
     products = request.parameters.terms
     model = flexure_gyro.static_model(products)
     names = flexure_gyro.physical_names(products)
@@ -261,12 +267,12 @@ def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[C
     parameters, inputs = request.parameters, request.setup.inputs
     effects = (
         *planned_flicker(request.segments, parameters.outputs, inputs, parameters.drift_span.value),
-        *position_effects(model, request.segments, request.site, inputs, outputs),
+        *table_effects(model, request.segments, request.site, request.setup, outputs),
     )
     for k, block in enumerate(blocks):
         gains[k], covariance[k, :, k] = expected_fit(request, block, effects, k)
     stated = [
-        *linear_influences(request, model, parameters.outputs, outputs, gains),
+        *stated_influences(model, request.segments, request.site, inputs, outputs, gains),
         *(one.through(functionals_of(gains)) for one in effects),
     ]
     whole = covariance.reshape(2 * p, 2 * p) + sum((one.covariance for one in stated), np.zeros((2 * p, 2 * p)))

@@ -34,7 +34,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.observations import observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.planned import expected_fit, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.tilted.fixture_gains import (
@@ -44,6 +44,7 @@ from planrunner.estimators.tilted.fixture_gains import (
     Polar,
     gain_basis,
     gain_model,
+    held_rates,
     polar,
     stated_changes,
 )
@@ -147,14 +148,11 @@ class FixtureAngles:
         for k, name in enumerate(axes.outputs):
             basis = gain_basis(axes, k, parameters.azimuth)
             observations = observe(request.segments, [name], request.sensor)
-            fit = fit_outputs(
-                model.matrix(basis),
-                observations,
-                model.magnitudes(basis),
-                model.terms(parameters.azimuth),
-                parameters.uncertainty,
-                effects=flicker_effects(observations, request.setup.inputs, SPAN.value),
-            )
+            asked = model.matrix(basis), observations, model.magnitudes(basis), model.terms(parameters.azimuth)
+            about = basis @ fit_outputs(*asked).coefficients[0, len(model.orientations) :]
+            flicker = flicker_effects(observations, request.setup.inputs, SPAN.value)
+            effects = (*flicker, *held_rates(model, request.setup, about))
+            fit = fit_outputs(*asked, parameters.uncertainty, effects=effects)
             require_basis(fit, parameters.uncertainty, request.name)
             found.append(_found(request, model, axes, k, fit, observations.units[0]))
             plots.append(residual_plot(observations, fit, f"Residuals of {name}", "segment"))
@@ -190,8 +188,13 @@ def _found(
     covariance = gradient @ fit.covariance(how) @ gradient.T
     freedom = fit.degrees_of_freedom(gradient, how)
     shown = _shown(request, model, axes, k, shape, gain, gradient @ fit.gains[0], covariance, freedom, output_unit)
-    scaled = np.diag(shown.scale) @ gradient
-    return replace(shown, influences=(*shown.influences, *(one.through(scaled) for one in fit.influences(how))))
+    return _with_effects(shown, [one.through(gradient) for one in fit.influences(how)])
+
+
+def _with_effects(shown: AxisAngles, effects: Sequence[Influence]) -> AxisAngles:
+    """effects: on the values, SI."""
+    scaled = (one.through(np.diag(shown.scale)) for one in effects)
+    return replace(shown, influences=(*shown.influences, *scaled))
 
 
 def _expected(
@@ -206,16 +209,18 @@ def _expected(
         return None
     basis = gain_basis(axes, k, request.parameters.azimuth)
     try:
-        fit = least_squares.fit(block.matrix, np.zeros(len(block.matrix)), block.sigma, block.magnitudes, block.terms)
+        least_squares.fit(block.matrix, np.zeros(len(block.matrix)), block.sigma, block.magnitudes, block.terms)
         gain = np.linalg.pinv(basis) @ axes.directions[k] * nominal / pair[1].factor
         shape = polar(gain, basis, axes, k)
     except EstimationError:
         return None
+    effects = held_rates(model, request.setup, basis @ gain)
     gradient = np.column_stack([np.zeros((len(shape.values), len(model.orientations))), shape.gradient])
-    gains = gradient @ fit.cofactor @ (block.matrix / block.sigma[:, None] ** 2).T
-    freedom = np.full(len(gradient), math.inf)
-    covariance = gradient @ fit.cofactor @ gradient.T
-    return _shown(request, model, axes, k, shape, gain, gains, covariance, freedom, output.unit)
+    gains, data = expected_fit(request, block, effects)
+    freedom, answers = np.full(len(gradient), math.inf), gradient @ gains
+    covariance = gradient @ data @ gradient.T
+    shown = _shown(request, model, axes, k, shape, gain, answers, covariance, freedom, output.unit)
+    return _with_effects(shown, [one.through(answers[:, None]) for one in effects])
 
 
 def _shown(

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import EstimationError, Setup
-from planrunner.estimators.linear_influences import orthogonality_tilts
-from planrunner.estimators.rate_influences import rate_part
+from planrunner.estimators.observation_effects import Effect
+from planrunner.estimators.table_effects import orthogonality_tilts, rate_effects
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, rotation_axis
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates
 from planrunner.physics.earth import Site
@@ -139,7 +139,8 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Polar:
 def stated_changes(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str, gain: Array
 ) -> Iterator[tuple[InputQuantity, dict[str, Array]]]:
-    """What is stated with an uncertainty, and by part how the outputs predicted for `gain` (r,) change with it, (n,) per unit."""
+    """What is stated with an uncertainty and moves the gains of an orientation as a whole, so that hardly anything scatters for it; and by
+    part how the outputs predicted for `gain` (r,) change with it, (n,) per unit."""
     basis = gain_basis(axes, k, azimuth)
     vector = basis @ gain
     if position := setup.inputs.get("table position"):
@@ -149,15 +150,6 @@ def stated_changes(
                 tilt_part(text, name): np.where(model.place == o, -np.cross(np.eye(3)[j], model.felt) @ vector, 0.0)
                 for o, text in enumerate(model.orientations)
                 for j, name in enumerate(AXES)
-            },
-        )
-    rates = np.array([segment.rate for segment in model.segments])
-    if rate := setup.inputs.get("table rate"):
-        yield (
-            rate,
-            {
-                rate_part(value): np.where(rates == value, model.turning @ vector, 0.0)
-                for value in np.unique(rates[rates != 0])
             },
         )
     if (
@@ -182,6 +174,13 @@ def stated_changes(
     if azimuth == STATED and (mounted := setup.inputs.get(f"fixture azimuth {axes.names[k]}")):
         turned = np.array([-math.sin(axes.azimuths[k]), math.cos(axes.azimuths[k]), 0.0])
         yield mounted, {"": gain[0] * (model.felt @ turned)}
+
+
+def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[Effect, ...]:
+    """How well each rate is held, on the output of an axis with the gain vector (3,): the means scatter about a line for it."""
+    rates = np.array([segment.rate for segment in model.segments])
+    rate = setup.inputs.get("table rate")
+    return rate_effects(rate, (model.turning @ vector)[None], rates) if rate else ()
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:

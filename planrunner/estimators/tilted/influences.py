@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.rate_influences import rate_part
+from planrunner.estimators.table_effects import rate_part
 from planrunner.estimators.tilted.evaluation import QUANTITIES, Conditions, Findings, Group, K, Worst, evaluate
 from planrunner.estimators.tilted.fixture_gains import tilt_part
 from planrunner.estimators.tilted.mounted_axes import MountedAxes

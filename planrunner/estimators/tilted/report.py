@@ -214,7 +214,10 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
 
 def _basis_words(situation: Situation, scatter: Scatter, basis: str) -> str:
     if basis == "residual":
-        return "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats."
+        return (
+            "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats; the drift between the zeros "
+            "is in the budget beside them."
+        )
     if basis == "within_segment":
         return "Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them."
     count = min(len(group.names) for group in situation.groups)

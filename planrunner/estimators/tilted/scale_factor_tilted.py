@@ -166,7 +166,7 @@ class ScaleFactorTilted:
                 "reference_temperature": groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if fixture else "as stated",
             },
-            warnings=tuple(warnings),
+            warnings=(*warnings, *_unseen_flicker(request, axes)),
             segments=tuple(one.label for one in kept),
             influences=shown_influences(shown, acting),
             extra={"by_temperature": held} if held else {},
@@ -204,6 +204,20 @@ def _situation(
         observations.units,
         fixture,
     )
+
+
+def _unseen_flicker(request: EstimateRequest, axes: MountedAxes) -> list[str]:
+    """A warning where the bench declares what the basis that was chosen cannot see."""
+    if request.parameters.uncertainty != "within_segment":
+        return []
+    inputs = request.setup.inputs
+    flickering = [name for name in axes.outputs if inputs.get(f"bias instability {name}")]
+    if not flickering:
+        return []
+    return [
+        f"A bias instability is declared for {', '.join(flickering)}, and the noise within the segments does not show how far it moves the "
+        "outputs between them: intervals on the basis `within_segment` hold the truth less often than 95 %; write `uncertainty: repeats`."
+    ]
 
 
 def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
