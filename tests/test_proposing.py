@@ -1,4 +1,5 @@
-"""A proposed plan can be read back, whatever the plan was called that it follows; where it cannot, that is said and the diagnosis stands."""
+"""A proposed plan can be read back, whatever the plan was called that it follows; where it cannot,
+that is said and the diagnosis stands."""
 
 from __future__ import annotations
 
