@@ -17,8 +17,9 @@ from planrunner.gap.evidence import log_bayes_factors, log_mean_exp
 from planrunner.gap.noise_levels import counts
 from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
+from planrunner.gap.slow_noise import SlowMeans
 from planrunner.gap.spectrum import Spectrum, spectrum, white_level
-from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, settings_of, walking_alike
+from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, lasting, settings_of, walking_alike
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 Array = NDArray[np.float64]
@@ -99,8 +100,9 @@ class Weighing:
         self.nominal_columns = nominal_columns(observed, nominal)
         self.spectrum: Spectrum = spectrum(observed, simulated(observed, nominal))
         self.white, self.white_degrees = white_level(observed, self.spectrum)
+        slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
-            kind: settings_of(observed, self.white, kind) for kind in ("gyro", "accel")
+            kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
         }
         coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
         whole = [
@@ -112,9 +114,9 @@ class Weighing:
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
-            settings = self.settings[channel.kind]
+            settings, fitted = self.settings[channel.kind], self.nominal[index]
             each = [
-                ChannelWeights(observed, self.spectrum, index, float(self.white[index]), setting, self.nominal[index])
+                ChannelWeights(observed, slow, self.spectrum, index, float(self.white[index]), setting, fitted)
                 for setting in settings
             ]
             chosen, likelihood = walking_alike(each, settings)

@@ -86,6 +86,10 @@ class Observed:
 
     def segments(self) -> list[slice]:
         """The samples of every segment."""
+        return self._slices
+
+    @cached_property
+    def _slices(self) -> list[slice]:
         return [slice(int(a), int(b)) for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True)]
 
     @cached_property
@@ -116,14 +120,26 @@ class Observed:
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
-        """A vector in site axes, (3,) or (N, 3), as the sensor's axes see it at every sample, (N, 3).
+        """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3).
 
-        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis. Over a bin, cosine and sine are means to the
-        second order in its length.
+        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis: what lies along it, and what turns.
         """
-        axis = self.turning[self.owner]
-        vector = np.broadcast_to(np.asarray(site_vector, dtype=float), axis.shape)
-        along = np.einsum("ni,ni->n", axis, vector)[:, None] * axis
+        vector = np.asarray(site_vector, dtype=float)
+        along = (self.turning @ vector)[:, None] * self.turning
+        parts = along, vector - along, np.cross(self.turning, vector)
+        fixed, ahead, aside = (np.einsum("sij,sj->si", self.attitude, part) for part in parts)
+        cosine, sine = self._cosine_and_sine
+        seen = ahead[self.owner]
+        seen *= cosine
+        turned = aside[self.owner]
+        turned *= sine
+        seen -= turned
+        seen += fixed[self.owner]
+        return np.asarray(seen)
+
+    @cached_property
+    def _cosine_and_sine(self) -> tuple[Array, Array]:
+        """Of the table's angle, (N, 1). Over a bin they are means to the second order in its length."""
         cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
         if self.bins is not None:
             spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner, None]
@@ -132,8 +148,7 @@ class Observed:
                 cosine - (squared * cosine + change * sine) * spread,
                 sine - (squared * sine - change * cosine) * spread,
             )
-        turned = along + (vector - along) * cosine - np.cross(axis, vector) * sine
-        return np.einsum("nij,nj->ni", self.attitude[self.owner], turned)
+        return cosine, sine
 
     @cached_property
     def earth_rate(self) -> Array:

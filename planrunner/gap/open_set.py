@@ -44,10 +44,10 @@ def competitors(weighing: Weighing) -> Kinds:
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     designs, waves = list(designs_of(weighing)), waves_of(weighing)
     several = np.full(len(weighing.base), -np.inf)
-    each = {}
+    each, outside = {}, _outside(weighing)
     for g in settings:
         weights = _weights(weighing, int(g))
-        each[g] = _patterns(weighing, designs, waves, weights) | _outside(weighing)
+        each[g] = _patterns(weighing, designs, waves, weights) | outside
         several[g] = _several(weighing, designs, waves, weights, each[g])
     found = {name: np.full(len(weighing.base), -np.inf) for name in each[settings[0]]}
     for g, values in each.items():

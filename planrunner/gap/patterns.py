@@ -6,7 +6,7 @@ with rate, gravity, temperature or time; and a bias that repeats itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,30 +98,32 @@ def factors(weighing: Weighing) -> Iterator[Design]:
 def waves(weighing: Weighing) -> Array:
     """Coefficients (M, F, H, 2) of a bias that repeats itself with any period, from twice the run down to two segments: cosines and
     sines of its harmonics, which fade as 1/order."""
-    starts, ends = lasting(weighing.observed)
+    observed, spectrum = weighing.observed, weighing.spectrum
+    starts, ends = lasting(observed)
     orders = np.arange(1, WAVEFORM + 1)
     frequencies = np.arange(2, 2 * len(starts)) / (4 * float(ends[-1] - starts[0]))
     pulses = 2 * np.pi * np.outer(frequencies, orders)
-    raw = within(weighing, lambda time: np.exp(1j * time[..., None] * pulses.ravel())).reshape(-1, *pulses.shape)
-    return np.stack([raw.real, raw.imag], axis=-1) / orders[:, None]
-
-
-def within(weighing: Weighing, function: Callable[[Array], Array]) -> Array:
-    """Coefficients (M, P) of slow functions of time since the run began: `function` takes times (S, n) to (S, n, P)."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    starts, ends = lasting(observed)
-    middles = (np.arange(NODES) + 0.5) / NODES
     slow = np.flatnonzero(spectrum.harmonic == 0)
     order = slow - spectrum.means[spectrum.segment[slow]]
-    waves = (
-        np.cos(np.pi * np.arange(order.max() + 1)[:, None] * middles)
-        * np.where(np.arange(order.max() + 1) == 0, 1.0, np.sqrt(2.0))[:, None]
+    within = _within(np.round(ends - starts, 9), pulses.ravel(), int(order.max()) + 1)
+    beginning = np.exp(1j * np.outer(starts - starts[0], pulses.ravel())) * np.sqrt(observed.counts)[:, None]
+    raw = np.zeros((len(spectrum.segment), pulses.size), dtype=complex)
+    raw[slow] = beginning[spectrum.segment[slow]] * within[spectrum.segment[slow], order]
+    shaped = raw.reshape(-1, *pulses.shape)
+    return np.stack([shaped.real, shaped.imag], axis=-1) / orders[:, None]
+
+
+def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
+    """Coefficients of the cosine transform (S, orders, P) of exp(iωt) from the beginning of segments that last so long, (S,), made once
+    for all that last alike."""
+    middles = (np.arange(NODES) + 0.5) / NODES
+    cosines = (
+        np.cos(np.pi * np.arange(orders)[:, None] * middles)
+        * np.where(np.arange(orders) == 0, 1.0, np.sqrt(2.0))[:, None]
     )
-    values = function(starts[:, None] - starts[0] + (ends - starts)[:, None] * middles)
-    parts = np.einsum("kn,snp->skp", waves / NODES, values) * np.sqrt(observed.counts)[:, None, None]
-    out = np.zeros((len(spectrum.segment), values.shape[-1]), dtype=values.dtype)
-    out[slow] = parts[spectrum.segment[slow], order]
-    return out
+    spans, which = np.unique(lasting_, return_inverse=True)
+    waves_ = np.exp(1j * (spans[:, None, None] * middles[:, None] * pulses))
+    return np.asarray((cosines / NODES @ waves_)[which])
 
 
 def _coordinates(weighing: Weighing) -> dict[str, Array]:

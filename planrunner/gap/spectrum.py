@@ -9,6 +9,8 @@ replaced by the fit, and counted: one spike would spread over all coefficients.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,13 +56,25 @@ class Spectrum:
 
     def project(self, observed: Observed, columns: Array) -> Array:
         """The coefficients (M, P) of columns of samples (N, P)."""
-        parts = zip(self.bases, observed.segments(), strict=True)
-        roots = _roots(observed)
-        if roots is not None:
-            return np.concatenate(
-                [basis.vectors.T @ columns[part] * r for (basis, part), r in zip(parts, roots, strict=True)]
-            )
-        return np.concatenate([basis.vectors.T @ columns[part] for basis, part in parts])
+        made = [
+            (vectors @ columns[part].reshape(-1, vectors.shape[-1], columns.shape[1])).reshape(-1, columns.shape[1])
+            for vectors, part in self.runs
+        ]
+        coefficients, roots = np.concatenate(made), _roots(observed)
+        return coefficients if roots is None else coefficients * roots[self.segment, None]
+
+    @cached_property
+    def runs(self) -> list[tuple[Array, slice]]:
+        """Consecutive segments with bases of one shape: these, (k, m, n) or one for all, (m, n), and the segments' samples."""
+        found, first = [], 0
+        for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
+            bases = list(run)
+            last = first + len(bases) * len(bases[0].vectors)
+            same = all(basis is bases[0] for basis in bases)
+            vectors = bases[0].vectors.T if same else np.array([basis.vectors.T for basis in bases])
+            found.append((vectors, slice(first, last)))
+            first = last
+        return found
 
 
 def basis_of(observed: Observed, index: int) -> Basis:

@@ -35,7 +35,7 @@ class Setting:
     prior: float
 
 
-def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, ...]:
+def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
     """The settings of a triad: walks for gyros only, factors of the flicker where one is declared."""
     members = observed.of_kind(kind)
     if not members:
@@ -46,7 +46,7 @@ def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, .
         factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
     walks = [0.0]
     if kind == "gyro" and len(observed) > 2:
-        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, c, float(white[c])) for c in members)))
+        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, slow, c, float(white[c])) for c in members)))
     return tuple(
         Setting(factor, float(walk), prior * (1.0 if walk == 0 else float(np.log(WALKS[1] / WALKS[0])) / RANGE))
         for walk in walks
@@ -54,15 +54,12 @@ def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, .
     )
 
 
-def _walk_energy(observed: Observed, channel: int, white: float) -> float:
+def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
     """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
     constant."""
-    starts, ends = lasting(observed)
-    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow_noise.flicker(
-        starts, ends
-    )
+    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
-    walk = inverse @ slow_noise.random_walk(starts, ends) @ inverse.T
+    walk = inverse @ slow.random_walk @ inverse.T
     constant = inverse.sum(1)
     return float(np.trace(walk) - constant @ walk @ constant / (constant @ constant))
 
@@ -112,10 +109,16 @@ class ChannelWeights:
     """
 
     def __init__(
-        self, observed: Observed, spectrum: Spectrum, channel: int, white: float, setting: Setting, nominal: Array
+        self,
+        observed: Observed,
+        slow: slow_noise.SlowMeans,
+        spectrum: Spectrum,
+        channel: int,
+        white: float,
+        setting: Setting,
+        nominal: Array,
     ):
         declared = observed.channels[channel]
-        starts, ends = lasting(observed)
         counts = observed.counts.astype(float)
         undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
         covariance = np.diag(white**2 / counts + undithered)
@@ -124,10 +127,10 @@ class ChannelWeights:
         within = spectrum.frequency > 0
         half = observed.sample_rate / 2
         if level > 0:
-            covariance += level**2 * slow_noise.flicker(starts, ends)
+            covariance += level**2 * slow.flicker
             tail[within] += level**2 * half * slow_noise.flicker_spectrum(spectrum.frequency[within])
         if setting.walk > 0:
-            covariance += setting.walk**2 * slow_noise.random_walk(starts, ends)
+            covariance += setting.walk**2 * slow.random_walk
             tail[within] += setting.walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
         self.setting = setting
         self._covariance = covariance

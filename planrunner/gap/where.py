@@ -57,14 +57,15 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
     A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns that live
     under it. A factor with many levels pays for them there. What else a factor shows, level by level, follows by its score.
     """
-    evidence = _by_factor(weighing, kinds)
+    outside = _outside(weighing, kinds)
+    evidence = _by_factor(outside[1], kinds)
     listed = list(levels(weighing))
     found = []
     for c, channel in enumerate(weighing.observed.channels):
         for factor, values in evidence.items():
             own = [(score, place) for place, score in listed if (place.channel, place.factor) == (channel.name, factor)]
             own.sort(key=lambda item: -item[0])
-            if factor == "band" and np.argmax(_outside(weighing, kinds)[:, c]) > 0:
+            if factor == "band" and np.argmax(outside[:, c]) > 0:
                 own.insert(0, (0.0, _of_noise(weighing, c, float(values[c]), len(listed))))
             found += [
                 (float(values[c]) if rank == 0 else -np.inf, score, place) for rank, (score, place) in enumerate(own)
@@ -72,9 +73,9 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
     return [place for *_, place in sorted(found, key=lambda item: (-item[0], -item[1]))]
 
 
-def _by_factor(weighing: Weighing, kinds: Mapping[str, Array]) -> dict[str, Array]:
-    """log BF (K,) of each factor."""
-    sorted_: dict[str, list[Array]] = {"band": [_outside(weighing, kinds)[1]]}
+def _by_factor(noisier: Array, kinds: Mapping[str, Array]) -> dict[str, Array]:
+    """log BF (K,) of each factor. noisier: (K,), of more white noise than declared."""
+    sorted_: dict[str, list[Array]] = {"band": [noisier]}
     for name, values in kinds.items():
         sorted_.setdefault(factor_of(name), []).append(values)
     return {factor: log_mean_exp(np.array(values), 0) for factor, values in sorted_.items()}

@@ -10,6 +10,7 @@ from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_
 from planrunner.gap.observed import Observed
 
 DEG = np.pi / 180
+_FORGOTTEN = 1e-18  # of a sample: less is below rounding
 
 
 class GyroBandwidth(Shaped):
@@ -27,7 +28,7 @@ class GyroBandwidth(Shaped):
 
 def lagged(observed: Observed, tau: float) -> Array:
     """The nominal rate (N, 3) behind a first-order lag: the exact response to a ramp from sample to sample, in all moving segments at
-    once."""
+    once. What is remembered of earlier samples, decay^k of the k-th before, is summed in doublings of the reach."""
     out = observed.omega.copy()
     which = [index for index, part in enumerate(observed.segments()) if observed.acceleration[part].any()]
     moving = [observed.segments()[index] for index in which]
@@ -40,10 +41,11 @@ def lagged(observed: Observed, tau: float) -> Array:
         rate[: part.stop - part.start, place] = observed.omega[part]
     driven = (1 - share) * rate
     driven[1:] += (share - decay) * rate[:-1]
-    late = np.empty_like(rate)
-    late[0] = now = rate[0]
-    for sample in range(1, longest):
-        late[sample] = now = decay * now + driven[sample]
+    driven[0] = rate[0]
+    late, reach = driven, 1
+    while reach < longest and (decay > _FORGOTTEN).any():
+        late[reach:] += decay * late[:-reach]
+        decay, reach = decay**2, 2 * reach
     for place, part in enumerate(moving):
         out[part] = late[: part.stop - part.start, place]
     return out
@@ -79,8 +81,9 @@ class GyroSaturation(Shaped):
 
 def _changed(observed: Observed, output: Callable[[Array], Array], shape: float) -> Variant:
     """A function of the gyros' nominal output, as what it adds."""
-    nominal = observed.nominal_output
-    parts = {index: output(nominal[:, index]) - nominal[:, index] for index in observed.of_kind("gyro")}
+    nominal = observed.nominal_output[:, observed.of_kind("gyro")]
+    change = output(nominal) - nominal
+    parts = {index: change[:, place] for place, index in enumerate(observed.of_kind("gyro"))}
     return Variant((Column("share", "1", 1.0, 1.0, parts),), shape)
 
 

@@ -63,16 +63,28 @@ class TimeLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        parts = on_stimulus(observed, delayed(observed, observed.omega, value) - observed.omega, None)
-        return Variant((Column("share", "1", 1.0, 1.0, parts),), value)
+        return _late(observed, *changes(observed, observed.omega), value)
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        grid = self.grid(observed)
+        if not len(grid):
+            return []
+        slope, curvature = changes(observed, observed.omega)
+        return [_late(observed, slope, curvature, float(value)) for value in grid]
 
 
-def delayed(observed: Observed, felt: Array, delay: float) -> Array:
-    """A stimulus (N, 3) as it was `delay` s earlier in each moving segment, by its Taylor series to the second order."""
-    out = felt.copy()
+def _late(observed: Observed, slope: Array, curvature: Array, delay: float) -> Variant:
+    """The rate as it was `delay` s earlier, by its Taylor series to the second order."""
+    parts = on_stimulus(observed, curvature * (delay**2 / 2) - slope * delay, None)
+    return Variant((Column("share", "1", 1.0, 1.0, parts),), delay)
+
+
+def changes(observed: Observed, felt: Array) -> tuple[Array, Array]:
+    """First and second derivative by time of a stimulus (N, 3) in each moving segment, zero elsewhere."""
+    slope, curvature = np.zeros_like(felt), np.zeros_like(felt)
     for part in observed.segments():
         if observed.acceleration[part].any():
             time = observed.time[part]
-            slope = np.gradient(felt[part], time, axis=0)
-            out[part] = felt[part] - slope * delay + np.gradient(slope, time, axis=0) * delay**2 / 2
-    return out
+            slope[part] = np.gradient(felt[part], time, axis=0)
+            curvature[part] = np.gradient(slope[part], time, axis=0)
+    return slope, curvature
