@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.effects.interface import Column, Shaped, Variant
 from planrunner.gap.effects.nominal import PARTS
-from planrunner.gap.evidence import log_bayes_factors, log_mean_exp
+from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, log_mean_exp
 from planrunner.gap.noise_levels import counts
 from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
@@ -25,6 +25,7 @@ from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 Array = NDArray[np.float64]
 ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
 FULL = NOMINAL_TERMS
+_FORMS = 5
 _REFINE = 8.0  # log BF from which on a shape is worth refining
 
 
@@ -47,6 +48,11 @@ class Weighed:
         """(G,), averaged over λ."""
         return log_bayes_factors(self.gram, self.score, self.trace)
 
+    @cached_property
+    def amplitudes(self) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) in magnitudes, at the first setting."""
+        return best_amplitudes(self.gram[0], self.score[0], self.variant.widths)
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -68,6 +74,13 @@ class Candidate:
     def stacked(self) -> tuple[Array, ...]:
         """Whitened, projected columns of all variants side by side, (M, V·p) by channel."""
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
+
+    def likely_forms(self) -> list[tuple[Weighed, float]]:
+        """The likeliest forms, at most `_FORMS`, and how the effect's probability is shared among them."""
+        best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes.max()))[:_FORMS]
+        evidence = np.array([float(weighed.log_bayes.max()) for weighed in best])
+        share = np.exp(evidence - evidence.max())
+        return list(zip(best, (share / share.sum()).tolist(), strict=True))
 
     def across(self, other: Weighed) -> Array:
         """Inner products (V, q, p) of another variant's q columns with those of every variant, at the first setting."""

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed
-from planrunner.gap.evidence import best_amplitudes
 
 Array = NDArray[np.float64]
 DISCRIMINABLE = 10.0  # non-centrality below which two effects are not told apart
@@ -23,8 +22,7 @@ _RIDGE = 1e-9
 
 def fitted(weighed: Weighed) -> list[Array]:
     """The whitened, projected signature of an effect at its fitted amplitudes, (M,) per channel."""
-    amplitudes, _ = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
-    return [block @ amplitudes for block in weighed.by_channel]
+    return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
 
 
 def energy(signature: Sequence[Array]) -> float:

@@ -11,12 +11,15 @@ goes on: a stronger effect than was foreseen is still that effect.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 WEAKEST, STRONGEST = 4.0, 1e4
 RANGE = float(np.log(STRONGEST / WEAKEST))
+_SWEEPS = 3
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # of s², as the energy that it lets expect
 
 
@@ -70,11 +73,31 @@ def strong_enough(mean: Array, variance: Array) -> Array:
         return np.asarray(np.log(gammaincc(np.maximum(shape, 1e-12), WEAKEST * mean / variance)))
 
 
-def best_amplitudes(gram: Array, score: Array, trace: float) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes."""
-    s2 = ENERGIES[int(np.argmax(by_energy(gram, score, trace)))] / trace
-    covariance = np.linalg.inv(gram + np.eye(len(gram)) / s2)
+def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
+    """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
+
+    widths: columns of each effect in turn, where there are several; each has its own s².
+    """
+    covariance = np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths)))
     return covariance @ score, covariance
+
+
+def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
+    """The most probable s² (p,) of every column's effect, found for one effect after the other with those of the others given."""
+    ends = np.cumsum(widths or (len(score),))
+    parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
+    traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
+    scales = np.repeat(ENERGIES[-1] / np.array(traces), widths or (len(score),))
+    for part, trace in list(zip(parts, traces, strict=True)) * (_SWEEPS if len(parts) > 1 else 1):
+        others = np.ones(len(score), dtype=bool)
+        others[part] = False
+        taken = np.linalg.solve(
+            gram[np.ix_(others, others)] + np.diag(1 / scales[others]), np.column_stack([gram[others], score[others]])
+        )
+        left = gram[part, part] - gram[part][:, others] @ taken[:, :-1][:, part]
+        wanted = score[part] - gram[part][:, others] @ taken[:, -1]
+        scales[part] = ENERGIES[int(np.argmax(by_energy(left, wanted, trace)))] / trace
+    return scales
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.evidence import best_amplitudes
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +20,7 @@ class Parameter:
 
 def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[Parameter]:
     """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect."""
-    mean, covariance = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
+    mean, covariance = weighed.amplitudes
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
     return [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.effects.interface import Variant
-from planrunner.gap.evidence import averaged, best_amplitudes, from_eigen, pair_log_bayes_factor
+from planrunner.gap.evidence import averaged, from_eigen, pair_log_bayes_factor
 from planrunner.gap.noise_levels import log_densities
 from planrunner.gap.open_set import competitors, unknown
 
@@ -106,7 +106,8 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     best: dict[str, Weighed] = {}
     for key in sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]:
         _, a, b, cost = quick[key]
-        (both,) = weighing.weigh([Variant(a.variant.columns + b.variant.columns)])
+        own = a.variant.columns, b.variant.columns
+        (both,) = weighing.weigh([Variant(own[0] + own[1], widths=(len(own[0]), len(own[1])))])
         log_bayes = np.full(len(weighing.base), -np.inf)
         for g in np.flatnonzero(np.isfinite(weighing.log_prior[0])):
             log_bayes[g] = pair_log_bayes_factor(
@@ -118,7 +119,7 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
 
 def _given(a: Weighed, second: Candidate) -> tuple[Weighed, float]:
     """The form of an effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
-    mean, covariance = best_amplitudes(a.gram[0], a.score[0], a.trace)
+    mean, covariance = a.amplitudes
     cross = second.across(a)
     grams = np.array([item.gram[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
     scores = np.array([item.score[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ mean

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from planrunner.gap.candidates import Candidate, Weighed, Weighing, nominal_columns, simulated
 from planrunner.gap.discrimination import Rival
 from planrunner.gap.effects.interface import Column, Shaped, Variant
-from planrunner.gap.evidence import best_amplitudes
 from planrunner.gap.observed import Observed
 from planrunner.gap.posterior import Posterior
 
@@ -111,7 +110,7 @@ def _within(pair: Variant, candidate: Candidate) -> tuple[Weighed, slice] | None
 
 def _size(weighed: Weighed, columns: slice) -> float:
     """Mean square of the amplitudes after the recording."""
-    mean, covariance = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
+    mean, covariance = weighed.amplitudes
     return float(np.mean(mean[columns] ** 2 + np.diag(covariance)[columns]))
 
 

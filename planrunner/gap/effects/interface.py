@@ -44,10 +44,12 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without one."""
+    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without one. widths: where several
+    effects stand together, how many columns each has in turn."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
+    widths: tuple[int, ...] = ()
 
 
 class Effect(Protocol):
