@@ -17,7 +17,9 @@ from planrunner.gap.weighing import lasting
 from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
-Design = tuple[str, list[Array]]  # name, and per channel raw columns (M, P)
+Rows = NDArray[np.bool_]
+Design = tuple[str, list[Array | Rows]]
+"""Name, and per channel raw columns (M, P), or rows (M,) each of which is a column by itself."""
 WHOLE = {
     "means": "offset per segment",
     "transient": "transient per segment",
@@ -45,7 +47,7 @@ def designs(weighing: Weighing) -> Iterator[Design]:
         out[spectrum.means] = table * counts[:, None]
         return out
 
-    yield "offset per segment", [at_means(np.eye(len(observed)))] * everywhere
+    yield WHOLE["means"], [at_means(np.eye(len(observed)))] * everywhere
     for name, basis in kinds.items():
         yield f"offset smooth in {name}", [at_means(basis)] * everywhere
     yield (
@@ -65,16 +67,25 @@ def designs(weighing: Weighing) -> Iterator[Design]:
             f"scale factor {word} {name}",
             [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
         )
-    low = (spectrum.harmonic == 0) & (spectrum.frequency > 0)
-    yield "transient per segment", [np.eye(len(low))[:, low]] * everywhere
-    spin = np.array([isinstance(motion, Spin) for motion in observed.motions])[spectrum.segment]
-    rock = np.array([isinstance(motion, Rock) for motion in observed.motions])[spectrum.segment]
+    rows = sorts(weighing)
+    yield WHOLE["transient"], [rows["transient"]] * everywhere
     for h in (1, 2, 3):
-        rows = spin & (spectrum.harmonic == h)
-        yield f"{h} per turn, per segment", [np.eye(len(rows))[:, rows]] * everywhere
-        yield f"{h} per turn, alike", [_alike(weighing, rows)] * everywhere
-    rows = rock & (spectrum.harmonic > 0)
-    yield "rocking waveform", [np.eye(len(rows))[:, rows]] * everywhere
+        yield WHOLE[f"{h}"], [rows[f"{h}"]] * everywhere
+        yield f"{h} per turn, alike", [_alike(weighing, rows[f"{h}"])] * everywhere
+    yield WHOLE["rocking"], [rows["rocking"]] * everywhere
+
+
+def sorts(weighing: Weighing) -> dict[str, Rows]:
+    """The coefficients (M,) of each sort."""
+    spectrum, motions = weighing.spectrum, weighing.observed.motions
+    spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
+    rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]
+    return {
+        "means": spectrum.frequency == 0,
+        "transient": (spectrum.harmonic == 0) & (spectrum.frequency > 0),
+        "rocking": rock & (spectrum.harmonic > 0),
+        **{f"{h}": spin & (spectrum.harmonic == h) for h in (1, 2, 3)},
+    }
 
 
 def factors(weighing: Weighing) -> Iterator[Design]:

@@ -105,7 +105,8 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
 class ChannelWeights:
     """One channel under one setting: `whiten` takes coefficients (M, …) to unit noise, `project` also frees them of the nominal parameters.
 
-    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns.
+    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the
+    coefficients that are whitened one by one: all of them where there is no slow noise, else those above order 0.
     """
 
     def __init__(
@@ -137,14 +138,20 @@ class ChannelWeights:
         self._segment = spectrum.segment
         self._means = spectrum.means
         self._root = np.sqrt(counts)
-        factor = np.linalg.cholesky(covariance)
-        self._inverse = np.linalg.inv(factor)
-        self._scale = 1 / np.sqrt(white**2 + tail)
-        self._scale[self._means] = 1.0
+        self.scale = 1 / np.sqrt(white**2 + tail)
+        self._inverse: Array | None = None
+        if level > 0 or setting.walk > 0:
+            factor = np.linalg.cholesky(covariance)
+            self._inverse = np.linalg.inv(factor)
+            self.scale[self._means] = 1.0
+            log_det = 2 * float(np.log(np.diag(factor)).sum())
+        else:
+            self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
+            log_det = -2 * float(np.log(self._root).sum())
         whitened = self.whiten(nominal)
         self.basis: Array
         self.basis, upper = np.linalg.qr(whitened) if nominal.shape[1] else (whitened, np.zeros((0, 0)))
-        log_det = 2 * float(np.log(np.diag(factor)).sum()) - 2 * float(np.log(self._scale).sum())
+        log_det -= 2 * float(np.log(self.scale).sum())
         log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
         self.residual = self.project(spectrum.values[:, [channel]])[:, 0]
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
@@ -152,7 +159,7 @@ class ChannelWeights:
     def covariance(self, rows: NDArray[np.bool_]) -> Array:
         """Covariance of the coefficients in some rows (M,), SI²·samples."""
         chosen = np.flatnonzero(rows)
-        out = np.diag(1 / self._scale[chosen] ** 2)
+        out = np.diag(1 / self.scale[chosen] ** 2)
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
         out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
@@ -166,7 +173,7 @@ class ChannelWeights:
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
         inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
-        scale = self._scale[chosen]
+        scale = self.scale[chosen]
 
         def whiten(columns: Array) -> Array:
             out = (columns.T * scale).T
@@ -176,9 +183,21 @@ class ChannelWeights:
         return whiten
 
     def whiten(self, columns: Array) -> Array:
-        out = columns * self._scale[:, None]
-        out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
+        out = columns * self.scale[:, None]
+        if self._inverse is not None:
+            out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
         return out
+
+    def whitened_rows(self, columns: Array) -> tuple[NDArray[np.int64], Array]:
+        """The rows (n,) that columns (M, P) act on once they are whitened, and they there, (n, P)."""
+        acting = np.asarray(columns.any(axis=1))
+        if self._inverse is None or not acting[self._means].any():
+            at = np.flatnonzero(acting)
+            return at, columns[at] * self.scale[at, None]
+        acting[self._means] = False
+        at = np.flatnonzero(acting)
+        means = self._inverse @ (columns[self._means] / self._root[:, None])
+        return np.concatenate([self._means, at]), np.concatenate([means, columns[at] * self.scale[at, None]])
 
     def project(self, columns: Array) -> Array:
         whitened = self.whiten(columns)
