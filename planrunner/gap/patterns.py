@@ -89,12 +89,31 @@ def sorts(weighing: Weighing) -> dict[str, Rows]:
 
 
 def factors(weighing: Weighing) -> Iterator[Design]:
-    """Designs, as `_designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown."""
+    """Designs, as `designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown.
+
+    A factor that explains a gap with few parameters is to be found beside one that needs many, so each has its plainest form here. For an
+    accelerometer turning about up is the orientation that was set, whatever the angle; for a gyro the Earth's rate says otherwise.
+    """
     observed, spectrum = weighing.observed, weighing.spectrum
-    levels = _levels([_upward(observed, s) for s in range(len(observed))])
-    table = np.zeros((len(spectrum.segment), levels.shape[1]))
-    table[spectrum.means] = levels * np.sqrt(observed.counts)[:, None]
-    yield "offset by orientation", [table] * len(observed.channels)
+    segments = range(len(observed))
+
+    def at_means(table: Array) -> Array:
+        out = np.zeros((len(spectrum.segment), table.shape[1]))
+        out[spectrum.means] = table * np.sqrt(observed.counts)[:, None]
+        return out
+
+    levels = {
+        "gyro": at_means(_levels([_upward(observed, s) for s in segments])),
+        "accel": at_means(_levels([str(np.round(observed.attitude[s], 1) + 0.0) for s in segments])),
+    }
+    yield "offset by orientation", [levels[channel.kind] for channel in observed.channels]
+    if observed.along is None:
+        cosines = _orientations(observed)
+        yield "offset along orientation", [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
+    yield (
+        "offset by sort of motion",
+        [at_means(_levels([_state(observed, s, False) for s in segments]))] * len(observed.channels),
+    )
     turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
     if not turning.any():
         return
@@ -168,12 +187,12 @@ def _upward(observed: Observed, segment: int) -> str:
     return str([*np.round(observed.force[first] / observed.site.gravity, 1) + 0.0, *np.round(north, 1) + 0.0])
 
 
-def _state(observed: Observed, segment: int) -> str:
-    """How the table moves, and about which of the sensor's axes."""
+def _state(observed: Observed, segment: int, fast: bool = True) -> str:
+    """How the table moves, with how fast it turns where that is asked, and about which of the sensor's axes."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
     axis = np.round(observed.table_axis[first], 1) + 0.0
     if isinstance(motion, Spin):
-        return f"{motion.rate:.6g} about {axis}"
+        return f"{motion.rate:.6g} about {axis}" if fast else f"turning about {axis}"
     return f"rocking about {axis}" if isinstance(motion, Rock) else "at rest"
 
 

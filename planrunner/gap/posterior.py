@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -45,33 +46,30 @@ def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[C
     nothing = np.zeros(len(weighing.base))
     levels = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
     acting = {effect.noise: str(effect.id) for effect in effects if effect.stage == "covariance"}
-    walk, others = acting.pop("random walk", None), {name: level for level, name in acting.items()}
+    walk = acting.pop("random walk", "")
+    others = {name: level for level, name in acting.items()}
     start = weighing.evidence(nothing) + levels["declared"]
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
     found: dict[str, float] = {}
-    for name, log_bayes in alone.items():
-        plain = weighing.evidence(log_bayes)
-        _put(found, (name,), plain + levels["declared"] - start)
-        for other, level in others.items():
-            _put(found, (name, other), plain + levels[level] - start)
-        if walk is not None and np.isfinite(weighing.log_prior[1]).any():
-            _put(found, (name, walk), weighing.evidence(log_bayes, True) + levels["declared"] - start)
+    walks = (False, True) if walk and np.isfinite(weighing.log_prior[1]).any() else (False,)
+    for (name, log_bayes), walking in product(alone.items(), walks):
+        value = weighing.evidence(log_bayes, walking) - start
+        for other, level in {"": "declared", **others}.items():
+            present = [part for part in (name, walk if walking else "", other) if part]
+            if len(present) < 3:
+                found["+".join(sorted(present)) or "none"] = value + levels[level]
     together, weighed = _pairs(weighing, candidates)
     found |= {key: value + levels["declared"] - start for key, value in together.items()}
     kinds = competitors(weighing)
     found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
     plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.log_bayes.items()}
-    return Posterior(_normalised(found, len(effects)), found, weighed, plainly, kinds.by_channel)
+    return Posterior(_normalised(found), found, weighed, plainly, kinds.by_channel)
 
 
-def _put(found: dict[str, float], names: tuple[str, ...], value: float) -> None:
-    present = sorted(name for name in names if name)
-    found["+".join(present) or "none"] = value
-
-
-def _normalised(log_evidence: dict[str, float], effects: int) -> dict[str, float]:
-    """Priors shared evenly by all effects and all pairs of what is installed, those included that cannot act here."""
-    shares = {"single": PRIORS["single"] / effects, "pair": PRIORS["pair"] / (effects * (effects - 1) / 2)}
+def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:
+    """Priors shared evenly by all effects that can act here, and by all pairs of these: one that this plan cannot show is none here."""
+    acting = sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
+    shares = {"single": PRIORS["single"] / max(acting, 1), "pair": PRIORS["pair"] / max(acting * (acting - 1) / 2, 1)}
     logs = {}
     for name, value in log_evidence.items():
         kind = name if name in PRIORS else ("pair" if "+" in name else "single")

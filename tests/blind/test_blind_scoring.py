@@ -117,6 +117,11 @@ def test_confidence_brier_and_coverage_take_a_class_together() -> None:
     assert case.confidence == pytest.approx(0.9)
     assert case.brier == pytest.approx(0.1**2 + 0.1**2)
     assert case.covered
+    assert case.size == 2
+    assert case.announced_brier == pytest.approx(0.1**2)
+    both = Scored(TILT, said | {"ambiguity_set": ["table_tilt", "table_position_error", "none", "unknown"]})
+    assert both.size == 3
+    assert Scored(FOREIGN, both.answer).size == 4
     assert not Scored(FOREIGN, said).covered
     wrong = Scored(FOREIGN, said)
     assert wrong.confidence == pytest.approx(0.6)
