@@ -39,9 +39,9 @@ class Left:
         residual = self.residual * rows
         return Left(self.weight, rows, basis, residual - basis @ (basis.T @ residual))
 
-    def whitened(self, columns: Array) -> tuple[NDArray[np.int64], Array]:
-        """The rows (n,) that columns (M, P) act on, and the columns whitened there, (n, P)."""
-        at, whitened = self.weight.whitened_rows(columns)
+    def whitened(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+        """Columns (n, P) in some rows (n,), zero in all others: rows that they act on once they are whitened, and they there."""
+        at, whitened = self.weight.whitened_rows(columns, rows)
         here = self.rows[at]
         return (at, whitened) if here.all() else (at[here], whitened[here])
 
@@ -51,7 +51,8 @@ def eigen(left: Left, design: Array | Rows) -> Eigen:
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
-    at, whitened = left.whitened(columns)
+    acting = np.flatnonzero(columns.any(axis=1))
+    at, whitened = left.whitened(columns[acting], acting)
     if not whitened.size:
         return np.zeros(0), np.zeros(0)
     along = left.basis[at].T @ whitened

@@ -93,6 +93,11 @@ class Observed:
         return [slice(int(a), int(b)) for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True)]
 
     @cached_property
+    def unsteady(self) -> NDArray[np.bool_]:
+        """The segments (S,) in which the table's rate changes."""
+        return np.array([bool(self.acceleration[part].any()) for part in self.segments()])
+
+    @cached_property
     def owner(self) -> NDArray[np.int64]:
         """The segment of every sample, (N,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))
@@ -126,29 +131,25 @@ class Observed:
         """
         vector = np.asarray(site_vector, dtype=float)
         along = (self.turning @ vector)[:, None] * self.turning
-        parts = along, vector - along, np.cross(self.turning, vector)
-        fixed, ahead, aside = (np.einsum("sij,sj->si", self.attitude, part) for part in parts)
-        cosine, sine = self._cosine_and_sine
-        seen = ahead[self.owner]
-        seen *= cosine
-        turned = aside[self.owner]
-        turned *= sine
-        seen -= turned
-        seen += fixed[self.owner]
-        return np.asarray(seen)
+        parts = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1)
+        axes = parts @ np.swapaxes(self.attitude, 1, 2)
+        seen = np.empty((len(self.time), 3))
+        for part, here in zip(self.segments(), axes, strict=True):
+            np.matmul(self._turned[part], here, out=seen[part])
+        return seen
 
     @cached_property
-    def _cosine_and_sine(self) -> tuple[Array, Array]:
-        """Of the table's angle, (N, 1). Over a bin they are means to the second order in its length."""
-        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+    def _turned(self) -> Array:
+        """1, cosine and sine of the table's angle, (N, 3). Over a bin they are means to the second order in its length."""
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
         if self.bins is not None:
-            spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner, None]
-            squared, change = self.rate[:, None] ** 2, self.acceleration[:, None]
+            spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
+            squared, change = self.rate**2, self.acceleration
             cosine, sine = (
                 cosine - (squared * cosine + change * sine) * spread,
                 sine - (squared * sine - change * cosine) * spread,
             )
-        return cosine, sine
+        return np.column_stack([np.ones(len(cosine)), cosine, sine])
 
     @cached_property
     def earth_rate(self) -> Array:

@@ -131,7 +131,7 @@ class _Patterns:
                     found[name] = _by_scope(spectra, self.scopes)
         if among is None or "means" in among:
             found["one odd segment"] = [_one_segment(self.means, channels)]
-            found["offset periodic in time"] = _periodic(self.waves, self.scopes, channels)
+            found["offset periodic in time"] = _periodic(*self.waves, self.scopes, channels)
         return {name: np.array(each) for name, each in found.items()}
 
     def _eigen(self, name: str, left: Left, design: Array | Rows) -> Eigen:
@@ -167,9 +167,7 @@ def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     """One segment's means of all channels stand off, whichever it is."""
     each = []
     for left in channels:
-        design = np.zeros((len(left.rows), len(means)))
-        design[means, np.arange(len(means))] = 1.0
-        at, whitened = left.whitened(design)
+        at, whitened = left.whitened(np.eye(len(means)), means)
         size = np.maximum((whitened**2).sum(0) - ((left.basis[at].T @ whitened) ** 2).sum(0), 0.0)
         score = (whitened.T @ left.residual[at]) ** 2
         each.append(averaged(from_eigen(size[:, None], score[:, None], float(size.max()))))
@@ -231,13 +229,14 @@ def _tone(powers: list[Array]) -> float:
     return float(log_mean_exp(np.array(each), 0))
 
 
-def _periodic(waves: Array, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
+def _periodic(
+    rows: NDArray[np.int64], waves: Array, scopes: Sequence[Sequence[int]], channels: Sequence[Left]
+) -> list[float]:
     """log BF of such a bias in each scope: a sine, or a waveform."""
-    rows, periods = waves.shape[:2]
-    flat = waves.reshape(rows, -1)
+    periods, flat = waves.shape[1], waves.reshape(len(rows), -1)
     parts: list[list[Eigen]] = []
     for left in channels:
-        at, whitened = left.whitened(flat)
+        at, whitened = left.whitened(flat, rows)
         taken = (left.basis[at].T @ whitened).reshape(-1, periods, 2 * WAVEFORM).transpose(1, 0, 2)
         score = (whitened.T @ left.residual[at]).reshape(periods, -1)
         own = np.ascontiguousarray(whitened.reshape(-1, periods, 2 * WAVEFORM).transpose(1, 0, 2))

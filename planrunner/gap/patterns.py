@@ -125,9 +125,9 @@ def factors(weighing: Weighing) -> Iterator[Design]:
         yield f"{order} per turn, by rate", [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
 
 
-def waves(weighing: Weighing) -> Array:
-    """Coefficients (M, F, H, 2) of a bias that repeats itself with any period, from twice the run down to two segments: cosines and
-    sines of its harmonics, which fade as 1/order."""
+def waves(weighing: Weighing) -> tuple[NDArray[np.int64], Array]:
+    """Rows (n,) and the coefficients there, (n, F, H, 2), of a bias that repeats itself with any period, from twice the run down to two
+    segments: cosines and sines of its harmonics, which fade as 1/order."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, ends = lasting(observed)
     orders = np.arange(1, WAVEFORM + 1)
@@ -137,10 +137,10 @@ def waves(weighing: Weighing) -> Array:
     order = slow - spectrum.means[spectrum.segment[slow]]
     within = _within(np.round(ends - starts, 9), pulses.ravel(), int(order.max()) + 1)
     beginning = np.exp(1j * np.outer(starts - starts[0], pulses.ravel())) * np.sqrt(observed.counts)[:, None]
-    raw = np.zeros((len(spectrum.segment), pulses.size), dtype=complex)
-    raw[slow] = beginning[spectrum.segment[slow]] * within[spectrum.segment[slow], order]
-    shaped = raw.reshape(-1, *pulses.shape)
-    return np.stack([shaped.real, shaped.imag], axis=-1) / orders[:, None]
+    raw = beginning[spectrum.segment[slow]]
+    raw *= within[spectrum.segment[slow], order]
+    raw /= np.broadcast_to(orders, pulses.shape).ravel()
+    return slow, raw.view(float).reshape(len(slow), *pulses.shape, 2)
 
 
 def _within(lasting_: Array, pulses: Array, orders: int) -> Array:

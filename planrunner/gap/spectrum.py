@@ -54,13 +54,19 @@ class Spectrum:
     remainder: Array
     spikes: NDArray[np.int64]
 
-    def project(self, observed: Observed, columns: Array) -> Array:
-        """The coefficients (M, P) of columns of samples (N, P)."""
-        made = [
-            (vectors @ columns[part].reshape(-1, vectors.shape[-1], columns.shape[1])).reshape(-1, columns.shape[1])
-            for vectors, part in self.runs
-        ]
-        coefficients, roots = np.concatenate(made), _roots(observed)
+    def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
+        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments in which they are asked for, all without it."""
+        made, roots = [], _roots(observed)
+        if acting is None or acting.all():
+            made = [
+                (vectors @ columns[part].reshape(-1, vectors.shape[-1], columns.shape[1])).reshape(-1, columns.shape[1])
+                for vectors, part in self.runs
+            ]
+        else:
+            for basis, part, acts in zip(self.bases, observed.segments(), acting, strict=True):
+                vectors = basis.vectors.T
+                made.append(vectors @ columns[part] if acts else np.zeros((len(vectors), columns.shape[1])))
+        coefficients = np.concatenate(made)
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     @cached_property

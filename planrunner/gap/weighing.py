@@ -8,7 +8,7 @@ is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,16 +188,16 @@ class ChannelWeights:
             out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
         return out
 
-    def whitened_rows(self, columns: Array) -> tuple[NDArray[np.int64], Array]:
-        """The rows (n,) that columns (M, P) act on once they are whitened, and they there, (n, P)."""
-        acting = np.asarray(columns.any(axis=1))
-        if self._inverse is None or not acting[self._means].any():
-            at = np.flatnonzero(acting)
-            return at, columns[at] * self.scale[at, None]
-        acting[self._means] = False
-        at = np.flatnonzero(acting)
-        means = self._inverse @ (columns[self._means] / self._root[:, None])
-        return np.concatenate([self._means, at]), np.concatenate([means, columns[at] * self.scale[at, None]])
+    def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+        """Columns (n, P) in some rows (n,) of the coefficients, zero in all others: the rows that they act on once they are whitened, and
+        they there. Means are whitened jointly: each acts on all that follow."""
+        own = np.isin(rows, self._means)
+        if self._inverse is None or not own.any():
+            return rows, columns * self.scale[rows, None]
+        owners = self._segment[rows[own]]
+        means = self._inverse[:, owners] @ (columns[own] / self._root[owners, None])
+        others = rows[~own]
+        return np.concatenate([self._means, others]), np.concatenate([means, columns[~own] * self.scale[others, None]])
 
     def project(self, columns: Array) -> Array:
         whitened = self.whiten(columns)
@@ -206,17 +206,31 @@ class ChannelWeights:
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
     """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
-    projected: dict[tuple[int, tuple[int, ...]], Array] = {}
-    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
-        here = 1.0 if column.segments is None else column.segments[spectrum.segment]
         for channel, part in column.parts.items():
             table, place = _table(part)
-            key = table.__array_interface__["data"][0], table.strides
-            if key not in projected:
-                projected[key] = spectrum.project(observed, table)
-            out[channel][:, index] = projected[key][:, place] * (column.magnitude * here)
+            shared = found.setdefault((table.__array_interface__["data"][0], table.strides), _Shared(table))
+            shared.places.append((index, channel, place))
+            shared.acting = shared.acting | (True if column.segments is None else column.segments)
+    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    for shared in found.values():
+        projected = spectrum.project(observed, shared.table, np.broadcast_to(shared.acting, len(observed)))
+        for index, channel, place in shared.places:
+            column = columns[index]
+            here = 1.0 if column.segments is None else column.segments[spectrum.segment]
+            out[channel][:, index] = projected[:, place] * (column.magnitude * here)
     return out
+
+
+@dataclass
+class _Shared:
+    """A table of samples (N, P) that columns are made of. places: index of a column, its channel, and which of the table it is; acting:
+    segments in which any of them acts."""
+
+    table: Array
+    places: list[tuple[int, int, int]] = field(default_factory=list)
+    acting: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
 
 def _table(part: Array) -> tuple[Array, int]:

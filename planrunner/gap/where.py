@@ -146,8 +146,7 @@ def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
     orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
     rates = np.degrees(observed.rate[middles])
-    moving = np.array([bool(np.any(observed.acceleration[part])) for part in observed.segments()])
-    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(moving, rates, strict=True)]
+    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(observed.unsteady, rates, strict=True)]
     factors = {"orientation": orientations, "rate": motion}
     for name, values, unit in (
         ("temperature", observed.temperature[middles], "degC"),

@@ -76,15 +76,15 @@ class TimeLatency(Shaped):
 def _late(observed: Observed, slope: Array, curvature: Array, delay: float) -> Variant:
     """The rate as it was `delay` s earlier, by its Taylor series to the second order."""
     parts = on_stimulus(observed, curvature * (delay**2 / 2) - slope * delay, None)
-    return Variant((Column("share", "1", 1.0, 1.0, parts),), delay)
+    return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), delay)
 
 
 def changes(observed: Observed, felt: Array) -> tuple[Array, Array]:
     """First and second derivative by time of a stimulus (N, 3) in each moving segment, zero elsewhere."""
     slope, curvature = np.zeros_like(felt), np.zeros_like(felt)
-    for part in observed.segments():
-        if observed.acceleration[part].any():
-            time = observed.time[part]
-            slope[part] = np.gradient(felt[part], time, axis=0)
-            curvature[part] = np.gradient(slope[part], time, axis=0)
+    for index in np.flatnonzero(observed.unsteady):
+        part = observed.segments()[index]
+        time = observed.time[part]
+        slope[part] = np.gradient(felt[part], time, axis=0)
+        curvature[part] = np.gradient(slope[part], time, axis=0)
     return slope, curvature
