@@ -42,6 +42,22 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
     return min(1.0, max(shares, default=0.0))
 
 
+def beside(pair: Weighed, first: Candidate) -> float:
+    """The share of the other effect's fitted energy in coefficients that it changes more than `first` does. What an idealised form leaves
+    is smaller than the form, so this is none of its residue."""
+    amplitudes, _ = pair.amplitudes
+    width = pair.variant.widths[0]
+    own, other = slice(0, width), slice(width, None)
+    if not any(form.variant.columns[0] is pair.variant.columns[0] for form in first.variants):
+        own, other = other, own
+    total = larger = 0.0
+    for whitened, raw in zip(pair.by_channel, pair.raw, strict=True):
+        energies = (whitened[:, other] @ amplitudes[other]) ** 2
+        more = np.abs(raw[:, other] @ amplitudes[other]) > np.abs(raw[:, own] @ amplitudes[own])
+        total, larger = total + float(energies.sum()), larger + float(energies[more].sum())
+    return larger / total if total > 0 else 0.0
+
+
 def shared(best: Sequence[Weighed]) -> Array:
     """ρ(A|B), rows A, before data: over amplitudes from A's prior, tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)

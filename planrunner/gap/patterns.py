@@ -114,6 +114,12 @@ def factors(weighing: Weighing) -> Iterator[Design]:
         "offset by sort of motion",
         [at_means(_levels([_state(observed, s, False) for s in segments]))] * len(observed.channels),
     )
+    slopes = np.add.reduceat(observed.temperature_rate, observed.bounds[:-1]) / np.diff(observed.bounds)
+    changes = np.column_stack([slopes, observed.last_change])
+    yield (
+        "offset by change of temperature",
+        [at_means(changes / (np.abs(changes).max(0) + 1e-300))] * len(observed.channels),
+    )
     turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
     if not turning.any():
         return
