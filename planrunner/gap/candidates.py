@@ -111,19 +111,20 @@ class Weighing:
             observed, channels=tuple(replace(channel, resolution=float(step)) for channel, step in channels)
         )
         self.nominal_columns = nominal_columns(observed, nominal)
-        self.spectrum: Spectrum = spectrum(observed, simulated(observed, nominal))
+        self._reference = simulated(observed, nominal)
+        self.spectrum: Spectrum = spectrum(observed, self._reference)
         self.white, self.white_degrees = white_level(observed, self.spectrum)
         slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
         }
         coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
-        whole = [
+        self._whole = [
             part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
             for index, part in enumerate(coefficients)
         ]
-        self.nominal = [independent(columns) for columns in whole]
-        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal), whole))
+        self.nominal = [independent(columns) for columns in self._whole]
+        self.observed = replace(observed, fitted=self.fitted())
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
@@ -136,14 +137,15 @@ class Weighing:
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
 
-    def _fitted(self, reference: Array, whole: Sequence[Array]) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients; `whole`: per channel, their
-        columns."""
-        out = reference.copy()
-        for index, nominal in enumerate(whole):
+    def fitted(self, taken: Sequence[Array] | None = None) -> Array:
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, less those `taken` by an
+        effect, (M,) by channel."""
+        out = self._reference.copy()
+        for index, nominal in enumerate(self._whole):
             own = [column for column in self.nominal_columns if index in column.parts]
             size = np.linalg.norm(nominal, axis=0) + 1e-300
-            values = np.linalg.lstsq(nominal / size, self.spectrum.values[:, index], rcond=None)[0] / size
+            left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])
+            values = np.linalg.lstsq(nominal / size, left, rcond=None)[0] / size
             for column, value in zip(own, values, strict=True):
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out

@@ -31,6 +31,7 @@ DRAWS = 2000
 SEED = 21
 WIDEST = 0.5  # of an interval that still says something
 TOLD = 0.5  # share of what held-out segments show of an effect that the others must tell
+_EXACT = np.full((1, 1), 1e-12)
 _WORTH = 4.0  # log BF in a fold from which on an effect is taken up there
 
 
@@ -51,10 +52,20 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """An effect or pair that a fold may choose. probability: that it is the whole cause."""
+    """An effect or pair that a fold may choose. probability: that it is the whole cause. whole: its amplitude is 1."""
 
     weighed: Weighed
     probability: float
+    whole: bool = False
+
+    def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p), from information (p, p) and score (p,)."""
+        return (np.ones(1), _EXACT) if self.whole else best_amplitudes(gram, score, self.weighed.variant.widths)
+
+    def log_bayes(self, gram: Array, score: Array) -> float:
+        if self.whole:
+            return float(score[0] - 0.5 * gram[0, 0])
+        return float(log_bayes_factors(gram[None], score[None], float(np.trace(gram)))[0])
 
 
 @dataclass(frozen=True)
@@ -94,16 +105,18 @@ def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Clo
     for number, choice in enumerate(choices):
         signature = np.concatenate([fold.signatures[number] for fold in folds])
         gram, along = signature.T @ signature, signature.T @ difference
-        known.append(Known(choice.probability, gram, along, *choice.weighed.amplitudes))
+        fitted = choice.amplitudes(choice.weighed.gram[0], choice.weighed.score[0])
+        known.append(Known(choice.probability, gram, along, *fitted))
     return measured(np.concatenate([fold.residual for fold in folds]), difference, known, beyond)
 
 
 def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
-    """The fold (S,) of each segment: those of one kind of motion in an order by chance, dealt in turn. A plan's own order repeats
-    itself: every fourth segment may well be all there is of one orientation."""
-    order = np.lexsort((np.random.default_rng(SEED).permutation(len(kinds)), np.unique(kinds, return_inverse=True)[1]))
+    """The fold (S,) of each segment: those of one kind of motion are dealt in turn, each round beginning with the next fold. Plans repeat
+    themselves: every fourth segment may well be all there is of one orientation."""
+    order = np.argsort(np.unique(kinds, return_inverse=True)[1], kind="stable")
+    place = np.arange(len(kinds))
     dealt = np.empty(len(kinds), dtype=np.int64)
-    dealt[order] = np.arange(len(kinds)) % FOLDS
+    dealt[order] = (place + place // FOLDS) % FOLDS
     return dealt
 
 
@@ -176,13 +189,10 @@ def _fold(weighing: Weighing, choices: Sequence[Choice], held: NDArray[np.bool_]
     told = [np.sum([block[:, part].T @ block[:, part] for block in columns], axis=0) for part in parts]
     best, amplitudes, highest = None, np.zeros(0), _WORTH
     for choice, part, gram in zip(choices, parts, told, strict=True):
-        trace = float(np.trace(gram))
-        if trace <= 0:
-            continue
-        value = float(log_bayes_factors(gram[None], score[None, part], trace)[0])
+        value = choice.log_bayes(gram, score[part]) if np.trace(gram) > 0 else -np.inf
         if value > highest:
             highest, best = value, part
-            amplitudes, _ = best_amplitudes(gram, score[part], choice.weighed.variant.widths)
+            amplitudes, _ = choice.amplitudes(gram, score[part])
     predicted = [rows.predict(table, held) for rows, table in zip(used, raw, strict=True)]
     residual = np.concatenate([r for r, _ in predicted])
     signatures = np.concatenate([s for _, s in predicted])

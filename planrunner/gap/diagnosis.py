@@ -17,7 +17,7 @@ import numpy as np
 
 from planrunner import plugins
 from planrunner.gap import parameters as estimates
-from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighing
+from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.closure import NOT_RESOLVABLE, Choice, Closure, closure
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.parameters import Parameter
@@ -25,11 +25,14 @@ from planrunner.gap.pictures import gap_by_channel, pictures
 from planrunner.gap.posterior import PRIORS, Posterior, posterior
 from planrunner.gap.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.where import Place, places
+from planrunner.gap.whole import forms, whole
 
+Forms = list[tuple[Weighed, float]]
 EFFECTS = "planrunner.effects"
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
-_CHOICES = 12  # candidates among which a fold of the closure chooses
+_MOST_CHOICES = 30
+_CHOICES = 6  # candidates among which a fold of the closure chooses
 _LIKELY = 1e-3  # of which each has this probability at least
 _ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
 
@@ -129,7 +132,8 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     key = "+".join(sorted(named))
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
     walks = {str(effect.id) for effect in effects if getattr(effect, "noise", "") == "random walk"}
-    choices = _choices(found, by_id, walks) or [Choice(c.best, 0.0) for c in ranked[:_CHOICES]]
+    exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
+    choices = _choices(found, by_id, walks, exact) or [Choice(c.best, 0.0) for c in ranked[:_CHOICES]]
     if after is not None and all(after is not choice.weighed for choice in choices):
         choices.append(Choice(after, 0.0))
     beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
@@ -140,14 +144,22 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         said,
         tuple(ambiguity_set(found.probability)),
         absorbed,
-        tuple(_parameters(weighing, said, found, by_id, effects)),
+        tuple(_parameters(weighing, said, found, by_id, effects, exact)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
         pictures(weighing, usable, after),
         Grounds(weighing, tuple(candidates), options.nominal),
     )
 
 
-def _choices(found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str]) -> list[Choice]:
+def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
+    """The forms of an effect that has its shape alone, where that can be found exactly."""
+    found = forms(weighing, candidate.effect) if whole(candidate) else []
+    return {candidate.id: found} if found else {}
+
+
+def _choices(
+    found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
+) -> list[Choice]:
     """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside; but beside a walk of the
     bias none is the whole cause."""
     likely: dict[str, float] = {}
@@ -160,13 +172,20 @@ def _choices(found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str]) 
     for key, p in likely.items():
         if key in found.pairs:
             chosen.append(Choice(found.pairs[key], p))
+        elif key in exact:
+            chosen += [Choice(weighed, p * share, True) for weighed, share in exact[key]]
         elif key in by_id:
             chosen += [Choice(weighed, p * share) for weighed, share in by_id[key].likely_forms()]
-    return [choice for choice in chosen if choice.weighed.trace > 0][:_CHOICES]
+    return [choice for choice in chosen if choice.weighed.trace > 0][:_MOST_CHOICES]
 
 
 def _parameters(
-    weighing: Weighing, said: Verdict, found: Posterior, by_id: Mapping[str, Candidate], effects: list[Any]
+    weighing: Weighing,
+    said: Verdict,
+    found: Posterior,
+    by_id: Mapping[str, Candidate],
+    effects: list[Any],
+    exact: Mapping[str, Forms],
 ) -> list[Parameter]:
     """Estimates for the likeliest effects. Those of a pair are fitted together."""
     listed: list[Parameter] = []
@@ -174,6 +193,9 @@ def _parameters(
     for name in said.effects:
         if name not in by_id:
             listed += estimates.of_noise(weighing, next(effect for effect in effects if effect.id == name))
+            continue
+        if name in exact:
+            listed += estimates.exact_shape(by_id[name].effect, exact[name])
             continue
         columns = slice(None)
         weighed = by_id[name].best

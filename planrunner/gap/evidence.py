@@ -78,7 +78,7 @@ def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tu
 
     widths: columns of each effect in turn, where there are several; each has its own s².
     """
-    covariance = np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths)))
+    covariance: Array = np.asarray(np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths))))
     return covariance @ score, covariance
 
 

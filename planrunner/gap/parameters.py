@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +52,14 @@ def shape(candidate: Candidate) -> list[Parameter]:
     mean = float(weight @ values)
     spread = float(np.sqrt(weight @ (values - mean) ** 2))
     return [Parameter(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
+
+
+def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[Parameter]:
+    """The shape of an effect that has no amplitude, from its forms and how probable each is."""
+    values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
+    mean = float(share @ values)
+    spread = float(np.sqrt(share @ (values - mean) ** 2))
+    return [Parameter(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
 
 
 def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:

@@ -63,12 +63,13 @@ def test_closure_of_too_little_is_not_resolvable() -> None:
 
 
 def test_every_fold_holds_some_of_every_motion() -> None:
-    """However they are ordered: here every fourth segment turns."""
-    kinds = ["Spin" if n % 4 == 0 else "Rest" for n in range(48)]
+    """However they are ordered: here every fourth segment turns, and every second of those the other way round."""
+    kinds = ["Spin" if n % 4 == 0 else "Rest" for n in range(64)]
     dealt = dealt_by_motion(kinds)
     for fold in range(FOLDS):
-        assert np.count_nonzero(dealt == fold) == 12
-        assert np.count_nonzero(dealt[::4] == fold) == 3
+        assert np.count_nonzero(dealt == fold) == 16
+        assert np.count_nonzero(dealt[::4] == fold) == 4
+        assert np.count_nonzero(dealt[::8] == fold) == 2
 
 
 def _late(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:

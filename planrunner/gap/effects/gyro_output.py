@@ -81,9 +81,8 @@ class GyroSaturation(Shaped):
 
 def _changed(observed: Observed, output: Callable[[Array], Array], shape: float) -> Variant:
     """A function of the gyros' nominal output, as what it adds."""
-    nominal = observed.nominal_output[:, observed.of_kind("gyro")]
-    change = output(nominal) - nominal
-    parts = {index: change[:, place] for place, index in enumerate(observed.of_kind("gyro"))}
+    nominal = observed.nominal_output
+    parts = {index: output(nominal[:, index]) - nominal[:, index] for index in observed.of_kind("gyro")}
     return Variant((Column("share", "1", 1.0, 1.0, parts),), shape)
 
 
