@@ -98,6 +98,12 @@ class Observed:
         return np.array([bool(self.acceleration[part].any()) for part in self.segments()])
 
     @cached_property
+    def pulsation(self) -> Array:
+        """Of a rocking table, 2π times its frequency, (N,), rad/s; 0 in other segments and where it has come to rest."""
+        each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
+        return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
+
+    @cached_property
     def owner(self) -> NDArray[np.int64]:
         """The segment of every sample, (N,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.bounds))

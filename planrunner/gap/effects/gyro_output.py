@@ -10,7 +10,6 @@ from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_
 from planrunner.gap.observed import Observed
 
 DEG = np.pi / 180
-_FORGOTTEN = 1e-18  # of a sample: less is below rounding
 
 
 class GyroBandwidth(Shaped):
@@ -23,32 +22,16 @@ class GyroBandwidth(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         change = lagged(observed, value) - observed.omega
-        return Variant((Column("share", "1", 1.0, 1.0, on_stimulus(observed, change, None)),), value)
+        parts = on_stimulus(observed, change, None)
+        return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), value)
 
 
 def lagged(observed: Observed, tau: float) -> Array:
-    """The nominal rate (N, 3) behind a first-order lag: the exact response to a ramp from sample to sample, in all moving segments at
-    once. What is remembered of earlier samples, decay^k of the k-th before, is summed in doublings of the reach."""
-    out = observed.omega.copy()
-    which = [index for index, part in enumerate(observed.segments()) if observed.acceleration[part].any()]
-    moving = [observed.segments()[index] for index in which]
-    step = (observed.bin_size[which] / observed.sample_rate)[:, None]
-    decay = np.exp(-step / tau)
-    share = tau / step * (1 - decay)
-    longest = max(part.stop - part.start for part in moving)
-    rate = np.zeros((longest, len(moving), 3))
-    for place, part in enumerate(moving):
-        rate[: part.stop - part.start, place] = observed.omega[part]
-    driven = (1 - share) * rate
-    driven[1:] += (share - decay) * rate[:-1]
-    driven[0] = rate[0]
-    late, reach = driven, 1
-    while reach < longest and (decay > _FORGOTTEN).any():
-        late[reach:] += decay * late[:-reach]
-        decay, reach = decay**2, 2 * reach
-    for place, part in enumerate(moving):
-        out[part] = late[: part.stop - part.start, place]
-    return out
+    """The nominal rate (N, 3) behind a first-order lag, while the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), p its pulsation, as steady
+    harmonic motion has it."""
+    pulse = observed.pulsation
+    change = -(tau * observed.acceleration + (pulse * tau) ** 2 * observed.rate) / (1 + (pulse * tau) ** 2)
+    return np.asarray(observed.omega + np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis)
 
 
 class GyroDeadZone(Shaped):

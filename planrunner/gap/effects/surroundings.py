@@ -63,28 +63,10 @@ class TimeLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return _late(observed, *changes(observed, observed.omega), value)
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        grid = self.grid(observed)
-        if not len(grid):
-            return []
-        slope, curvature = changes(observed, observed.omega)
-        return [_late(observed, slope, curvature, float(value)) for value in grid]
-
-
-def _late(observed: Observed, slope: Array, curvature: Array, delay: float) -> Variant:
-    """The rate as it was `delay` s earlier, by its Taylor series to the second order."""
-    parts = on_stimulus(observed, curvature * (delay**2 / 2) - slope * delay, None)
-    return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), delay)
-
-
-def changes(observed: Observed, felt: Array) -> tuple[Array, Array]:
-    """First and second derivative by time of a stimulus (N, 3) in each moving segment, zero elsewhere."""
-    slope, curvature = np.zeros_like(felt), np.zeros_like(felt)
-    for index in np.flatnonzero(observed.unsteady):
-        part = observed.segments()[index]
-        time = observed.time[part]
-        slope[part] = np.gradient(felt[part], time, axis=0)
-        curvature[part] = np.gradient(slope[part], time, axis=0)
-    return slope, curvature
+        """While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd."""
+        pulse = observed.pulsation
+        earlier = value * np.sinc(pulse * value / np.pi)  # sin(pd)/p
+        change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
+        turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
+        parts = on_stimulus(observed, turned, None)
+        return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), value)
