@@ -176,12 +176,14 @@ class Weighing:
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
-    def weigh(self, variants: Sequence[Variant]) -> list[Weighed]:
-        """Variants whitened and weighed under every setting."""
+    def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
+        """Variants whitened and weighed under every setting. raw: by channel, the coefficients (M, P) of all their columns, where they are
+        known."""
         columns = [column for variant in variants for column in variant.columns]
         widths = [len(variant.columns) for variant in variants]
         bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
-        raw = coefficients_of(self.observed, self.spectrum, columns)
+        if raw is None:
+            raw = coefficients_of(self.observed, self.spectrum, columns)
         sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
         grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
         scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}

@@ -48,19 +48,19 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
     """The same from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
-    s2 = ENERGIES / max(trace, 1e-300)
-    terms = gaussian(values, along, s2)
-    size, along = values[..., None, :], along[..., None, :]
-    shrunk = s2[:, None] * size / (1 + s2[:, None] * size)
-    found = np.divide(along, size, out=np.zeros_like(along), where=size > 0) * shrunk**2
-    strong = strong_enough((shrunk + found).sum(-1), 2 * (shrunk**2 + 2 * shrunk * found).sum(-1))
-    return np.asarray(terms + strong)
+    s2 = ENERGIES[:, None] / max(trace, 1e-300)
+    size = s2 * values[..., None, :]
+    grown = 1 + size
+    gain = s2 * along[..., None, :] / grown
+    shrunk = size / grown
+    found = gain * shrunk  # squared means of the amplitudes in units of the noise; their variances are `shrunk`
+    strong = strong_enough((shrunk + found).sum(-1), 2 * (shrunk * (shrunk + 2 * found)).sum(-1))
+    return np.asarray(gaussian(grown, gain) + strong)
 
 
-def gaussian(values: Array, along: Array, s2: Array) -> Array:
-    """log BF (…, E) of amplitudes θ ~ N(0, s²·D) of any energy."""
-    grown = 1 + s2[:, None] * values[..., None, :]
-    return np.asarray((-0.5 * np.log(grown) + 0.5 * s2[:, None] * along[..., None, :] / grown).sum(-1))
+def gaussian(grown: Array, gain: Array) -> Array:
+    """log BF (…) of amplitudes θ ~ N(0, s²·D) of any energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p), s²·squared score ÷ grown."""
+    return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:

@@ -6,7 +6,7 @@ with rate, gravity, temperature or time; and a bias that repeats itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ def factors(weighing: Weighing) -> Iterator[Design]:
 
     levels = {
         "gyro": at_means(_levels([_upward(observed, s) for s in segments])),
-        "accel": at_means(_levels([str(np.round(observed.attitude[s], 1) + 0.0) for s in segments])),
+        "accel": at_means(_levels([_coarse(observed.attitude[s]) for s in segments])),
     }
     yield "offset by orientation", [levels[channel.kind] for channel in observed.channels]
     if observed.along is None:
@@ -179,24 +179,29 @@ def _orientations(observed: Observed) -> Array:
     return np.hstack([np.add.reduceat(axis, observed.bounds[:-1], axis=0) / counts for axis in axes])
 
 
-def _levels(names: list[str]) -> Array:
+def _levels(names: Sequence[Hashable]) -> Array:
     """One column for each distinct name, (S, levels)."""
     distinct = list(dict.fromkeys(names))
     return np.array([[float(name == other) for other in distinct] for name in names])
 
 
-def _upward(observed: Observed, segment: int) -> str:
+def _coarse(values: Array) -> tuple[float, ...]:
+    """To a tenth, for telling orientations apart."""
+    return tuple((np.round(values, 1) + 0.0).ravel().tolist())
+
+
+def _upward(observed: Observed, segment: int) -> Hashable:
     """Where gravity lies in the sensor's axes and, at rest, where North does."""
     first = int(observed.bounds[segment])
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)
-    return str([*np.round(observed.force[first] / observed.site.gravity, 1) + 0.0, *np.round(north, 1) + 0.0])
+    return _coarse(observed.force[first] / observed.site.gravity) + _coarse(north)
 
 
 def _state(observed: Observed, segment: int, fast: bool = True) -> str:
     """How the table moves, with how fast it turns where that is asked, and about which of the sensor's axes."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
-    axis = np.round(observed.table_axis[first], 1) + 0.0
+    axis = _coarse(observed.table_axis[first])
     if isinstance(motion, Spin):
         return f"{motion.rate:.6g} about {axis}" if fast else f"turning about {axis}"
     return f"rocking about {axis}" if isinstance(motion, Rock) else "at rest"

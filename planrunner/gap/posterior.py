@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
@@ -90,10 +90,7 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     quick: dict[str, tuple[float, Weighed, Weighed, float]] = {}
     for first in ranked:
         a = first.best
-        for second in usable:
-            if second.id == first.id:
-                continue
-            b, value = _given(a, second)
+        for second, (b, value) in _given(a, [other for other in usable if other.id != first.id]):
             cost = first.shape_cost + second.shape_cost
             value += float(a.log_bayes[0]) + cost
             key = pair_key(first.id, second.id)
@@ -105,7 +102,8 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     for key in sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]:
         _, a, b, cost = quick[key]
         own = a.variant.columns, b.variant.columns
-        (both,) = weighing.weigh([Variant(own[0] + own[1], widths=(len(own[0]), len(own[1])))])
+        raw = [np.hstack(blocks) for blocks in zip(a.raw, b.raw, strict=True)]
+        (both,) = weighing.weigh([Variant(own[0] + own[1], widths=(len(own[0]), len(own[1])))], raw)
         log_bayes = np.full(len(weighing.base), -np.inf)
         for g in np.flatnonzero(np.isfinite(weighing.log_prior[0])):
             log_bayes[g] = pair_log_bayes_factor(
@@ -115,16 +113,23 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     return found, best
 
 
-def _given(a: Weighed, second: Candidate) -> tuple[Weighed, float]:
-    """The form of an effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
+def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[Weighed, float]]]:
+    """The form of each effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
     mean, covariance = a.amplitudes
-    cross = second.across(a)
-    grams = np.array([item.gram[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
-    scores = np.array([item.score[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ mean
-    values, vectors = np.linalg.eigh(grams)
-    along = np.einsum("vji,vj->vi", vectors, scores) ** 2
-    traces = np.array([item.trace for item in second.variants])[:, None]
-    # every variant's energies are in units of its own trace
-    added = averaged(from_eigen(np.maximum(values, 0.0) / traces, along / traces, 1.0))
-    best = int(np.argmax(added))
-    return second.variants[best], float(added[best])
+    forms = [len(other.variants) for other in others]
+    size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
+    along, last = np.zeros_like(size), 0
+    for other, count in zip(others, forms, strict=True):
+        cross = other.across(a)
+        grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
+        scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
+        values, vectors = np.linalg.eigh(grams)
+        # every variant's energies are in units of its own trace
+        traces = np.array([item.trace for item in other.variants])[:, None]
+        part = slice(last, last := last + count), slice(values.shape[1])
+        size[part] = np.maximum(values, 0.0) / traces
+        along[part] = np.einsum("vji,vj->vi", vectors, scores) ** 2 / traces
+    added = averaged(from_eigen(size, along, 1.0))
+    for other, values in zip(others, np.split(added, np.cumsum(forms)[:-1]), strict=True):
+        best = int(np.argmax(values))
+        yield other, (other.variants[best], float(values[best]))

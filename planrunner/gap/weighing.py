@@ -137,6 +137,7 @@ class ChannelWeights:
         self._covariance = covariance
         self._segment = spectrum.segment
         self._means = spectrum.means
+        self._order_0 = spectrum.frequency == 0
         self._root = np.sqrt(counts)
         self.scale = 1 / np.sqrt(white**2 + tail)
         self._inverse: Array | None = None
@@ -191,7 +192,7 @@ class ChannelWeights:
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
         """Columns (n, P) in some rows (n,) of the coefficients, zero in all others: the rows that they act on once they are whitened, and
         they there. Means are whitened jointly: each acts on all that follow."""
-        own = np.isin(rows, self._means)
+        own = self._order_0[rows]
         if self._inverse is None or not own.any():
             return rows, columns * self.scale[rows, None]
         owners = self._segment[rows[own]]
