@@ -131,14 +131,11 @@ class Observed:
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
-        """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3).
-
-        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis: what lies along it, and what turns.
-        """
+        """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3): attitude · R(−θ) · vector, R by Rodrigues'
+        formula about the segment's axis."""
         vector = np.asarray(site_vector, dtype=float)
         along = (self.turning @ vector)[:, None] * self.turning
-        parts = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1)
-        axes = parts @ np.swapaxes(self.attitude, 1, 2)
+        axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
         seen = np.empty((len(self.time), 3))
         for part, here in zip(self.segments(), axes, strict=True):
             np.matmul(self._turned[part], here, out=seen[part])

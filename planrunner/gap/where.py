@@ -113,8 +113,8 @@ def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)
     data = np.array([weights[0].residual for weights in weighing.weights])
-    squares = _replicates(weighing)
-    energy, noise = masks @ (data**2).T, masks @ np.swapaxes(squares, 1, 2)
+    energy, noise = masks @ (data**2).T, np.stack([masks @ squares for squares in _replicates(weighing)], axis=1).T
+    noise = np.swapaxes(noise, 1, 2)
     mean, spread = noise.mean(0), noise.std(0) + 1e-12
     score = (energy - mean) / spread
     highest = ((noise - mean) / spread).reshape(len(noise), -1).max(1)
@@ -126,16 +126,14 @@ def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
             yield Place(name, factor, level, float(excess[row, c] / total), float(p)), float(score[row, c])
 
 
-def _replicates(weighing: Weighing) -> Array:
-    """Squared residuals of pure noise, (replicates, K, M), projected like the data."""
+def _replicates(weighing: Weighing) -> Iterator[Array]:
+    """By channel, squared residuals of pure noise, (M, replicates), projected like the data."""
     draw = np.random.default_rng(SEED)
     rows = len(weighing.spectrum.segment)
-    out = np.empty((REPLICATES, len(weighing.weights), rows))
-    for c, weights in enumerate(weighing.weights):
-        noise = draw.standard_normal((rows, REPLICATES))
-        basis = weights[0].basis
-        out[:, c] = ((noise - basis @ (basis.T @ noise)) ** 2).T
-    return out
+    for weights in weighing.weights:
+        noise, basis = draw.standard_normal((rows, REPLICATES)), weights[0].basis
+        noise -= basis @ (basis.T @ noise)
+        yield np.square(noise, out=noise)
 
 
 def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:

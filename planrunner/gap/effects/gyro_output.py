@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_stimulus
 from planrunner.gap.observed import Observed
@@ -44,7 +45,7 @@ class GyroDeadZone(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         squares = (value * DEG) ** 2
-        return _changed(observed, lambda y: np.sign(y) * np.sqrt(np.maximum(y**2 - squares, 0.0)), value)
+        return _changed(observed, lambda y: np.copysign(np.sqrt(np.maximum(y**2 - squares, 0.0)), y), value, None)
 
 
 class GyroSaturation(Shaped):
@@ -59,14 +60,35 @@ class GyroSaturation(Shaped):
         return largest / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value)
+        return self._clipped(observed, value, _largest(observed))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        grid = self.grid(observed)
+        largest = _largest(observed) if len(grid) else np.empty(0)
+        return [self._clipped(observed, float(value), largest) for value in grid]
+
+    @staticmethod
+    def _clipped(observed: Observed, value: float, largest: Array) -> Variant:
+        return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value, largest > value * DEG)
 
 
-def _changed(observed: Observed, output: Callable[[Array], Array], shape: float) -> Variant:
-    """A function of the gyros' nominal output, as what it adds."""
-    nominal = observed.nominal_output
-    parts = {index: output(nominal[:, index]) - nominal[:, index] for index in observed.of_kind("gyro")}
-    return Variant((Column("share", "1", 1.0, 1.0, parts),), shape)
+def _largest(observed: Observed) -> Array:
+    """The largest nominal output of any gyro in each segment, (S,)."""
+    whole = np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max(axis=1)
+    return np.maximum.reduceat(whole, observed.bounds[:-1])
+
+
+def _changed(
+    observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
+) -> Variant:
+    """A function of the gyros' nominal output, as what it adds. acting: (S,), the only segments where it adds anything, if not in all."""
+    nominal, gyros = observed.nominal_output, observed.of_kind("gyro")
+    change = np.zeros((len(nominal), len(gyros)))
+    for part in [slice(None)] if acting is None else [observed.segments()[index] for index in np.flatnonzero(acting)]:
+        here = nominal[part, gyros]
+        change[part] = output(here) - here
+    parts = {index: change[:, place] for place, index in enumerate(gyros)}
+    return Variant((Column("share", "1", 1.0, 1.0, parts, acting),), shape)
 
 
 class GyroBiasRandomWalk:
