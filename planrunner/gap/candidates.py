@@ -119,11 +119,11 @@ class Weighing:
             kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
         }
         coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
-        self._whole = [
+        self.whole = [
             part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
             for index, part in enumerate(coefficients)
         ]
-        self.nominal = [independent(columns) for columns in self._whole]
+        self.nominal = [independent(columns) for columns in self.whole]
         self.observed = replace(observed, fitted=self.fitted())
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
@@ -141,7 +141,7 @@ class Weighing:
         """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, less those `taken` by an
         effect, (M,) by channel."""
         out = self._reference.copy()
-        for index, nominal in enumerate(self._whole):
+        for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]
             size = np.linalg.norm(nominal, axis=0) + 1e-300
             left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.gap.bins import Averaged, Bins, averaged, bins_of, sizes
+from planrunner.gap.bins import SQUARED, Averaged, Bins, averaged, bins_of, sizes
 from planrunner.gap.motion import fading, motion_at
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.physics.earth import Site
@@ -341,7 +341,7 @@ def _held(item: RecordedSegment, names: Sequence[str]) -> Averaged:
     table = {name: np.concatenate([np.asarray(block.channels[name]) for block in blocks]) for name in names if blocks}
     good = np.isfinite(time)
     for column in table.values():
-        good &= np.isfinite(column)
+        good &= np.abs(column) < SQUARED  # false for NaN as well
     time, table = time[good], {name: column[good] for name, column in table.items()}
     return Averaged(
         float(time[0]) if len(time) else np.nan, time=time, table=table, rejected=int(np.count_nonzero(~good))

@@ -115,6 +115,8 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[Weighed, float]]]:
     """The form of each effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
+    if not others:
+        return
     mean, covariance = a.amplitudes
     forms = [len(other.variants) for other in others]
     size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))

@@ -172,7 +172,7 @@ class Layout:
         for channel, weights in enumerate(weighing.weights):
             table = np.zeros((len(weighing.spectrum.segment), size))
             own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]
-            table[:, own] = weighing.nominal[channel]
+            table[:, own] = weighing.whole[channel]
             for part, names, start in zip(self.parts, self.names, starts[1:], strict=False):
                 known = [column.name for column in part.weighed.variant.columns]
                 table[:, [start + names.index(name) for name in known]] = part.weighed.raw[channel]
@@ -185,7 +185,7 @@ class Layout:
 def _fitted(weighing: Weighing) -> tuple[float, ...]:
     """The nominal parameters that fit the recording best by themselves, in magnitudes."""
     values = np.zeros(len(weighing.nominal_columns))
-    for channel, nominal in enumerate(weighing.nominal):
+    for channel, nominal in enumerate(weighing.whole):
         own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]
         size = np.linalg.norm(nominal, axis=0) + 1e-300
         values[own] = np.linalg.lstsq(nominal / size, weighing.spectrum.values[:, channel], rcond=None)[0] / size
