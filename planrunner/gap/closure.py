@@ -92,11 +92,9 @@ class _Fold:
 
 def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Closure:
     """The closure by the effects and pairs among which each fold chooses anew. beyond: probability of what none of them explains whole."""
-    segments = len(weighing.observed)
-    if segments < FEWEST or not choices:
+    if len(weighing.observed) < FEWEST or not choices:
         return NOT_RESOLVABLE
-    dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
-    folds = [_fold(weighing, choices, (dealt == fold)[weighing.spectrum.segment]) for fold in range(FOLDS)]
+    folds = [_fold(weighing, choices, held) for held in held_out(weighing)]
     likeliest = max(range(len(choices)), key=lambda c: choices[c].probability)
     if _told(choices[likeliest].weighed, likeliest, folds) < TOLD:
         return NOT_RESOLVABLE
@@ -108,6 +106,24 @@ def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Clo
         fitted = choice.amplitudes(choice.weighed.gram[0], choice.weighed.score[0])
         known.append(Known(choice.probability, gram, along, *fitted))
     return measured(np.concatenate([fold.residual for fold in folds]), difference, known, beyond)
+
+
+def predictions(weighing: Weighing, choices: Sequence[Choice], change: Array) -> tuple[Array, Array]:
+    """What a known change of the outputs, coefficients (M, K), is in held-out segments, and what is predicted there: g and d, (m,). For
+    whoever knows the truth."""
+    gap, difference = [], []
+    for held in held_out(weighing):
+        rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
+        known = [one.predict(change[:, [channel]], held)[1][:, 0] for channel, one in enumerate(rows)]
+        gap.append(np.concatenate(known))
+        difference.append(_fold(weighing, choices, held).difference)
+    return np.concatenate(gap), np.concatenate(difference)
+
+
+def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
+    """The rows (M,) that each fold holds out."""
+    dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
+    return [(dealt == fold)[weighing.spectrum.segment] for fold in range(FOLDS)]
 
 
 def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:

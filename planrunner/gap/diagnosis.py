@@ -47,11 +47,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Grounds:
-    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits."""
+    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits; choices: among which the
+    closure chose."""
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
     nominal: tuple[str, ...]
+    choices: tuple[Choice, ...]
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         tuple(_parameters(weighing, said, found, by_id, effects, exact)),
         closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
         pictures(weighing, usable, after),
-        Grounds(weighing, tuple(candidates), options.nominal),
+        Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
     )
 
 

@@ -304,6 +304,19 @@ def closure_against(
     }
 
 
+def closure_held_out(labels: Mapping[str, Mapping], answers: Mapping[str, Mapping]) -> dict[str, Any]:
+    """How often the 90 % interval holds the share by which its own predictions shrink the true gap of the held-out segments, where the
+    weakest effect has λ of 36 or more, and how far the two are apart."""
+    cases = [Scored(labels[name], answers[name]) for name in sorted(labels.keys() & answers.keys())]
+    said = [c.answer["closure"] for c in cases if c.kind in ("single", "pair") and c.weakest >= 36 and not c.failed]
+    resolved = [closure for closure in said if closure["resolvable"]]
+    return {
+        "interval holds the truth": rate(c["interval_90"][0] <= c["true"] <= c["interval_90"][1] for c in resolved),
+        "said less true": _spread([abs(c["shrinks_by"] - c["true"]) for c in resolved]),
+        "not resolvable": rate(not closure["resolvable"] for closure in said),
+    }
+
+
 def _spread(values: Sequence[float]) -> dict[str, Any]:
     if not len(values):
         return {"n": 0, "mean": None, "median": None, "largest": None}
