@@ -43,19 +43,15 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def beside(pair: Weighed, first: Candidate) -> float:
-    """The share of the other effect's fitted energy in coefficients that it changes more than `first` does. What an idealised form leaves
-    is smaller than the form, so this is none of its residue."""
+    """The share of the other effect's fitted energy in channels that `first` does not act on: none of it is residue of that one's form."""
     amplitudes, _ = pair.amplitudes
     width = pair.variant.widths[0]
     own, other = slice(0, width), slice(width, None)
     if not any(form.variant.columns[0] is pair.variant.columns[0] for form in first.variants):
         own, other = other, own
-    total = larger = 0.0
-    for whitened, raw in zip(pair.by_channel, pair.raw, strict=True):
-        energies = (whitened[:, other] @ amplitudes[other]) ** 2
-        more = np.abs(raw[:, other] @ amplitudes[other]) > np.abs(raw[:, own] @ amplitudes[own])
-        total, larger = total + float(energies.sum()), larger + float(energies[more].sum())
-    return larger / total if total > 0 else 0.0
+    energies = [float(((block[:, other] @ amplitudes[other]) ** 2).sum()) for block in pair.by_channel]
+    elsewhere = [part for part, raw in zip(energies, pair.raw, strict=True) if not raw[:, own].any()]
+    return sum(elsewhere) / sum(energies) if sum(energies) > 0 else 0.0
 
 
 def shared(best: Sequence[Weighed]) -> Array:

@@ -116,7 +116,7 @@ def _rival_pairs(
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
     """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ, unless it
-    does so where the first does not act; terms of a nominal model are exact and leave no residue."""
+    does so in channels on which the first does not act; terms of a nominal model are exact and leave no residue."""
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
     if not first or first in NOMINAL_TERMS:
