@@ -88,11 +88,12 @@ def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
         found = diagnose(observed, options)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
-    return Diagnosed(recorded, found, findings, _following(recorded, found))
+    return Diagnosed(recorded, found, findings, _following(recorded, found, findings))
 
 
-def _following(recorded: Recorded, found: Diagnosis) -> Next | None:
-    """What to measure next, for recordings whose orientations were planned."""
+def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
+    """What to measure next, for recordings whose orientations were planned. Where no plan can say it, the log is told and the diagnosis
+    stands."""
     from planrunner.proposing import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))
@@ -108,7 +109,12 @@ def _following(recorded: Recorded, found: Diagnosis) -> Next | None:
         max(segment.soak for segment in planned) or DEFAULT_SOAK,
         0.0 if recorded.sound.models.replays else planned[0].start,
     )
-    return propose_next(found, segments, recorded.sound.models, frame)
+    try:
+        return propose_next(found, segments, recorded.sound.models, frame)
+    except InputError as error:
+        for finding in error.findings:
+            log.warning(finding.code, Mark(recorded.where), finding.message, finding.hint)
+        return None
 
 
 def _lasting(item: RecordedSegment) -> RecordedSegment:

@@ -19,7 +19,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.plan.expand import StatedSegment, expand
-from planrunner.plan.findings import Findings
+from planrunner.plan.findings import Findings, InputError, Mark
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Segment
 from planrunner.proposed_segments import Entry, menu
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SOAK = 1800.0  # s, where the plan never changes temperature
 _CHANGED = 1.0  # K between segments: less is no change of temperature
+_LONGEST_TITLE = 200  # characters that the plan language allows
+_NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def words(found: Proposal, planned: bool) -> str:
 def propose_next(
     diagnosis: Diagnosis, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame
 ) -> Next | None:
-    """What to measure next on a bench; None where nothing is left open."""
+    """What to measure next on a bench; None where nothing is left open. Raises `InputError` where it cannot be said in a plan."""
     from planrunner.gap.next import propose
 
     options, grounds = _Options(recording, models, frame), diagnosis.grounds
@@ -121,11 +123,11 @@ def plan_text(frame: Frame, entries: Sequence[Entry], description: str) -> str:
     """A plan with one segment a line."""
     lines = [
         "planrunner: 1",
-        f"title: {_quoted('What to measure next: ' + frame.title)}",
+        f"title: {_quoted(('What to measure next: ' + frame.title)[:_LONGEST_TITLE])}",
         "description: >",
         f"  {description}",
         f"bench: {_quoted(frame.bench)}",
-        f"sensor: {{kind: {frame.kind}, outputs: [{', '.join(frame.outputs)}]}}",
+        f"sensor: {{kind: {_name(frame.kind)}, outputs: [{', '.join(map(_name, frame.outputs))}]}}",
         f"defaults: {{settle: {frame.settle:g} s, soak: {frame.soak:g} s}}",
         "",
         "segments:",
@@ -184,10 +186,14 @@ class _Options:
 
 
 def _stated(text: str) -> list[StatedSegment]:
+    """The segments of a plan's text. Raises `InputError` where they cannot be read back."""
     plan, log = parse_plan(text, "<proposal>")
-    if plan is None or log.errors:
-        raise AssertionError(f"a proposed plan is not sound: {[finding.message for finding in log.errors]}")
-    return expand(plan, log)
+    stated = [] if plan is None or log.errors else expand(plan, log)
+    if log.errors:
+        message = f"no plan can be proposed that could be run: {log.errors[0].message}"
+        hint = "the diagnosis stands; look at title, sensor and bench of the plan that was run, which a proposed one takes over"
+        raise InputError.at(Mark("<proposal>"), "gap-next-unsound", message, hint)
+    return stated
 
 
 def _end(segment: Segment) -> float | None:
@@ -212,3 +218,7 @@ def _duration(seconds: float) -> str:
 
 def _quoted(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
+
+
+def _name(text: str) -> str:
+    return _quoted(text) if text.lower() in _NO_TEXT else text

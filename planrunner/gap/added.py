@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner import plugins
-from planrunner.gap.effects.interface import Column, Shaped, Variant
+from planrunner.gap.effects.interface import Column, Shaped, Variant, is_whole
 from planrunner.gap.observed import Observed
 from planrunner.plan.findings import InputError, Mark, closest
 from planrunner.plan.quantity import QuantityError, parse_quantity
@@ -128,14 +128,9 @@ def parameters(effect: Any, observed: Observed) -> list[Parameter]:
     if getattr(effect, "each", None) == "orientation":
         column = middle.columns[0]
         return [*found, Parameter("size", column.unit, column.magnitude / column.factor)]
-    if not _is_whole(middle.columns):
+    if not is_whole(middle.columns):
         found += [Parameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns]
     return found
-
-
-def _is_whole(columns: Sequence[Column]) -> bool:
-    """Whether an effect is there as a whole, at its shape alone: a lag, a limit, a delay."""
-    return len(columns) == 1 and columns[0].name == "share" and columns[0].magnitude == columns[0].factor == 1.0
 
 
 def added(observed: Observed, levels: Array, additions: Sequence[Addition], seed: int) -> Array:
@@ -166,7 +161,7 @@ def _amplitudes(item: Addition, observed: Observed, seed: int) -> list[tuple[Col
         if shape is not None:
             variants = sorted(variants, key=lambda variant: abs((variant.shape or 0.0) - shape))
         columns = variants[0].columns if variants else ()
-    if _is_whole(columns):
+    if is_whole(columns):
         return [(columns[0], 1.0)]
     return [(column, item.values[column.name] * column.factor) for column in columns]
 

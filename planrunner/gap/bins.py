@@ -29,6 +29,7 @@ FEWEST = 64  # bins in a segment
 SPIKE = 6.5  # robust standard deviations: about one normal sample in 10^10
 _PIECE = 1 << 15  # samples taken at once
 _BESIDE = (-2, -1, 1, 2)  # neighbours that a sample is held against
+SQUARED = 1e150  # larger numbers cannot be squared: they are as good as missing
 _ROUNDS = 4
 
 
@@ -151,7 +152,7 @@ def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Itera
     for block in item.blocks(names):
         good = np.isfinite(block.time)
         for name in names:
-            good &= np.isfinite(block.channels[name])
+            good &= np.abs(block.channels[name]) < SQUARED  # false for NaN as well
         left = int(np.count_nonzero(~good))
         out.rejected += left
         yield block if not left else Block(block.time[good], {name: block.channels[name][good] for name in names})

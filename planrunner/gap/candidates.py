@@ -13,17 +13,19 @@ from numpy.typing import NDArray
 
 from planrunner.gap.effects.interface import Column, Shaped, Variant
 from planrunner.gap.effects.nominal import PARTS
-from planrunner.gap.evidence import log_bayes_factors, log_mean_exp
+from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, log_mean_exp
 from planrunner.gap.noise_levels import counts
 from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
+from planrunner.gap.slow_noise import SlowMeans
 from planrunner.gap.spectrum import Spectrum, spectrum, white_level
-from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, settings_of, walking_alike
+from planrunner.gap.weighing import ChannelWeights, Setting, coefficients_of, lasting, settings_of, walking_alike
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 Array = NDArray[np.float64]
 ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
 FULL = NOMINAL_TERMS
+_FORMS = 5
 _REFINE = 8.0  # log BF from which on a shape is worth refining
 
 
@@ -46,6 +48,11 @@ class Weighed:
         """(G,), averaged over λ."""
         return log_bayes_factors(self.gram, self.score, self.trace)
 
+    @cached_property
+    def amplitudes(self) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) in magnitudes, at the first setting."""
+        return best_amplitudes(self.gram[0], self.score[0], self.variant.widths)
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -67,6 +74,13 @@ class Candidate:
     def stacked(self) -> tuple[Array, ...]:
         """Whitened, projected columns of all variants side by side, (M, V·p) by channel."""
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
+
+    def likely_forms(self) -> list[tuple[Weighed, float]]:
+        """The likeliest forms, at most `_FORMS`, and how the effect's probability is shared among them."""
+        best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes.max()))[:_FORMS]
+        evidence = np.array([float(weighed.log_bayes.max()) for weighed in best])
+        share = np.exp(evidence - evidence.max())
+        return list(zip(best, (share / share.sum()).tolist(), strict=True))
 
     def across(self, other: Weighed) -> Array:
         """Inner products (V, q, p) of another variant's q columns with those of every variant, at the first setting."""
@@ -97,38 +111,41 @@ class Weighing:
             observed, channels=tuple(replace(channel, resolution=float(step)) for channel, step in channels)
         )
         self.nominal_columns = nominal_columns(observed, nominal)
-        self.spectrum: Spectrum = spectrum(observed, simulated(observed, nominal))
+        self._reference = simulated(observed, nominal)
+        self.spectrum: Spectrum = spectrum(observed, self._reference)
         self.white, self.white_degrees = white_level(observed, self.spectrum)
+        slow = SlowMeans.of(*lasting(observed))
         self.settings: dict[str, tuple[Setting, ...]] = {
-            kind: settings_of(observed, self.white, kind) for kind in ("gyro", "accel")
+            kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
         }
         coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
-        whole = [
+        self.whole = [
             part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
             for index, part in enumerate(coefficients)
         ]
-        self.nominal = [independent(columns) for columns in whole]
-        self.observed = replace(observed, fitted=self._fitted(simulated(observed, nominal), whole))
+        self.nominal = [independent(columns) for columns in self.whole]
+        self.observed = replace(observed, fitted=self.fitted())
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
-            settings = self.settings[channel.kind]
+            settings, fitted = self.settings[channel.kind], self.nominal[index]
             each = [
-                ChannelWeights(observed, self.spectrum, index, float(self.white[index]), setting, self.nominal[index])
+                ChannelWeights(observed, slow, self.spectrum, index, float(self.white[index]), setting, fitted)
                 for setting in settings
             ]
             chosen, likelihood = walking_alike(each, settings)
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
 
-    def _fitted(self, reference: Array, whole: Sequence[Array]) -> Array:
-        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients; `whole`: per channel, their
-        columns."""
-        out = reference.copy()
-        for index, nominal in enumerate(whole):
+    def fitted(self, taken: Sequence[Array] | None = None) -> Array:
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, less those `taken` by an
+        effect, (M,) by channel."""
+        out = self._reference.copy()
+        for index, nominal in enumerate(self.whole):
             own = [column for column in self.nominal_columns if index in column.parts]
             size = np.linalg.norm(nominal, axis=0) + 1e-300
-            values = np.linalg.lstsq(nominal / size, self.spectrum.values[:, index], rcond=None)[0] / size
+            left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])
+            values = np.linalg.lstsq(nominal / size, left, rcond=None)[0] / size
             for column, value in zip(own, values, strict=True):
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out
@@ -159,12 +176,14 @@ class Weighing:
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
-    def weigh(self, variants: Sequence[Variant]) -> list[Weighed]:
-        """Variants whitened and weighed under every setting."""
+    def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
+        """Variants whitened and weighed under every setting. raw: by channel, the coefficients (M, P) of all their columns, where they are
+        known."""
         columns = [column for variant in variants for column in variant.columns]
         widths = [len(variant.columns) for variant in variants]
         bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
-        raw = coefficients_of(self.observed, self.spectrum, columns)
+        if raw is None:
+            raw = coefficients_of(self.observed, self.spectrum, columns)
         sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
         grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
         scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}

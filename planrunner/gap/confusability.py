@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed
-from planrunner.gap.evidence import best_amplitudes
 
 Array = NDArray[np.float64]
 DISCRIMINABLE = 10.0  # non-centrality below which two effects are not told apart
@@ -23,8 +22,7 @@ _RIDGE = 1e-9
 
 def fitted(weighed: Weighed) -> list[Array]:
     """The whitened, projected signature of an effect at its fitted amplitudes, (M,) per channel."""
-    amplitudes, _ = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
-    return [block @ amplitudes for block in weighed.by_channel]
+    return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
 
 
 def energy(signature: Sequence[Array]) -> float:
@@ -42,6 +40,18 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
         gram = rival.gram[0] + _RIDGE * rival.trace / len(rival.gram[0]) * np.eye(len(rival.gram[0]))
         shares.append(float(score @ np.linalg.solve(gram, score)) / total)
     return min(1.0, max(shares, default=0.0))
+
+
+def beside(pair: Weighed, first: Candidate) -> float:
+    """The share of the other effect's fitted energy in channels that `first` does not act on: none of it is residue of that one's form."""
+    amplitudes, _ = pair.amplitudes
+    width = pair.variant.widths[0]
+    own, other = slice(0, width), slice(width, None)
+    if not any(form.variant.columns[0] is pair.variant.columns[0] for form in first.variants):
+        own, other = other, own
+    energies = [float(((block[:, other] @ amplitudes[other]) ** 2).sum()) for block in pair.by_channel]
+    elsewhere = [part for part, raw in zip(energies, pair.raw, strict=True) if not raw[:, own].any()]
+    return sum(elsewhere) / sum(energies) if sum(energies) > 0 else 0.0
 
 
 def shared(best: Sequence[Weighed]) -> Array:

@@ -9,7 +9,7 @@ separate
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,17 +18,20 @@ import numpy as np
 from planrunner import plugins
 from planrunner.gap import parameters as estimates
 from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
-from planrunner.gap.closure import NOT_RESOLVABLE, Closure, closure
+from planrunner.gap.closure import NOT_RESOLVABLE, Choice, Closure, closure
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.parameters import Parameter
 from planrunner.gap.pictures import gap_by_channel, pictures
 from planrunner.gap.posterior import PRIORS, Posterior, posterior
 from planrunner.gap.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.where import Place, places
+from planrunner.gap.whole import forms, whole
 
+Forms = list[tuple[Weighed, float]]
 EFFECTS = "planrunner.effects"
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
+_MOST_CHOICES = 30
 _CHOICES = 6  # candidates among which a fold of the closure chooses
 _LIKELY = 1e-3  # of which each has this probability at least
 _ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
@@ -44,11 +47,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Grounds:
-    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits."""
+    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits; choices: among which the
+    closure chose."""
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
     nominal: tuple[str, ...]
+    choices: tuple[Choice, ...]
 
 
 @dataclass(frozen=True)
@@ -128,8 +133,12 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
     key = "+".join(sorted(named))
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
-    choices = _choices(found, by_id) or [c.best for c in ranked[:_CHOICES]]
-    choices += [after] if after is not None and all(after is not choice for choice in choices) else []
+    walks = {str(effect.id) for effect in effects if getattr(effect, "noise", "") == "random walk"}
+    exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
+    choices = _choices(found, by_id, walks, exact) or [Choice(c.best, 0.0) for c in ranked[:_CHOICES]]
+    if after is not None and all(after is not choice.weighed for choice in choices):
+        choices.append(Choice(after, 0.0))
+    beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
     return Diagnosis(
         gap_by_channel(weighing),
         tuple(places(weighing, found.by_channel)[:SHOWN_PLACES]),
@@ -137,23 +146,48 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         said,
         tuple(ambiguity_set(found.probability)),
         absorbed,
-        tuple(_parameters(weighing, said, found, by_id, effects)),
-        closure(weighing, choices) if said.kind != "none" else NOT_RESOLVABLE,
+        tuple(_parameters(weighing, said, found, by_id, effects, exact)),
+        closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
         pictures(weighing, usable, after),
-        Grounds(weighing, tuple(candidates), options.nominal),
+        Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
     )
 
 
-def _choices(found: Posterior, by_id: Mapping[str, Candidate]) -> list[Weighed]:
-    """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside."""
-    likely = [name for name, p in found.probability.items() if p >= _LIKELY]
-    keys = dict.fromkeys("+".join(part for part in name.split("+") if part in by_id) for name in likely)
-    weighed = [found.pairs.get(key) or (by_id[key].best if key in by_id else None) for key in keys]
-    return [item for item in weighed if item is not None and item.trace > 0][:_CHOICES]
+def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
+    """The forms of an effect that has its shape alone, where that can be found exactly."""
+    found = forms(weighing, candidate.effect) if whole(candidate) else []
+    return {candidate.id: found} if found else {}
+
+
+def _choices(
+    found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
+) -> list[Choice]:
+    """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside; but beside a walk of the
+    bias none is the whole cause."""
+    likely: dict[str, float] = {}
+    for name, p in found.probability.items():
+        parts = name.split("+")
+        key = "+".join(part for part in parts if part in by_id)
+        if p >= _LIKELY and key:
+            likely[key] = likely.get(key, 0.0) + (0.0 if walks & set(parts) else p)
+    chosen: list[Choice] = []
+    for key, p in likely.items():
+        if key in found.pairs:
+            chosen.append(Choice(found.pairs[key], p))
+        elif key in exact:
+            chosen += [Choice(weighed, p * share, True) for weighed, share in exact[key]]
+        elif key in by_id:
+            chosen += [Choice(weighed, p * share) for weighed, share in by_id[key].likely_forms()]
+    return [choice for choice in chosen if choice.weighed.trace > 0][:_MOST_CHOICES]
 
 
 def _parameters(
-    weighing: Weighing, said: Verdict, found: Posterior, by_id: Mapping[str, Candidate], effects: list[Any]
+    weighing: Weighing,
+    said: Verdict,
+    found: Posterior,
+    by_id: Mapping[str, Candidate],
+    effects: list[Any],
+    exact: Mapping[str, Forms],
 ) -> list[Parameter]:
     """Estimates for the likeliest effects. Those of a pair are fitted together."""
     listed: list[Parameter] = []
@@ -161,6 +195,9 @@ def _parameters(
     for name in said.effects:
         if name not in by_id:
             listed += estimates.of_noise(weighing, next(effect for effect in effects if effect.id == name))
+            continue
+        if name in exact:
+            listed += estimates.exact_shape(by_id[name].effect, exact[name])
             continue
         columns = slice(None)
         weighed = by_id[name].best

@@ -11,12 +11,15 @@ goes on: a stronger effect than was foreseen is still that effect.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 WEAKEST, STRONGEST = 4.0, 1e4
 RANGE = float(np.log(STRONGEST / WEAKEST))
+_SWEEPS = 3
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # of s², as the energy that it lets expect
 
 
@@ -45,19 +48,19 @@ def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array
     """The same from eigenvalues (…, p) of the Gram matrix and squared scores (…, p) along its eigenvectors."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
-    s2 = ENERGIES / max(trace, 1e-300)
-    terms = gaussian(values, along, s2)
-    size, along = values[..., None, :], along[..., None, :]
-    shrunk = s2[:, None] * size / (1 + s2[:, None] * size)
-    found = np.divide(along, size, out=np.zeros_like(along), where=size > 0) * shrunk**2
-    strong = strong_enough((shrunk + found).sum(-1), 2 * (shrunk**2 + 2 * shrunk * found).sum(-1))
-    return np.asarray(terms + strong)
+    s2 = ENERGIES[:, None] / max(trace, 1e-300)
+    size = s2 * values[..., None, :]
+    grown = 1 + size
+    gain = s2 * along[..., None, :] / grown
+    shrunk = size / grown
+    found = gain * shrunk  # squared means of the amplitudes in units of the noise; their variances are `shrunk`
+    strong = strong_enough((shrunk + found).sum(-1), 2 * (shrunk * (shrunk + 2 * found)).sum(-1))
+    return np.asarray(gaussian(grown, gain) + strong)
 
 
-def gaussian(values: Array, along: Array, s2: Array) -> Array:
-    """log BF (…, E) of amplitudes θ ~ N(0, s²·D) of any energy."""
-    grown = 1 + s2[:, None] * values[..., None, :]
-    return np.asarray((-0.5 * np.log(grown) + 0.5 * s2[:, None] * along[..., None, :] / grown).sum(-1))
+def gaussian(grown: Array, gain: Array) -> Array:
+    """log BF (…) of amplitudes θ ~ N(0, s²·D) of any energy. grown: (…, p), 1 + s²·eigenvalue; gain: (…, p), s²·squared score ÷ grown."""
+    return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
@@ -70,11 +73,31 @@ def strong_enough(mean: Array, variance: Array) -> Array:
         return np.asarray(np.log(gammaincc(np.maximum(shape, 1e-12), WEAKEST * mean / variance)))
 
 
-def best_amplitudes(gram: Array, score: Array, trace: float) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes."""
-    s2 = ENERGIES[int(np.argmax(by_energy(gram, score, trace)))] / trace
-    covariance = np.linalg.inv(gram + np.eye(len(gram)) / s2)
+def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
+    """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
+
+    widths: columns of each effect in turn, where there are several; each has its own s².
+    """
+    covariance: Array = np.asarray(np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths))))
     return covariance @ score, covariance
+
+
+def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
+    """The most probable s² (p,) of every column's effect, found for one effect after the other with those of the others given."""
+    ends = np.cumsum(widths or (len(score),))
+    parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
+    traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
+    scales = np.repeat(ENERGIES[-1] / np.array(traces), widths or (len(score),))
+    for part, trace in list(zip(parts, traces, strict=True)) * (_SWEEPS if len(parts) > 1 else 1):
+        others = np.ones(len(score), dtype=bool)
+        others[part] = False
+        taken = np.linalg.solve(
+            gram[np.ix_(others, others)] + np.diag(1 / scales[others]), np.column_stack([gram[others], score[others]])
+        )
+        left = gram[part, part] - gram[part][:, others] @ taken[:, :-1][:, part]
+        wanted = score[part] - gram[part][:, others] @ taken[:, -1]
+        scales[part] = ENERGIES[int(np.argmax(by_energy(left, wanted, trace)))] / trace
+    return scales
 
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 COARSER = 1.2  # of the declared count: a larger common step is another resolution
 DISTINCT = 20  # different values needed to tell a lattice
+_PIECE = 4096  # values taken at once
 
 
 def levels_of(values: Array, step: float) -> Array:
@@ -26,3 +27,13 @@ def coarsening(levels: Array) -> float:
 def settled(levels: Array) -> bool:
     """Whether further values can change nothing: the declared count is seen already."""
     return len(levels) >= DISTINCT and coarsening(levels) == 1.0
+
+
+def seen_levels(values: Array, step: float) -> Array:
+    """The levels of values (N,), taken piece by piece until further ones can change nothing."""
+    levels = np.empty(0)
+    for first in range(0, len(values), _PIECE):
+        levels = np.union1d(levels, levels_of(values[first : first + _PIECE], step))
+        if settled(levels):
+            break
+    return levels

@@ -6,11 +6,13 @@ all channels alike or in each triad by its own. Only what goes beyond that, or s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence import STRONGEST, WEAKEST, log_mean_exp
-from planrunner.gap.lattice import COARSER, coarsening, levels_of
+from planrunner.gap.lattice import COARSER, coarsening, seen_levels
 from planrunner.gap.observed import Observed
 
 Array = NDArray[np.float64]
@@ -28,7 +30,7 @@ def counts(observed: Observed) -> Array:
         step = channel.resolution
         if step > 0:
             whole = observed.bins
-            step *= coarsening(levels_of(observed.values[:, index], step) if whole is None else whole.levels[index])
+            step *= coarsening(seen_levels(observed.values[:, index], step) if whole is None else whole.levels[index])
         found.append(step)
     return np.array(found)
 
@@ -49,9 +51,9 @@ def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array
     lattice = 0.0 if not known else (0.0 if seen else -CERTAIN)
     missed = -CERTAIN if seen else 0.0
     return {
-        "declared": _declared(*gyro) + missed,
+        "declared": float(_declared(*gyro)) + missed,
         "white": (_larger(*gyro) if "gyro" in gyro[0] else -np.inf) + missed,
-        "resolution": (_declared(*counted) if known else -np.inf) + lattice,
+        "resolution": (float(_declared(*counted)) if known else -np.inf) + lattice,
     }
 
 
@@ -79,34 +81,34 @@ def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array
         if channel.white > 0:
             level = white[index] ** 2 / (channel.white**2 * observed.sample_rate + channel.resolution**2 / 12)
             sigma = float(np.sqrt(1 / (2 * degrees[index]) + 1e-6))
-            found[index] = _larger({"gyro": float(np.log(level)) / 2}, sigma) - _declared(
-                {"gyro": float(np.log(level)) / 2}, sigma
-            )
+            excess = {"gyro": float(np.log(level)) / 2}
+            found[index] = _larger(excess, sigma) - float(_declared(excess, sigma))
     return found
 
 
-def _normal(x: float, sigma: float) -> float:
-    return float(np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)))
+def _normal(x: Array | float, sigma: float) -> Array:
+    return np.asarray(np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)))
 
 
-def _within_two(x: float) -> float:
+def _within_two(x: Array | float) -> Array:
     """Uniform in the logarithm over a factor of two either way, with edges of 10 %, and a floor for what is beyond."""
     edge = 0.1
-    top = 1 / (1 + np.exp(min((abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
-    return float(top / (2 * np.log(2.0)) + 1e-9)
+    top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
+    return np.asarray(top / (2 * np.log(2.0)) + 1e-9)
 
 
-def _declared(excess: dict[str, float], sigma: float) -> float:
+def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
+    """Log density of an excess by triad, or of as many as the arrays hold."""
     width = float(np.hypot(HOLDS, sigma))
-    holds = float(np.prod([_normal(x, width) for x in excess.values()])) if excess else 1.0
-    each = float(np.prod([_within_two(x) for x in excess.values()])) if excess else 1.0
+    holds, each = np.ones(()), np.ones(())
+    for x in excess.values():
+        holds, each = holds * _normal(x, width), each * _within_two(x)
     alike = each
     if len(excess) == 2:
         alike = _within_two(excess["gyro"]) * _normal(excess["accel"] - excess["gyro"], width)
-    return float(np.log((1 - WRONG) * holds + WRONG * (alike + each) / 2 + 1e-300))
+    return np.asarray(np.log((1 - WRONG) * holds + WRONG * (alike + each) / 2 + 1e-300))
 
 
-def _larger(excess: dict[str, float], sigma: float) -> float:
+def _larger(excess: Mapping[str, float], sigma: float) -> float:
     """The gyros' level is the declared one, right or wrong, times any excess."""
-    each = [_declared(excess | {"gyro": excess["gyro"] - larger}, sigma) for larger in EXCESS]
-    return float(log_mean_exp(np.array(each), 0))
+    return float(log_mean_exp(_declared({**excess, "gyro": excess["gyro"] - EXCESS}, sigma), 0))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.gap.bins import Averaged, Bins, averaged, bins_of, sizes
+from planrunner.gap.bins import SQUARED, Averaged, Bins, averaged, bins_of, sizes
 from planrunner.gap.motion import fading, motion_at
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.physics.earth import Site
@@ -86,7 +86,22 @@ class Observed:
 
     def segments(self) -> list[slice]:
         """The samples of every segment."""
+        return self._slices
+
+    @cached_property
+    def _slices(self) -> list[slice]:
         return [slice(int(a), int(b)) for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True)]
+
+    @cached_property
+    def unsteady(self) -> NDArray[np.bool_]:
+        """The segments (S,) in which the table's rate changes."""
+        return np.array([bool(self.acceleration[part].any()) for part in self.segments()])
+
+    @cached_property
+    def pulsation(self) -> Array:
+        """Of a rocking table, 2π times its frequency, (N,), rad/s; 0 in other segments and where it has come to rest."""
+        each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
+        return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
@@ -116,24 +131,28 @@ class Observed:
         return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
 
     def in_sensor_axes(self, site_vector: Array) -> Array:
-        """A vector in site axes, (3,) or (N, 3), as the sensor's axes see it at every sample, (N, 3).
+        """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3): attitude · R(−θ) · vector, R by Rodrigues'
+        formula about the segment's axis."""
+        vector = np.asarray(site_vector, dtype=float)
+        along = (self.turning @ vector)[:, None] * self.turning
+        axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
+        seen = np.empty((len(self.time), 3))
+        for part, here in zip(self.segments(), axes, strict=True):
+            np.matmul(self._turned[part], here, out=seen[part])
+        return seen
 
-        v_sensor = attitude · R(−θ) · v_site, R by Rodrigues' formula about the segment's axis. Over a bin, cosine and sine are means to the
-        second order in its length.
-        """
-        axis = self.turning[self.owner]
-        vector = np.broadcast_to(np.asarray(site_vector, dtype=float), axis.shape)
-        along = np.einsum("ni,ni->n", axis, vector)[:, None] * axis
-        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+    @cached_property
+    def _turned(self) -> Array:
+        """1, cosine and sine of the table's angle, (N, 3). Over a bin they are means to the second order in its length."""
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
         if self.bins is not None:
-            spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner, None]
-            squared, change = self.rate[:, None] ** 2, self.acceleration[:, None]
+            spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
+            squared, change = self.rate**2, self.acceleration
             cosine, sine = (
                 cosine - (squared * cosine + change * sine) * spread,
                 sine - (squared * sine - change * cosine) * spread,
             )
-        turned = along + (vector - along) * cosine - np.cross(axis, vector) * sine
-        return np.einsum("nij,nj->ni", self.attitude[self.owner], turned)
+        return np.column_stack([np.ones(len(cosine)), cosine, sine])
 
     @cached_property
     def earth_rate(self) -> Array:
@@ -322,7 +341,7 @@ def _held(item: RecordedSegment, names: Sequence[str]) -> Averaged:
     table = {name: np.concatenate([np.asarray(block.channels[name]) for block in blocks]) for name in names if blocks}
     good = np.isfinite(time)
     for column in table.values():
-        good &= np.isfinite(column)
+        good &= np.abs(column) < SQUARED  # false for NaN as well
     time, table = time[good], {name: column[good] for name, column in table.items()}
     return Averaged(
         float(time[0]) if len(time) else np.nan, time=time, table=table, rejected=int(np.count_nonzero(~good))

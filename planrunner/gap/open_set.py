@@ -8,16 +8,16 @@ at once.
 
 from __future__ import annotations
 
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Weighing
+from planrunner.gap.designs_weighed import Eigen, Left, eigen
 from planrunner.gap.evidence import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
-from planrunner.gap.patterns import WAVEFORM, WHOLE, Design, factors
-from planrunner.gap.patterns import designs as designs_of
-from planrunner.gap.patterns import waves as waves_of
+from planrunner.gap.patterns import WAVEFORM, WHOLE, Rows, designs, factors, sorts, waves
 from planrunner.gap.spectrum import BANDS
 from planrunner.gap.weighing import ChannelWeights
 from planrunner.plan.schedule import Rest, Spin
@@ -25,7 +25,6 @@ from planrunner.plan.schedule import Rest, Spin
 Array = NDArray[np.float64]
 PLAIN = 8.0  # nats of one sort from which on the others are weighed on what it leaves
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
-_NOTHING = 1e-6  # of a design's largest singular value: directions that the nominal parameters take whole
 
 
 @dataclass(frozen=True)
@@ -42,22 +41,24 @@ class Kinds:
 def competitors(weighing: Weighing) -> Kinds:
     """All competitors weighed."""
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
-    designs, waves = list(designs_of(weighing)), waves_of(weighing)
+    whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
+    patterns, outside = _Patterns(weighing), _outside(weighing)
     several = np.full(len(weighing.base), -np.inf)
     each = {}
     for g in settings:
-        weights = _weights(weighing, int(g))
-        each[g] = _patterns(weighing, designs, waves, weights) | _outside(weighing)
-        several[g] = _several(weighing, designs, waves, weights, each[g])
+        channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
+        each[g] = patterns.weighed(channels) | outside
+        several[g] = _several(patterns, channels, each[g])
     found = {name: np.full(len(weighing.base), -np.inf) for name in each[settings[0]]}
     for g, values in each.items():
         for name, value in values.items():
             found[name][g] = float(log_mean_exp(value, 0))
-    channels = len(weighing.observed.channels)
-    alone = {name: value[:channels] for name, value in each[settings[0]].items() if len(value) >= channels}
+    count = len(weighing.observed.channels)
+    alone = {name: value[:count] for name, value in each[settings[0]].items() if len(value) >= count}
+    first = [whole[id(weight)] for weight in _weights(weighing, 0)]
     for name, per_channel in factors(weighing):
-        spectra = [_eigen(weight, design) for weight, design in zip(_weights(weighing, 0), per_channel, strict=True)]
-        alone[name] = np.array([float(averaged(from_eigen(*one))) if one[0].sum() > 0 else -np.inf for one in spectra])
+        spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
+        alone[name] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
     return Kinds(found, several, alone)
 
 
@@ -66,34 +67,13 @@ def unknown(kinds: Kinds) -> Array:
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
-class _Left:
-    """A channel's weights with all that a design can hold taken out beside the nominal parameters."""
-
-    def __init__(self, weight: Weights, design: Array):
-        self._weight = weight
-        left, size, _ = np.linalg.svd(weight.project(design), full_matrices=False)
-        self._held = left[:, size > _NOTHING * size.max(initial=0.0)]
-        self.residual: Array = self._less(weight.residual)
-
-    def project(self, columns: Array) -> Array:
-        return self._less(self._weight.project(columns))
-
-    def _less(self, columns: Array) -> Array:
-        return columns - self._held @ (self._held.T @ columns)
-
-
-Weights = ChannelWeights | _Left
-
-
-def _weights(weighing: Weighing, g: int) -> list[Weights]:
+def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
     """The channels' weights under one setting of the noise."""
     at = dict(zip(("gyro", "accel"), divmod(g, weighing.shape[1]), strict=True))
     return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
 
 
-def _several(
-    weighing: Weighing, designs: list[Design], waves: Array, weights: list[Weights], found: dict[str, Array]
-) -> float:
+def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array]) -> float:
     """log BF of patterns of several sorts at once, each sort there or not with even odds. One cause far from the catalogue often shows in
     more than one.
 
@@ -106,10 +86,8 @@ def _several(
         if not top or left[top] < PLAIN:
             return total + sum(map(_maybe, left.values()))
         total += _maybe(left.pop(top))
-        whole = dict(designs)[WHOLE[top]]
-        weights = [_Left(weight, design) for weight, design in zip(weights, whole, strict=True)]
-        designs = [design for design in designs if _sort(design[0]) in left or design[0] in WHOLE.values()]
-        left |= {s: v for s, v in _by_sort(_patterns(weighing, designs, waves, weights)).items() if s in left}
+        channels = [channel.without(patterns.sorts[top]) for channel in channels]
+        left |= _by_sort(patterns.weighed(channels, left))
 
 
 def _sort(name: str) -> str:
@@ -135,22 +113,47 @@ def _scopes(weighing: Weighing) -> list[list[int]]:
     return [[index] for index in range(len(weighing.observed.channels))] + triads
 
 
-def _patterns(weighing: Weighing, designs: list[Design], waves: Array, weights: list[Weights]) -> dict[str, Array]:
-    """log BF of each pattern of the coefficients by scope; of one odd segment in any."""
-    found: dict[str, list[float]] = {}
-    scopes = _scopes(weighing)
-    for name, per_channel in designs:
-        spectra = [_eigen(weight, design) for weight, design in zip(weights, per_channel, strict=True)]
-        for scope in scopes:
-            values = np.concatenate([spectra[index][0] for index in scope])
-            along = np.concatenate([spectra[index][1] for index in scope])
-            if any(spectrum[0].sum() > 0 for spectrum in spectra):
-                found.setdefault(name, []).append(
-                    float(averaged(from_eigen(values, along))) if values.sum() > 0 else -np.inf
-                )
-    found["one odd segment"] = [_one_segment(weighing, weights)]
-    found["offset periodic in time"] = _periodic(waves, scopes, weights)
-    return {name: np.array(each) for name, each in found.items() if each}
+class _Patterns:
+    """All patterns of the coefficients, and what was found of them: settings of the noise share the weights of a triad."""
+
+    def __init__(self, weighing: Weighing):
+        self.designs, self.waves, self.sorts = list(designs(weighing)), waves(weighing), sorts(weighing)
+        self.means, self.scopes = weighing.spectrum.means, _scopes(weighing)
+        self._known: dict[tuple[str, Left], Eigen] = {}
+
+    def weighed(self, channels: list[Left], among: Container[str] | None = None) -> dict[str, Array]:
+        """log BF of each pattern by scope; of one odd segment in any. among: sorts that are asked for, all without it."""
+        found: dict[str, list[float]] = {}
+        for name, per_channel in self.designs:
+            if among is None or _sort(name) in among:
+                spectra = [self._eigen(name, left, own) for left, own in zip(channels, per_channel, strict=True)]
+                if any(len(values) for values, _ in spectra):
+                    found[name] = _by_scope(spectra, self.scopes)
+        if among is None or "means" in among:
+            found["one odd segment"] = [_one_segment(self.means, channels)]
+            found["offset periodic in time"] = _periodic(*self.waves, self.scopes, channels)
+        return {name: np.array(each) for name, each in found.items()}
+
+    def _eigen(self, name: str, left: Left, design: Array | Rows) -> Eigen:
+        if (name, left) not in self._known:
+            self._known[name, left] = eigen(left, design)
+        return self._known[name, left]
+
+
+def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
+    """log BF of a design in the channels of each scope; −∞ where nothing of it is seen."""
+    size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
+    along = np.zeros_like(size)
+    for row, scope in enumerate(scopes):
+        for table, part in ((size, 0), (along, 1)):
+            joined = np.concatenate([spectra[index][part] for index in scope])
+            table[row, : len(joined)] = joined
+    unit = size.sum(1)
+    seen = unit > 0
+    found = np.full(len(scopes), -np.inf)
+    if seen.any():
+        found[seen] = averaged(from_eigen(size[seen] / unit[seen, None], along[seen] / unit[seen, None], 1.0))
+    return [float(value) for value in found]
 
 
 def _outside(weighing: Weighing) -> dict[str, Array]:
@@ -160,25 +163,13 @@ def _outside(weighing: Weighing) -> dict[str, Array]:
     return {"noise of one band": np.array(_bands(weighing)), "a tone": np.array(tones)}
 
 
-def _eigen(weight: Weights, design: Array) -> tuple[Array, Array]:
-    """Eigenvalues of a design's whitened Gram matrix and the squared scores along its eigenvectors."""
-    if not design.shape[1] or not design.any():
-        return np.zeros(0), np.zeros(0)
-    columns = weight.project(design)
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    return np.maximum(values, 0.0), ((columns @ vectors).T @ weight.residual) ** 2
-
-
-def _one_segment(weighing: Weighing, weights: list[Weights]) -> float:
+def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     """One segment's means of all channels stand off, whichever it is."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    design = np.zeros((len(spectrum.segment), len(observed)))
-    design[spectrum.means, np.arange(len(observed))] = 1.0
     each = []
-    for weight in weights:
-        columns = weight.project(design)
-        size = (columns**2).sum(0)
-        score = (columns.T @ weight.residual) ** 2
+    for left in channels:
+        at, whitened = left.whitened(np.eye(len(means)), means)
+        size = np.maximum((whitened**2).sum(0) - ((left.basis[at].T @ whitened) ** 2).sum(0), 0.0)
+        score = (whitened.T @ left.residual[at]) ** 2
         each.append(averaged(from_eigen(size[:, None], score[:, None], float(size.max()))))
     return float(log_mean_exp(np.concatenate(each), 0))
 
@@ -238,24 +229,28 @@ def _tone(powers: list[Array]) -> float:
     return float(log_mean_exp(np.array(each), 0))
 
 
-def _periodic(waves: Array, scopes: list[list[int]], weights: list[Weights]) -> list[float]:
+def _periodic(
+    rows: NDArray[np.int64], waves: Array, scopes: Sequence[Sequence[int]], channels: Sequence[Left]
+) -> list[float]:
     """log BF of such a bias in each scope: a sine, or a waveform."""
-    rows, periods = waves.shape[:2]
-    parts: list[list[tuple[Array, Array]]] = []
-    for weight in weights:
-        columns = weight.project(waves.reshape(rows, -1)).reshape(waves.shape)
+    periods, flat = waves.shape[1], waves.reshape(len(rows), -1)
+    parts: list[list[Eigen]] = []
+    for left in channels:
+        at, whitened = left.whitened(flat, rows)
+        taken = (left.basis[at].T @ whitened).reshape(-1, periods, 2 * WAVEFORM).transpose(1, 0, 2)
+        score = (whitened.T @ left.residual[at]).reshape(periods, -1)
+        own = np.ascontiguousarray(whitened.reshape(-1, periods, 2 * WAVEFORM).transpose(1, 0, 2))
+        gram = np.swapaxes(own, 1, 2) @ own - np.swapaxes(taken, 1, 2) @ taken
         parts.append([])
-        for harmonics in (1, WAVEFORM):
-            own = columns[:, :, :harmonics].reshape(rows, periods, -1).transpose(1, 0, 2)
-            size, vectors = np.linalg.eigh(np.swapaxes(own, 1, 2) @ own)
-            score = np.swapaxes(own, 1, 2) @ weight.residual
-            parts[-1].append((np.maximum(size, 0.0), np.einsum("fji,fj->fi", vectors, score) ** 2))
+        for count in (2, 2 * WAVEFORM):
+            size, vectors = np.linalg.eigh(gram[:, :count, :count])
+            parts[-1].append((np.maximum(size, 0.0), np.einsum("fji,fj->fi", vectors, score[:, :count]) ** 2))
     found = []
     for scope in scopes:
         each = []
         for form in (0, 1):
             size, along = (np.concatenate([parts[index][form][k] for index in scope], axis=1) for k in (0, 1))
-            unit = size.sum(1, keepdims=True)
+            unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
             each.append(averaged(from_eigen(size / unit, along / unit, 1.0)))
         found.append(float(log_mean_exp(np.concatenate(each), 0)))
     return found

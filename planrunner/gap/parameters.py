@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.evidence import best_amplitudes
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +22,7 @@ class Parameter:
 
 def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[Parameter]:
     """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect."""
-    mean, covariance = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
+    mean, covariance = weighed.amplitudes
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
     return [
@@ -51,6 +52,14 @@ def shape(candidate: Candidate) -> list[Parameter]:
     mean = float(weight @ values)
     spread = float(np.sqrt(weight @ (values - mean) ** 2))
     return [Parameter(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
+
+
+def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[Parameter]:
+    """The shape of an effect that has no amplitude, from its forms and how probable each is."""
+    values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
+    mean = float(share @ values)
+    spread = float(np.sqrt(share @ (values - mean) ** 2))
+    return [Parameter(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
 
 
 def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:

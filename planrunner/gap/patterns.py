@@ -6,7 +6,7 @@ with rate, gravity, temperature or time; and a bias that repeats itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from planrunner.gap.weighing import lasting
 from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
-Design = tuple[str, list[Array]]  # name, and per channel raw columns (M, P)
+Rows = NDArray[np.bool_]
+Design = tuple[str, list[Array | Rows]]
+"""Name, and per channel raw columns (M, P), or rows (M,) each of which is a column by itself."""
 WHOLE = {
     "means": "offset per segment",
     "transient": "transient per segment",
@@ -45,7 +47,7 @@ def designs(weighing: Weighing) -> Iterator[Design]:
         out[spectrum.means] = table * counts[:, None]
         return out
 
-    yield "offset per segment", [at_means(np.eye(len(observed)))] * everywhere
+    yield WHOLE["means"], [at_means(np.eye(len(observed)))] * everywhere
     for name, basis in kinds.items():
         yield f"offset smooth in {name}", [at_means(basis)] * everywhere
     yield (
@@ -65,25 +67,59 @@ def designs(weighing: Weighing) -> Iterator[Design]:
             f"scale factor {word} {name}",
             [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
         )
-    low = (spectrum.harmonic == 0) & (spectrum.frequency > 0)
-    yield "transient per segment", [np.eye(len(low))[:, low]] * everywhere
-    spin = np.array([isinstance(motion, Spin) for motion in observed.motions])[spectrum.segment]
-    rock = np.array([isinstance(motion, Rock) for motion in observed.motions])[spectrum.segment]
+    rows = sorts(weighing)
+    yield WHOLE["transient"], [rows["transient"]] * everywhere
     for h in (1, 2, 3):
-        rows = spin & (spectrum.harmonic == h)
-        yield f"{h} per turn, per segment", [np.eye(len(rows))[:, rows]] * everywhere
-        yield f"{h} per turn, alike", [_alike(weighing, rows)] * everywhere
-    rows = rock & (spectrum.harmonic > 0)
-    yield "rocking waveform", [np.eye(len(rows))[:, rows]] * everywhere
+        yield WHOLE[f"{h}"], [rows[f"{h}"]] * everywhere
+        yield f"{h} per turn, alike", [_alike(weighing, rows[f"{h}"])] * everywhere
+    yield WHOLE["rocking"], [rows["rocking"]] * everywhere
+
+
+def sorts(weighing: Weighing) -> dict[str, Rows]:
+    """The coefficients (M,) of each sort."""
+    spectrum, motions = weighing.spectrum, weighing.observed.motions
+    spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
+    rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]
+    return {
+        "means": spectrum.frequency == 0,
+        "transient": (spectrum.harmonic == 0) & (spectrum.frequency > 0),
+        "rocking": rock & (spectrum.harmonic > 0),
+        **{f"{h}": spin & (spectrum.harmonic == h) for h in (1, 2, 3)},
+    }
 
 
 def factors(weighing: Weighing) -> Iterator[Design]:
-    """Designs, as `_designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown."""
+    """Designs, as `designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown.
+
+    A factor that explains a gap with few parameters is to be found beside one that needs many, so each has its plainest form here. For an
+    accelerometer turning about up is the orientation that was set, whatever the angle; for a gyro the Earth's rate says otherwise.
+    """
     observed, spectrum = weighing.observed, weighing.spectrum
-    levels = _levels([_upward(observed, s) for s in range(len(observed))])
-    table = np.zeros((len(spectrum.segment), levels.shape[1]))
-    table[spectrum.means] = levels * np.sqrt(observed.counts)[:, None]
-    yield "offset by orientation", [table] * len(observed.channels)
+    segments = range(len(observed))
+
+    def at_means(table: Array) -> Array:
+        out = np.zeros((len(spectrum.segment), table.shape[1]))
+        out[spectrum.means] = table * np.sqrt(observed.counts)[:, None]
+        return out
+
+    levels = {
+        "gyro": at_means(_levels([_upward(observed, s) for s in segments])),
+        "accel": at_means(_levels([_coarse(observed.attitude[s]) for s in segments])),
+    }
+    yield "offset by orientation", [levels[channel.kind] for channel in observed.channels]
+    if observed.along is None:
+        cosines = _orientations(observed)
+        yield "offset along orientation", [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
+    yield (
+        "offset by sort of motion",
+        [at_means(_levels([_state(observed, s, False) for s in segments]))] * len(observed.channels),
+    )
+    slopes = np.add.reduceat(observed.temperature_rate, observed.bounds[:-1]) / np.diff(observed.bounds)
+    changes = np.column_stack([slopes, observed.last_change])
+    yield (
+        "offset by change of temperature",
+        [at_means(changes / (np.abs(changes).max(0) + 1e-300))] * len(observed.channels),
+    )
     turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
     if not turning.any():
         return
@@ -95,33 +131,35 @@ def factors(weighing: Weighing) -> Iterator[Design]:
         yield f"{order} per turn, by rate", [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
 
 
-def waves(weighing: Weighing) -> Array:
-    """Coefficients (M, F, H, 2) of a bias that repeats itself with any period, from twice the run down to two segments: cosines and
-    sines of its harmonics, which fade as 1/order."""
-    starts, ends = lasting(weighing.observed)
+def waves(weighing: Weighing) -> tuple[NDArray[np.int64], Array]:
+    """Rows (n,) and the coefficients there, (n, F, H, 2), of a bias that repeats itself with any period, from twice the run down to two
+    segments: cosines and sines of its harmonics, which fade as 1/order."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    starts, ends = lasting(observed)
     orders = np.arange(1, WAVEFORM + 1)
     frequencies = np.arange(2, 2 * len(starts)) / (4 * float(ends[-1] - starts[0]))
     pulses = 2 * np.pi * np.outer(frequencies, orders)
-    raw = within(weighing, lambda time: np.exp(1j * time[..., None] * pulses.ravel())).reshape(-1, *pulses.shape)
-    return np.stack([raw.real, raw.imag], axis=-1) / orders[:, None]
-
-
-def within(weighing: Weighing, function: Callable[[Array], Array]) -> Array:
-    """Coefficients (M, P) of slow functions of time since the run began: `function` takes times (S, n) to (S, n, P)."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    starts, ends = lasting(observed)
-    middles = (np.arange(NODES) + 0.5) / NODES
     slow = np.flatnonzero(spectrum.harmonic == 0)
     order = slow - spectrum.means[spectrum.segment[slow]]
-    waves = (
-        np.cos(np.pi * np.arange(order.max() + 1)[:, None] * middles)
-        * np.where(np.arange(order.max() + 1) == 0, 1.0, np.sqrt(2.0))[:, None]
+    within = _within(np.round(ends - starts, 9), pulses.ravel(), int(order.max()) + 1)
+    beginning = np.exp(1j * np.outer(starts - starts[0], pulses.ravel())) * np.sqrt(observed.counts)[:, None]
+    raw = beginning[spectrum.segment[slow]]
+    raw *= within[spectrum.segment[slow], order]
+    raw /= np.broadcast_to(orders, pulses.shape).ravel()
+    return slow, raw.view(float).reshape(len(slow), *pulses.shape, 2)
+
+
+def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
+    """Coefficients of the cosine transform (S, orders, P) of exp(iωt) from the beginning of segments that last so long, (S,), made once
+    for all that last alike."""
+    middles = (np.arange(NODES) + 0.5) / NODES
+    cosines = (
+        np.cos(np.pi * np.arange(orders)[:, None] * middles)
+        * np.where(np.arange(orders) == 0, 1.0, np.sqrt(2.0))[:, None]
     )
-    values = function(starts[:, None] - starts[0] + (ends - starts)[:, None] * middles)
-    parts = np.einsum("kn,snp->skp", waves / NODES, values) * np.sqrt(observed.counts)[:, None, None]
-    out = np.zeros((len(spectrum.segment), values.shape[-1]), dtype=values.dtype)
-    out[slow] = parts[spectrum.segment[slow], order]
-    return out
+    spans, which = np.unique(lasting_, return_inverse=True)
+    waves_ = np.exp(1j * (spans[:, None, None] * middles[:, None] * pulses))
+    return np.asarray((cosines / NODES @ waves_)[which])
 
 
 def _coordinates(weighing: Weighing) -> dict[str, Array]:
@@ -141,26 +179,31 @@ def _orientations(observed: Observed) -> Array:
     return np.hstack([np.add.reduceat(axis, observed.bounds[:-1], axis=0) / counts for axis in axes])
 
 
-def _levels(names: list[str]) -> Array:
+def _levels(names: Sequence[Hashable]) -> Array:
     """One column for each distinct name, (S, levels)."""
     distinct = list(dict.fromkeys(names))
     return np.array([[float(name == other) for other in distinct] for name in names])
 
 
-def _upward(observed: Observed, segment: int) -> str:
+def _coarse(values: Array) -> tuple[float, ...]:
+    """To a tenth, for telling orientations apart."""
+    return tuple((np.round(values, 1) + 0.0).ravel().tolist())
+
+
+def _upward(observed: Observed, segment: int) -> Hashable:
     """Where gravity lies in the sensor's axes and, at rest, where North does."""
     first = int(observed.bounds[segment])
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)
-    return str([*np.round(observed.force[first] / observed.site.gravity, 1) + 0.0, *np.round(north, 1) + 0.0])
+    return _coarse(observed.force[first] / observed.site.gravity) + _coarse(north)
 
 
-def _state(observed: Observed, segment: int) -> str:
-    """How the table moves, and about which of the sensor's axes."""
+def _state(observed: Observed, segment: int, fast: bool = True) -> str:
+    """How the table moves, with how fast it turns where that is asked, and about which of the sensor's axes."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
-    axis = np.round(observed.table_axis[first], 1) + 0.0
+    axis = _coarse(observed.table_axis[first])
     if isinstance(motion, Spin):
-        return f"{motion.rate:.6g} about {axis}"
+        return f"{motion.rate:.6g} about {axis}" if fast else f"turning about {axis}"
     return f"rocking about {axis}" if isinstance(motion, Rock) else "at rest"
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.confusability import matrix
-from planrunner.gap.evidence import best_amplitudes
 from planrunner.gap.spectrum import band_edges
 
 Array = NDArray[np.float64]
@@ -36,7 +35,7 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
     """heat: energy per segment and channel in times of the noise; confusability; means before and after; spectra."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
-    amplitudes = None if after is None else best_amplitudes(after.gram[0], after.score[0], after.trace)[0]
+    amplitudes = None if after is None else after.amplitudes[0]
     degrees = np.bincount(spectrum.segment, minlength=segments)
     heat, means = [], {}
     for index, channel in enumerate(observed.channels):

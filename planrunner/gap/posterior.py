@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.effects.interface import Variant
-from planrunner.gap.evidence import averaged, best_amplitudes, from_eigen, pair_log_bayes_factor
+from planrunner.gap.evidence import averaged, from_eigen, pair_log_bayes_factor
 from planrunner.gap.noise_levels import log_densities
 from planrunner.gap.open_set import competitors, unknown
 
@@ -45,33 +46,30 @@ def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[C
     nothing = np.zeros(len(weighing.base))
     levels = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
     acting = {effect.noise: str(effect.id) for effect in effects if effect.stage == "covariance"}
-    walk, others = acting.pop("random walk", None), {name: level for level, name in acting.items()}
+    walk = acting.pop("random walk", "")
+    others = {name: level for level, name in acting.items()}
     start = weighing.evidence(nothing) + levels["declared"]
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
     found: dict[str, float] = {}
-    for name, log_bayes in alone.items():
-        plain = weighing.evidence(log_bayes)
-        _put(found, (name,), plain + levels["declared"] - start)
-        for other, level in others.items():
-            _put(found, (name, other), plain + levels[level] - start)
-        if walk is not None and np.isfinite(weighing.log_prior[1]).any():
-            _put(found, (name, walk), weighing.evidence(log_bayes, True) + levels["declared"] - start)
+    walks = (False, True) if walk and np.isfinite(weighing.log_prior[1]).any() else (False,)
+    for (name, log_bayes), walking in product(alone.items(), walks):
+        value = weighing.evidence(log_bayes, walking) - start
+        for other, level in {"": "declared", **others}.items():
+            present = [part for part in (name, walk if walking else "", other) if part]
+            if len(present) < 3:
+                found["+".join(sorted(present)) or "none"] = value + levels[level]
     together, weighed = _pairs(weighing, candidates)
     found |= {key: value + levels["declared"] - start for key, value in together.items()}
     kinds = competitors(weighing)
     found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
     plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.log_bayes.items()}
-    return Posterior(_normalised(found, len(effects)), found, weighed, plainly, kinds.by_channel)
+    return Posterior(_normalised(found), found, weighed, plainly, kinds.by_channel)
 
 
-def _put(found: dict[str, float], names: tuple[str, ...], value: float) -> None:
-    present = sorted(name for name in names if name)
-    found["+".join(present) or "none"] = value
-
-
-def _normalised(log_evidence: dict[str, float], effects: int) -> dict[str, float]:
-    """Priors shared evenly by all effects and all pairs of what is installed, those included that cannot act here."""
-    shares = {"single": PRIORS["single"] / effects, "pair": PRIORS["pair"] / (effects * (effects - 1) / 2)}
+def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:
+    """Priors shared evenly by all effects that can act here, and by all pairs of these: one that this plan cannot show is none here."""
+    acting = sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
+    shares = {"single": PRIORS["single"] / max(acting, 1), "pair": PRIORS["pair"] / max(acting * (acting - 1) / 2, 1)}
     logs = {}
     for name, value in log_evidence.items():
         kind = name if name in PRIORS else ("pair" if "+" in name else "single")
@@ -92,10 +90,7 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     quick: dict[str, tuple[float, Weighed, Weighed, float]] = {}
     for first in ranked:
         a = first.best
-        for second in usable:
-            if second.id == first.id:
-                continue
-            b, value = _given(a, second)
+        for second, (b, value) in _given(a, [other for other in usable if other.id != first.id]):
             cost = first.shape_cost + second.shape_cost
             value += float(a.log_bayes[0]) + cost
             key = pair_key(first.id, second.id)
@@ -106,7 +101,9 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     best: dict[str, Weighed] = {}
     for key in sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]:
         _, a, b, cost = quick[key]
-        (both,) = weighing.weigh([Variant(a.variant.columns + b.variant.columns)])
+        own = a.variant.columns, b.variant.columns
+        raw = [np.hstack(blocks) for blocks in zip(a.raw, b.raw, strict=True)]
+        (both,) = weighing.weigh([Variant(own[0] + own[1], widths=(len(own[0]), len(own[1])))], raw)
         log_bayes = np.full(len(weighing.base), -np.inf)
         for g in np.flatnonzero(np.isfinite(weighing.log_prior[0])):
             log_bayes[g] = pair_log_bayes_factor(
@@ -116,16 +113,25 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
     return found, best
 
 
-def _given(a: Weighed, second: Candidate) -> tuple[Weighed, float]:
-    """The form of an effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
-    mean, covariance = best_amplitudes(a.gram[0], a.score[0], a.trace)
-    cross = second.across(a)
-    grams = np.array([item.gram[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
-    scores = np.array([item.score[0] for item in second.variants]) - np.swapaxes(cross, 1, 2) @ mean
-    values, vectors = np.linalg.eigh(grams)
-    along = np.einsum("vji,vj->vi", vectors, scores) ** 2
-    traces = np.array([item.trace for item in second.variants])[:, None]
-    # every variant's energies are in units of its own trace
-    added = averaged(from_eigen(np.maximum(values, 0.0) / traces, along / traces, 1.0))
-    best = int(np.argmax(added))
-    return second.variants[best], float(added[best])
+def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[Weighed, float]]]:
+    """The form of each effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
+    if not others:
+        return
+    mean, covariance = a.amplitudes
+    forms = [len(other.variants) for other in others]
+    size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
+    along, last = np.zeros_like(size), 0
+    for other, count in zip(others, forms, strict=True):
+        cross = other.across(a)
+        grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
+        scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
+        values, vectors = np.linalg.eigh(grams)
+        # every variant's energies are in units of its own trace
+        traces = np.array([item.trace for item in other.variants])[:, None]
+        part = slice(last, last := last + count), slice(values.shape[1])
+        size[part] = np.maximum(values, 0.0) / traces
+        along[part] = np.einsum("vji,vj->vi", vectors, scores) ** 2 / traces
+    added = averaged(from_eigen(size, along, 1.0))
+    for other, values in zip(others, np.split(added, np.cumsum(forms)[:-1]), strict=True):
+        best = int(np.argmax(values))
+        yield other, (other.variants[best], float(values[best]))

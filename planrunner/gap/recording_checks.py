@@ -14,6 +14,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.gap.observed import Observed, measures_motion
 from planrunner.instruments.models import SensorModel
 from planrunner.plan.findings import Findings, Mark
+from planrunner.plan.schedule import Rest
 from planrunner.plan.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -27,8 +28,10 @@ PRESENT = 0.9
 STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
 """A plan moves a channel when its stimulus scatters by more than this over the segments (rad/s, m/s²): only there can a misfit be seen."""
 MISFIT = 0.5
-"""The nominal model does not fit at all where it leaves more than this share of what the plan put in."""
-
+"""The nominal model does not fit at all where it leaves more than this share of what the plan put in, or fits by a matrix that is farther
+than this from identity: no sensor's scale factors and misalignments are."""
+OTHER_NOISE = 5.0
+"""Noise so many times larger or smaller than declared is a wrong figure or a broken channel, and no matter of evidence."""
 
 POSE_PARAMETERS = 9
 """Three biases, scale factors and non-orthogonalities: all that |f| = g can tell."""
@@ -56,6 +59,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
     if observed.along is not None:
         _check_poses(observed, mark, log)
         return
+    _check_noise(observed, mark, log)
     for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
         channels = observed.of_kind(kind)
         if not channels:
@@ -67,7 +71,9 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
             message = f"{len(observed)} segments leave nothing to hold out beside {rank} nominal parameters a channel of {word}"
             log.warning("gap-no-held-out", mark, message, "add segments in other states: no closure can be given")
         means = _means(observed, observed.values[:, channels])
-        left = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
+        fitted = np.linalg.lstsq(design, means, rcond=None)[0]
+        left = means - design @ fitted
+        told = rank == design.shape[1] and float(stimulus.std(axis=0).min()) > STIRRED[kind]
         for column, index in enumerate(channels):
             channel = observed.channels[index]
             put_in = float(stimulus[:, channel.axis].std())
@@ -75,8 +81,34 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
             if put_in > STIRRED[kind] and share > MISFIT:
                 left_over = f"fitted bias, scale and misalignments leave {share:.0%} of what was put in"
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
-                hint = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
-                log.error("gap-nominal-misfit", mark, message, hint)
+                log.error("gap-nominal-misfit", mark, message, _LOOK)
+            elif told and float(np.abs(fitted[:3, column] - np.eye(3)[channel.axis]).max()) > MISFIT:
+                reads = ", ".join(
+                    f"{value:.3g} of {axis}" for axis, value in zip("xyz", fitted[:3, column], strict=True)
+                )
+                message = f"'{channel.name}' does not follow the plan: of the {word} put in it reads {reads}"
+                log.error("gap-nominal-misfit", mark, message, _LOOK)
+
+
+_LOOK = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
+
+
+def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Whether channels at rest scatter about as much as declared, from sample to sample."""
+    still = [s for s, motion in enumerate(observed.motions) if isinstance(motion, Rest)]
+    if not still:
+        return
+    root = np.sqrt(observed.bin_size[still] / 2)
+    parts = [np.diff(observed.values[observed.segments()[s]], axis=0).std(axis=0) for s in still]
+    seen = np.median(np.array(parts) * root[:, None], axis=0)
+    for channel, sigma in zip(observed.channels, seen, strict=True):
+        declared = channel.white * np.sqrt(observed.sample_rate)
+        smallest = max(declared / OTHER_NOISE, channel.resolution)
+        if declared > 0 and (sigma > OTHER_NOISE * max(declared, channel.resolution) or sigma < smallest < declared):
+            noise = f"{sigma / channel.factor:.3g} {channel.unit} from sample to sample"
+            message = f"'{channel.name}' scatters at rest by {noise}, declared are {declared / channel.factor:.3g}"
+            hint = "correct the noise in the bench file: the gap is weighed against it; or look at the sensor"
+            log.warning("gap-noise", mark, message, hint)
 
 
 def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from planrunner.gap.candidates import Candidate, Weighed, Weighing, nominal_columns, simulated
 from planrunner.gap.discrimination import Rival
 from planrunner.gap.effects.interface import Column, Shaped, Variant
-from planrunner.gap.evidence import best_amplitudes
 from planrunner.gap.observed import Observed
 from planrunner.gap.posterior import Posterior
 
@@ -111,7 +110,7 @@ def _within(pair: Variant, candidate: Candidate) -> tuple[Weighed, slice] | None
 
 def _size(weighed: Weighed, columns: slice) -> float:
     """Mean square of the amplitudes after the recording."""
-    mean, covariance = best_amplitudes(weighed.gram[0], weighed.score[0], weighed.trace)
+    mean, covariance = weighed.amplitudes
     return float(np.mean(mean[columns] ** 2 + np.diag(covariance)[columns]))
 
 
@@ -173,7 +172,7 @@ class Layout:
         for channel, weights in enumerate(weighing.weights):
             table = np.zeros((len(weighing.spectrum.segment), size))
             own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]
-            table[:, own] = weighing.nominal[channel]
+            table[:, own] = weighing.whole[channel]
             for part, names, start in zip(self.parts, self.names, starts[1:], strict=False):
                 known = [column.name for column in part.weighed.variant.columns]
                 table[:, [start + names.index(name) for name in known]] = part.weighed.raw[channel]
@@ -186,7 +185,7 @@ class Layout:
 def _fitted(weighing: Weighing) -> tuple[float, ...]:
     """The nominal parameters that fit the recording best by themselves, in magnitudes."""
     values = np.zeros(len(weighing.nominal_columns))
-    for channel, nominal in enumerate(weighing.nominal):
+    for channel, nominal in enumerate(weighing.whole):
         own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]
         size = np.linalg.norm(nominal, axis=0) + 1e-300
         values[own] = np.linalg.lstsq(nominal / size, weighing.spectrum.values[:, channel], rcond=None)[0] / size

@@ -7,6 +7,7 @@ covariance q²·min(t, t'). Both are averaged over the segments in closed form.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,18 @@ def random_walk(starts: Array, ends: Array) -> Array:
     covariance = np.minimum(middles[:, None], middles[None, :])
     np.fill_diagonal(covariance, begin + (ends - starts) / 3)
     return covariance
+
+
+@dataclass(frozen=True)
+class SlowMeans:
+    """Covariances (S, S) of the segments' means, of flicker and of a random walk at unit level."""
+
+    flicker: Array
+    random_walk: Array
+
+    @classmethod
+    def of(cls, starts: Array, ends: Array) -> SlowMeans:
+        return cls(flicker(starts, ends), random_walk(starts, ends))
 
 
 def flicker_spectrum(frequency: Array) -> Array:

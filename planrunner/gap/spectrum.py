@@ -9,6 +9,8 @@ replaced by the fit, and counted: one spike would spread over all coefficients.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,15 +54,33 @@ class Spectrum:
     remainder: Array
     spikes: NDArray[np.int64]
 
-    def project(self, observed: Observed, columns: Array) -> Array:
-        """The coefficients (M, P) of columns of samples (N, P)."""
-        parts = zip(self.bases, observed.segments(), strict=True)
-        roots = _roots(observed)
-        if roots is not None:
-            return np.concatenate(
-                [basis.vectors.T @ columns[part] * r for (basis, part), r in zip(parts, roots, strict=True)]
-            )
-        return np.concatenate([basis.vectors.T @ columns[part] for basis, part in parts])
+    def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
+        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments in which they are asked for, all without it."""
+        made, roots = [], _roots(observed)
+        if acting is None or acting.all():
+            made = [
+                (vectors @ columns[part].reshape(-1, vectors.shape[-1], columns.shape[1])).reshape(-1, columns.shape[1])
+                for vectors, part in self.runs
+            ]
+        else:
+            for basis, part, acts in zip(self.bases, observed.segments(), acting, strict=True):
+                vectors = basis.vectors.T
+                made.append(vectors @ columns[part] if acts else np.zeros((len(vectors), columns.shape[1])))
+        coefficients = np.concatenate(made)
+        return coefficients if roots is None else coefficients * roots[self.segment, None]
+
+    @cached_property
+    def runs(self) -> list[tuple[Array, slice]]:
+        """Consecutive segments with bases of one shape: these, (k, m, n) or one for all, (m, n), and the segments' samples."""
+        found, first = [], 0
+        for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
+            bases = list(run)
+            last = first + len(bases) * len(bases[0].vectors)
+            same = all(basis is bases[0] for basis in bases)
+            vectors = bases[0].vectors.T if same else np.array([basis.vectors.T for basis in bases])
+            found.append((vectors, slice(first, last)))
+            first = last
+        return found
 
 
 def basis_of(observed: Observed, index: int) -> Basis:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.confusability import ALIKE, DISCRIMINABLE, energy, fitted, reproduced
+from planrunner.gap.confusability import ALIKE, DISCRIMINABLE, beside, energy, fitted, reproduced
 from planrunner.gap.posterior import Posterior, pair_key
 from planrunner.gap.remainder import RESIDUE, STRONG, as_probable, leading
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
@@ -16,6 +16,7 @@ from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 RIVAL = 0.02  # of the first's probability: less likely members of a class are left out, the data have excluded them
 COVERED = 0.95
+ELSEWHERE = 0.5  # share of an effect's energy beside another from which on it is no residue of that one's form
 SOMETHING_ELSE = (
     0.90  # the probability of unknown from which on a recording is said to hold what the catalogue does not
 )
@@ -114,8 +115,8 @@ def _rival_pairs(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
-    """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ; terms of a
-    nominal model are exact and leave no residue."""
+    """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ, unless it
+    does so in channels on which the first does not act; terms of a nominal model are exact and leave no residue."""
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
     if not first or first in NOMINAL_TERMS:
@@ -123,5 +124,7 @@ def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tup
     both = 2 * found.log_evidence[pair]
     other = next(name for name in pair.split("+") if name != first)
     alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
-    strong = alone > STRONG
-    return (first, other) if strong and alone > (1 - RESIDUE) * both else (first, None)
+    small = alone > STRONG and alone > (1 - RESIDUE) * both
+    if small and pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE:
+        return first, None
+    return (first, other) if small else (first, None)

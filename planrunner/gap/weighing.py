@@ -8,7 +8,7 @@ is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class Setting:
     prior: float
 
 
-def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, ...]:
+def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
     """The settings of a triad: walks for gyros only, factors of the flicker where one is declared."""
     members = observed.of_kind(kind)
     if not members:
@@ -46,7 +46,7 @@ def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, .
         factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
     walks = [0.0]
     if kind == "gyro" and len(observed) > 2:
-        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, c, float(white[c])) for c in members)))
+        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, slow, c, float(white[c])) for c in members)))
     return tuple(
         Setting(factor, float(walk), prior * (1.0 if walk == 0 else float(np.log(WALKS[1] / WALKS[0])) / RANGE))
         for walk in walks
@@ -54,15 +54,12 @@ def settings_of(observed: Observed, white: Array, kind: str) -> tuple[Setting, .
     )
 
 
-def _walk_energy(observed: Observed, channel: int, white: float) -> float:
+def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
     """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
     constant."""
-    starts, ends = lasting(observed)
-    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow_noise.flicker(
-        starts, ends
-    )
+    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
-    walk = inverse @ slow_noise.random_walk(starts, ends) @ inverse.T
+    walk = inverse @ slow.random_walk @ inverse.T
     constant = inverse.sum(1)
     return float(np.trace(walk) - constant @ walk @ constant / (constant @ constant))
 
@@ -108,14 +105,21 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
 class ChannelWeights:
     """One channel under one setting: `whiten` takes coefficients (M, …) to unit noise, `project` also frees them of the nominal parameters.
 
-    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns.
+    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the
+    coefficients that are whitened one by one: all of them where there is no slow noise, else those above order 0.
     """
 
     def __init__(
-        self, observed: Observed, spectrum: Spectrum, channel: int, white: float, setting: Setting, nominal: Array
+        self,
+        observed: Observed,
+        slow: slow_noise.SlowMeans,
+        spectrum: Spectrum,
+        channel: int,
+        white: float,
+        setting: Setting,
+        nominal: Array,
     ):
         declared = observed.channels[channel]
-        starts, ends = lasting(observed)
         counts = observed.counts.astype(float)
         undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
         covariance = np.diag(white**2 / counts + undithered)
@@ -124,24 +128,31 @@ class ChannelWeights:
         within = spectrum.frequency > 0
         half = observed.sample_rate / 2
         if level > 0:
-            covariance += level**2 * slow_noise.flicker(starts, ends)
+            covariance += level**2 * slow.flicker
             tail[within] += level**2 * half * slow_noise.flicker_spectrum(spectrum.frequency[within])
         if setting.walk > 0:
-            covariance += setting.walk**2 * slow_noise.random_walk(starts, ends)
+            covariance += setting.walk**2 * slow.random_walk
             tail[within] += setting.walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
         self.setting = setting
         self._covariance = covariance
         self._segment = spectrum.segment
         self._means = spectrum.means
+        self._order_0 = spectrum.frequency == 0
         self._root = np.sqrt(counts)
-        factor = np.linalg.cholesky(covariance)
-        self._inverse = np.linalg.inv(factor)
-        self._scale = 1 / np.sqrt(white**2 + tail)
-        self._scale[self._means] = 1.0
+        self.scale = 1 / np.sqrt(white**2 + tail)
+        self._inverse: Array | None = None
+        if level > 0 or setting.walk > 0:
+            factor = np.linalg.cholesky(covariance)
+            self._inverse = np.linalg.inv(factor)
+            self.scale[self._means] = 1.0
+            log_det = 2 * float(np.log(np.diag(factor)).sum())
+        else:
+            self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
+            log_det = -2 * float(np.log(self._root).sum())
         whitened = self.whiten(nominal)
         self.basis: Array
         self.basis, upper = np.linalg.qr(whitened) if nominal.shape[1] else (whitened, np.zeros((0, 0)))
-        log_det = 2 * float(np.log(np.diag(factor)).sum()) - 2 * float(np.log(self._scale).sum())
+        log_det -= 2 * float(np.log(self.scale).sum())
         log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
         self.residual = self.project(spectrum.values[:, [channel]])[:, 0]
         self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
@@ -149,7 +160,7 @@ class ChannelWeights:
     def covariance(self, rows: NDArray[np.bool_]) -> Array:
         """Covariance of the coefficients in some rows (M,), SI²·samples."""
         chosen = np.flatnonzero(rows)
-        out = np.diag(1 / self._scale[chosen] ** 2)
+        out = np.diag(1 / self.scale[chosen] ** 2)
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
         out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
@@ -163,7 +174,7 @@ class ChannelWeights:
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
         inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
-        scale = self._scale[chosen]
+        scale = self.scale[chosen]
 
         def whiten(columns: Array) -> Array:
             out = (columns.T * scale).T
@@ -173,9 +184,21 @@ class ChannelWeights:
         return whiten
 
     def whiten(self, columns: Array) -> Array:
-        out = columns * self._scale[:, None]
-        out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
+        out = columns * self.scale[:, None]
+        if self._inverse is not None:
+            out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
         return out
+
+    def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+        """Columns (n, P) in some rows (n,) of the coefficients, zero in all others: the rows that they act on once they are whitened, and
+        they there. Means are whitened jointly: each acts on all that follow."""
+        own = self._order_0[rows]
+        if self._inverse is None or not own.any():
+            return rows, columns * self.scale[rows, None]
+        owners = self._segment[rows[own]]
+        means = self._inverse[:, owners] @ (columns[own] / self._root[owners, None])
+        others = rows[~own]
+        return np.concatenate([self._means, others]), np.concatenate([means, columns[~own] * self.scale[others, None]])
 
     def project(self, columns: Array) -> Array:
         whitened = self.whiten(columns)
@@ -184,17 +207,31 @@ class ChannelWeights:
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
     """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
-    projected: dict[tuple[int, tuple[int, ...]], Array] = {}
-    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
-        here = 1.0 if column.segments is None else column.segments[spectrum.segment]
         for channel, part in column.parts.items():
             table, place = _table(part)
-            key = table.__array_interface__["data"][0], table.strides
-            if key not in projected:
-                projected[key] = spectrum.project(observed, table)
-            out[channel][:, index] = projected[key][:, place] * (column.magnitude * here)
+            shared = found.setdefault((table.__array_interface__["data"][0], table.strides), _Shared(table))
+            shared.places.append((index, channel, place))
+            shared.acting = shared.acting | (True if column.segments is None else column.segments)
+    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    for shared in found.values():
+        projected = spectrum.project(observed, shared.table, np.broadcast_to(shared.acting, len(observed)))
+        for index, channel, place in shared.places:
+            column = columns[index]
+            here = 1.0 if column.segments is None else column.segments[spectrum.segment]
+            out[channel][:, index] = projected[:, place] * (column.magnitude * here)
     return out
+
+
+@dataclass
+class _Shared:
+    """A table of samples (N, P) that columns are made of. places: index of a column, its channel, and which of the table it is; acting:
+    segments in which any of them acts."""
+
+    table: Array
+    places: list[tuple[int, int, int]] = field(default_factory=list)
+    acting: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
 
 def _table(part: Array) -> tuple[Array, int]:

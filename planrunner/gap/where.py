@@ -57,14 +57,15 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
     A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns that live
     under it. A factor with many levels pays for them there. What else a factor shows, level by level, follows by its score.
     """
-    evidence = _by_factor(weighing, kinds)
+    outside = _outside(weighing, kinds)
+    evidence = _by_factor(outside[1], kinds)
     listed = list(levels(weighing))
     found = []
     for c, channel in enumerate(weighing.observed.channels):
         for factor, values in evidence.items():
             own = [(score, place) for place, score in listed if (place.channel, place.factor) == (channel.name, factor)]
             own.sort(key=lambda item: -item[0])
-            if factor == "band" and np.argmax(_outside(weighing, kinds)[:, c]) > 0:
+            if factor == "band" and np.argmax(outside[:, c]) > 0:
                 own.insert(0, (0.0, _of_noise(weighing, c, float(values[c]), len(listed))))
             found += [
                 (float(values[c]) if rank == 0 else -np.inf, score, place) for rank, (score, place) in enumerate(own)
@@ -72,9 +73,9 @@ def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
     return [place for *_, place in sorted(found, key=lambda item: (-item[0], -item[1]))]
 
 
-def _by_factor(weighing: Weighing, kinds: Mapping[str, Array]) -> dict[str, Array]:
-    """log BF (K,) of each factor."""
-    sorted_: dict[str, list[Array]] = {"band": [_outside(weighing, kinds)[1]]}
+def _by_factor(noisier: Array, kinds: Mapping[str, Array]) -> dict[str, Array]:
+    """log BF (K,) of each factor. noisier: (K,), of more white noise than declared."""
+    sorted_: dict[str, list[Array]] = {"band": [noisier]}
     for name, values in kinds.items():
         sorted_.setdefault(factor_of(name), []).append(values)
     return {factor: log_mean_exp(np.array(values), 0) for factor, values in sorted_.items()}
@@ -112,8 +113,8 @@ def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)
     data = np.array([weights[0].residual for weights in weighing.weights])
-    squares = _replicates(weighing)
-    energy, noise = masks @ (data**2).T, masks @ np.swapaxes(squares, 1, 2)
+    energy, noise = masks @ (data**2).T, np.stack([masks @ squares for squares in _replicates(weighing)], axis=1).T
+    noise = np.swapaxes(noise, 1, 2)
     mean, spread = noise.mean(0), noise.std(0) + 1e-12
     score = (energy - mean) / spread
     highest = ((noise - mean) / spread).reshape(len(noise), -1).max(1)
@@ -125,16 +126,14 @@ def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
             yield Place(name, factor, level, float(excess[row, c] / total), float(p)), float(score[row, c])
 
 
-def _replicates(weighing: Weighing) -> Array:
-    """Squared residuals of pure noise, (replicates, K, M), projected like the data."""
+def _replicates(weighing: Weighing) -> Iterator[Array]:
+    """By channel, squared residuals of pure noise, (M, replicates), projected like the data."""
     draw = np.random.default_rng(SEED)
     rows = len(weighing.spectrum.segment)
-    out = np.empty((REPLICATES, len(weighing.weights), rows))
-    for c, weights in enumerate(weighing.weights):
-        noise = draw.standard_normal((rows, REPLICATES))
-        basis = weights[0].basis
-        out[:, c] = ((noise - basis @ (basis.T @ noise)) ** 2).T
-    return out
+    for weights in weighing.weights:
+        noise, basis = draw.standard_normal((rows, REPLICATES)), weights[0].basis
+        noise -= basis @ (basis.T @ noise)
+        yield np.square(noise, out=noise)
 
 
 def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
@@ -145,8 +144,7 @@ def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
     middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
     orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
     rates = np.degrees(observed.rate[middles])
-    moving = np.array([bool(np.any(observed.acceleration[part])) for part in observed.segments()])
-    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(moving, rates, strict=True)]
+    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(observed.unsteady, rates, strict=True)]
     factors = {"orientation": orientations, "rate": motion}
     for name, values, unit in (
         ("temperature", observed.temperature[middles], "degC"),

@@ -1,4 +1,4 @@
-"""`python -m tests.blind make|answer|score FOLDER`: the blind campaign."""
+"""`python -m tests.blind make|answer|score FOLDER`: the blind campaign; `ceiling`: what nobody could surpass in it."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     score = commands.add_parser("score", help="verify the commitments and score all answers")
     score.add_argument("--json", type=Path, help="write the figures to this file")
+    ceiling = commands.add_parser("ceiling", help="what an answerer reaches that knows all but the draw")
+    ceiling.add_argument("count", type=int)
+    ceiling.add_argument("--seed", type=int, required=True)
     for command in (make, answer, score):
         command.add_argument("folder", type=Path)
     for command in (make, answer):
@@ -46,6 +49,10 @@ def main(argv: list[str] | None = None) -> int:
         elif given.command == "answer":
             for name in given.by or ["planrunner"]:
                 campaign.answer_all(given.folder, name, given.jobs, given.scheduler, _tell)
+        elif given.command == "ceiling":
+            from tests.blind.ceiling import told
+
+            print(told(given.count, given.seed), end="")
         else:
             from tests.blind import report
 

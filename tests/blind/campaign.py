@@ -21,6 +21,7 @@ Answerer = Callable[[store.Shown], dict[str, Any]]
 
 ANSWERERS = {
     "planrunner": "tests.blind.product:diagnose",
+    "closure": "tests.blind.product:closure_and_truth",
     "oracle": "tests.blind.oracle:diagnose",
     "stepwise-bic": "tests.blind.baselines:stepwise_bic",
     "whitened-bic": "tests.blind.baselines:whitened_bic",

@@ -221,14 +221,25 @@ def make(seed: int, number: int, kind: str | None = None) -> Case:
     return draw(f"case-{number:05d}", plan, sensor_name, kind or assigned_kind, _stream(seed, number, 1))
 
 
+def _surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[Array, Device]:
+    """By what the noise of each triad is larger than declared, and the device."""
+    wrong = rng.random() < WRONG_NOISE
+    factors = np.exp(rng.uniform(-np.log(2), np.log(2), len(sensor.triads)) * wrong)
+    return factors, random_device(sensor, rng)
+
+
+def device_of(seed: int, number: int) -> Device:
+    """The device of a case that was made before."""
+    return _surroundings(SENSORS[assigned(seed, number)[1]], _stream(seed, number, 1))[1]
+
+
 def draw(name: str, plan: str, sensor_name: str, kind: str, rng: np.random.Generator) -> Case:
     """A case of the given composition under the given plan and sensor type."""
     around, sensor = signatures(plan, sensor_name), SENSORS[sensor_name]
-    wrong = rng.random() < WRONG_NOISE
-    factors = np.exp(rng.uniform(-np.log(2), np.log(2), len(sensor.triads)) * wrong)
-    metric = Metric(around.schedule, sensor, tuple(factors)) if wrong else around.metric
+    factors, device = _surroundings(sensor, rng)
+    metric = Metric(around.schedule, sensor, tuple(factors)) if (factors != 1).any() else around.metric
     sigma = sensor.sigma() * np.repeat(factors, 3)
-    work = Work(around, metric, random_device(sensor, rng), sigma)
+    work = Work(around, metric, device, sigma)
     faults = _effects(kind, work, rng)
     spiked = rng.random() < WITH_OUTLIERS
     columns = simulate(work, faults, np.repeat(factors, 3), spiked, rng)

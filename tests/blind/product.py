@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +13,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
+from planrunner.gap.closure import predictions
 from planrunner.gap.diagnosis import diagnose as diagnosed
 from planrunner.gap.observed import Observed, observed
 from planrunner.instruments.interfaces import Block
@@ -23,9 +25,10 @@ from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from planrunner.proposing import Frame, propose_next
 from tests.blind.folder import Shown
-from tests.blind.generator import channel_names
-from tests.blind.motion import WORDS
+from tests.blind.generator import channel_names, device_of
+from tests.blind.motion import WORDS, Fault
 from tests.blind.plans import Segment as Row
+from tests.blind.signatures import change
 
 ZERO_CELSIUS = 273.15
 _WORD = {vector: word for word, vector in WORDS.items()}
@@ -111,6 +114,26 @@ def diagnose(shown: Shown) -> dict[str, Any]:
     answer = diagnosed(observation(shown)).to_json()
     answer.pop("pictures", None)
     return answer
+
+
+def closure_and_truth(shown: Shown) -> dict[str, Any]:
+    """The closure beside the share by which the very predictions it was made with shrink the true gap of the held-out segments, `true`. It
+    opens what is sealed, and answers nothing else."""
+    sealed = shown.folder.parents[1] / "sealed"
+    label = json.loads((sealed / f"{shown.name}.json").read_text(encoding="utf-8"))["label"]
+    device = device_of(int((sealed / "seed").read_text(encoding="utf-8")), int(shown.name.split("-")[1]))
+    faults = [Fault(e["effect"], np.array(e["theta"]), tuple(e["shape"])) for e in label["entries"]]
+    answer = diagnosed(observation(shown))
+    plain = {"closure": answer.to_json()["closure"]}
+    if answer.closure.resolvable:
+        weighing = answer.grounds.weighing
+        factors = [channel.factor for channel in weighing.observed.channels]
+        changed = change(shown.schedule, shown.sensor, device, faults) * factors
+        gap, difference = predictions(
+            weighing, answer.grounds.choices, weighing.spectrum.project(weighing.observed, changed)
+        )
+        plain["closure"]["true"] = float(1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap))
+    return plain
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 from tests.blind import folder as store
 from tests.blind.effects import SHOWS_UNDER
-from tests.blind.scoring import Rate, closure_against, plain, score
+from tests.blind.scoring import Rate, closure_against, closure_held_out, plain, score
 
 ORDER = ("planrunner", "oracle", "whitened-bic", "stepwise-bic", "lasso", "stlsq")
 
@@ -24,7 +24,10 @@ def scored(folder: Path, file: Path | None = None) -> str:
     if not whose:
         raise ValueError(f"nothing in {folder} is answered yet: python -m tests.blind answer {folder}")
     answers = {who: store.answers(folder, who) for who in whose}
-    figures = {who: score(labels, given, SHOWS_UNDER) for who, given in answers.items()}
+    figures = {who: score(labels, given, SHOWS_UNDER) for who, given in answers.items() if who != "closure"}
+    held_out = answers.pop("closure", None)
+    if held_out is not None and (own := figures.get("planrunner")) is not None:
+        own["closure on segments held out"] = closure_held_out(labels, held_out)
     if "oracle" in answers:
         for who, given in answers.items():
             figures[who]["closure against the oracle's"] = closure_against(labels, given, answers["oracle"])

@@ -17,7 +17,7 @@ import numpy as np
 
 UNKNOWN = "unknown"
 BANDS = {"20-65 (36)": (20.0, 65.0), "80-260 (144)": (80.0, 260.0), ">= 900": (900.0, np.inf), ">= 36": (36.0, np.inf)}
-STRONG = 144.0
+STRONG, WEAK = 144.0, 36.0
 BINS = 15  # of confidence, equally wide
 SEED = 5
 
@@ -146,6 +146,18 @@ class Scored:
         return (1 - truth) ** 2 + sum(p**2 for key, p in self.posterior.items() if not self.key_is_true(key))
 
     @property
+    def announced_brier(self) -> float:
+        """(p − y)² of what is announced alone: the probability that the calibration is about."""
+        return (self.confidence - self.right) ** 2
+
+    @property
+    def size(self) -> int:
+        """Hypotheses in the 95 % set, those that are the truth at class level counting as one."""
+        names = self.answer.get("ambiguity_set") or []
+        true = sum(self.key_is_true(key) for key in names)
+        return len(names) - max(true - 1, 0)
+
+    @property
     def covered(self) -> bool:
         return any(self.key_is_true(key) for key in self.answer.get("ambiguity_set") or [])
 
@@ -245,11 +257,24 @@ def _probabilities(cases: Sequence[Scored]) -> dict[str, Any]:
     """Calibration, Brier score and coverage of those that answer with probabilities."""
     if not cases:
         return {"calibration": None}
-    sizes = [len(c.answer.get("ambiguity_set") or []) for c in cases]
     return {
         "calibration": calibration([c.confidence for c in cases], [c.right for c in cases]),
-        "brier": float(np.mean([c.brier for c in cases])),
-        "95 % set": {"coverage": rate(c.covered for c in cases), "mean size": float(np.mean(sizes))},
+        "brier": {**_by_strength(cases, "brier"), "of what is announced": _mean(cases, "announced_brier")},
+        "95 % set": {"coverage": rate(c.covered for c in cases), "mean size": _by_strength(cases, "size")},
+    }
+
+
+def _mean(cases: Sequence[Scored], what: str) -> float | None:
+    return float(np.mean([getattr(c, what) for c in cases])) if cases else None
+
+
+def _by_strength(cases: Sequence[Scored], what: str) -> dict[str, float | None]:
+    """The groups of `tests.blind.ceiling`."""
+    return {
+        "all": _mean(cases, what),
+        "none": _mean([c for c in cases if c.kind == "none"], what),
+        "weakest below 36": _mean([c for c in cases if c.kind != "none" and c.weakest < WEAK], what),
+        "the rest": _mean([c for c in cases if c.kind != "none" and c.weakest >= WEAK], what),
     }
 
 
@@ -276,6 +301,19 @@ def closure_against(
         "ratio": {band: _spread(values) for band, values in ratios.items()},
         "interval holds the oracle's": rate(held),
         "not resolvable": rate(unresolved),
+    }
+
+
+def closure_held_out(labels: Mapping[str, Mapping], answers: Mapping[str, Mapping]) -> dict[str, Any]:
+    """How often the 90 % interval holds the share by which its own predictions shrink the true gap of the held-out segments, where the
+    weakest effect has λ of 36 or more, and how far the two are apart."""
+    cases = [Scored(labels[name], answers[name]) for name in sorted(labels.keys() & answers.keys())]
+    said = [c.answer["closure"] for c in cases if c.kind in ("single", "pair") and c.weakest >= 36 and not c.failed]
+    resolved = [closure for closure in said if closure["resolvable"]]
+    return {
+        "interval holds the truth": rate(c["interval_90"][0] <= c["true"] <= c["interval_90"][1] for c in resolved),
+        "said less true": _spread([abs(c["shrinks_by"] - c["true"]) for c in resolved]),
+        "not resolvable": rate(not closure["resolvable"] for closure in said),
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.blind.report import table
-from tests.blind.scoring import Rate, Scored, calibration, closure_against, plain, rate, score
+from tests.blind.scoring import Rate, Scored, calibration, closure_against, closure_held_out, plain, rate, score
 
 FACTORS = {"table_tilt": ("orientation",), "gyro_warm_up": ("time",), "emi_bursts": ("time",), "table_rate_error": ()}
 
@@ -117,6 +117,11 @@ def test_confidence_brier_and_coverage_take_a_class_together() -> None:
     assert case.confidence == pytest.approx(0.9)
     assert case.brier == pytest.approx(0.1**2 + 0.1**2)
     assert case.covered
+    assert case.size == 2
+    assert case.announced_brier == pytest.approx(0.1**2)
+    both = Scored(TILT, said | {"ambiguity_set": ["table_tilt", "table_position_error", "none", "unknown"]})
+    assert both.size == 3
+    assert Scored(FOREIGN, both.answer).size == 4
     assert not Scored(FOREIGN, said).covered
     wrong = Scored(FOREIGN, said)
     assert wrong.confidence == pytest.approx(0.6)
@@ -161,3 +166,24 @@ def test_the_whole_table() -> None:
     text = table(6, {"planrunner": figures})
     assert "false alarm: all" in text and "0.500" in text
     assert plain(figures)["false alarm"]["all"]["n"] == 2
+
+
+def test_closures_are_held_to_the_truth_of_held_out_segments() -> None:
+    def answer(low: float, said: float, high: float, true: float) -> dict:
+        return {
+            "closure": {"resolvable": True, "shrinks_by": said, "interval_90": [low, high], "true": true},
+        }
+
+    entry = {"effect": "table_tilt", "class": ["table_tilt"], "absorbed": False}
+    labels = {n: {"kind": "single", "entries": [{**entry, "lambda": 40.0}]} for n in "abc"}
+    labels["weak"] = {"kind": "single", "entries": [{**entry, "lambda": 35.0}]}
+    answers = {
+        "a": answer(0.5, 0.7, 0.9, 0.6),
+        "b": answer(0.5, 0.7, 0.9, 0.95),
+        "c": {"closure": {"resolvable": False, "shrinks_by": None, "interval_90": None}},
+        "weak": answer(0.5, 0.7, 0.9, 0.0),
+    }
+    found = closure_held_out(labels, answers)
+    assert (found["interval holds the truth"].hits, found["interval holds the truth"].n) == (1, 2)
+    assert (found["not resolvable"].hits, found["not resolvable"].n) == (1, 3)
+    assert found["said less true"]["largest"] == pytest.approx(0.25)

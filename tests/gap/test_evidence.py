@@ -65,7 +65,7 @@ def test_amplitudes_of_strong_evidence_are_least_squares() -> None:
     draw = np.random.default_rng(5)
     X = draw.normal(size=(50, 3)) * 10
     y = X @ [1.0, -2.0, 0.5] + draw.normal(size=50)
-    mean, covariance = best_amplitudes(X.T @ X, X.T @ y, float(np.trace(X.T @ X)))
+    mean, covariance = best_amplitudes(X.T @ X, X.T @ y)
     assert mean == pytest.approx(np.linalg.lstsq(X, y, rcond=None)[0], rel=2e-3)
     assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(X.T @ X))), rel=1e-2)
 
@@ -73,3 +73,16 @@ def test_amplitudes_of_strong_evidence_are_least_squares() -> None:
 def test_log_mean_exp_does_not_overflow() -> None:
     assert log_mean_exp(np.array([1000.0, 1000.0]), 0) == pytest.approx(1000.0)
     assert log_mean_exp(np.array([0.0, -np.inf]), 0) == pytest.approx(-np.log(2))
+
+
+def test_each_effect_of_a_pair_has_a_size_of_its_own() -> None:
+    """One effect is a thousand times stronger for the same amplitude: the other must not be shrunk by its prior."""
+    draw = np.random.default_rng(4)
+    strong, weak = draw.normal(size=(400, 2)) * 30, draw.normal(size=(400, 3))
+    true = np.array([0.02, -0.03, 0.4, -0.5, 0.6])
+    X = np.hstack([strong, weak])
+    y = X @ true + draw.normal(size=400)
+    mean, covariance = best_amplitudes(X.T @ X, X.T @ y, (2, 3))
+    least_squares = np.linalg.lstsq(X, y, rcond=None)[0]
+    assert np.all(np.abs(mean - least_squares) < 0.25 * np.sqrt(np.diag(covariance)))
+    assert np.diag(covariance) == pytest.approx(np.diag(np.linalg.inv(X.T @ X)), rel=0.1)

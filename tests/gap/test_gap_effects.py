@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from planrunner import plugins
 from planrunner.gap.effects.gyro_output import lagged
 from planrunner.gap.effects.interface import Column
-from planrunner.gap.effects.surroundings import delayed
+from planrunner.gap.effects.surroundings import TimeLatency
 from planrunner.gap.observed import Observed
 from tests.gap.turntable import DEG, SITE, G, record
 
@@ -191,5 +191,6 @@ def test_a_lag_of_a_sine_is_the_textbook_response(observed: Observed) -> None:
     tau = 0.03
     ratio = phasor(lagged(observed, tau)[part, axis]) / phasor(observed.omega[part, axis])
     assert ratio == pytest.approx(1 / (1 + 1j * pulse * tau), rel=3e-3)
-    ratio = phasor(delayed(observed, observed.omega, 0.01)[part, axis]) / phasor(observed.omega[part, axis])
+    delayed = observed.omega[part, axis] + TimeLatency().at(observed, 0.01).columns[0].parts[axis][part]
+    ratio = phasor(delayed) / phasor(observed.omega[part, axis])
     assert ratio == pytest.approx(np.exp(-1j * pulse * 0.01), rel=3e-3)

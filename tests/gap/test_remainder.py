@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from planrunner.gap.diagnosis import diagnose
+from planrunner.gap.observed import Observed
 from planrunner.gap.posterior import Posterior
 from planrunner.gap.remainder import as_probable, leading
 from planrunner.gap.verdict import verdict
+from tests.gap.turntable import record
+
+Array = np.ndarray
 
 SIGNATURES = ("gyro_bias", "gyro_scale_factor", "gyro_dead_zone")
 TERMS = {"none": 0.0, "gyro_bias": 9000.0, "gyro_scale_factor": 400.0, "gyro_bias+gyro_scale_factor": 9600.0}
@@ -72,3 +78,13 @@ def test_terms_of_a_nominal_model_leave_no_residue_of_form() -> None:
     found = Posterior({"gyro_bias+gyro_scale_factor": 1.0, "gyro_bias": 0.0, "none": 0.0}, evidence, {}, {}, {})
     said = verdict(None, found, [_Effect("gyro_bias", 9400.0), _Effect("gyro_scale_factor", 300.0)])  # type: ignore[arg-type]
     assert (said.kind, said.effects) == ("pair", ("gyro_bias", "gyro_scale_factor"))
+
+
+def test_a_weak_effect_where_the_strong_one_does_not_act_is_no_residue() -> None:
+    """An asymmetry of the gyros; the accelerometers' biases follow the temperature, with a seventieth of its energy."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+        return 3e-4 * np.abs(omega), np.outer(observed.warmth, [2e-5, -1.4e-5, 1.4e-5])
+
+    said = diagnose(record(seed=12, fault=fault)).verdict
+    assert (said.kind, said.effects, said.residue) == ("pair", ("accel_bias_temperature", "gyro_scale_asymmetry"), None)

@@ -53,7 +53,8 @@ def test_evidence_is_that_of_dense_densities(weighing: Weighing, level: int) -> 
         y = weighing.spectrum.values[:, channel]
         effect = plain + energy[0] / size * column @ column.T
         expected = _log_density(effect, y) - _log_density(plain, y)
-        assert gaussian(np.array([size]), np.array([score**2]), energy / size)[0] == pytest.approx(expected, abs=0.02)
+        found = gaussian(1 + energy, energy / size * score**2 / (1 + energy))
+        assert found == pytest.approx(expected, abs=0.02)
 
 
 def test_the_likelihoods_of_noise_compare_as_dense_densities_do(weighing: Weighing) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,3 +99,19 @@ def felt(observed: Observed) -> tuple[Array, Array]:
     omega, force = back.apply(earth + spin), back.apply([0.0, 0.0, G])
     attitude = observed.attitude[observed.owner]
     return np.einsum("nij,nj->ni", attitude, omega), np.einsum("nij,nj->ni", attitude, force)
+
+
+def kept(observed: Observed, chosen: list[int]) -> Observed:
+    """Some segments of a recording, as if the others had never been."""
+    parts = [observed.segments()[index] for index in chosen]
+    per_sample = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
+    arrays = {name: np.concatenate([getattr(observed, name)[part] for part in parts]) for name in per_sample}
+    return replace(
+        observed,
+        labels=tuple(observed.labels[index] for index in chosen),
+        motions=tuple(observed.motions[index] for index in chosen),
+        attitude=observed.attitude[chosen],
+        bounds=np.concatenate(([0], np.cumsum([part.stop - part.start for part in parts]))),
+        last_change=observed.last_change[chosen],
+        **arrays,
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_stimulus
 from planrunner.gap.observed import Observed
@@ -22,31 +23,16 @@ class GyroBandwidth(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         change = lagged(observed, value) - observed.omega
-        return Variant((Column("share", "1", 1.0, 1.0, on_stimulus(observed, change, None)),), value)
+        parts = on_stimulus(observed, change, None)
+        return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), value)
 
 
 def lagged(observed: Observed, tau: float) -> Array:
-    """The nominal rate (N, 3) behind a first-order lag: the exact response to a ramp from sample to sample, in all moving segments at
-    once."""
-    out = observed.omega.copy()
-    which = [index for index, part in enumerate(observed.segments()) if observed.acceleration[part].any()]
-    moving = [observed.segments()[index] for index in which]
-    step = (observed.bin_size[which] / observed.sample_rate)[:, None]
-    decay = np.exp(-step / tau)
-    share = tau / step * (1 - decay)
-    longest = max(part.stop - part.start for part in moving)
-    rate = np.zeros((longest, len(moving), 3))
-    for place, part in enumerate(moving):
-        rate[: part.stop - part.start, place] = observed.omega[part]
-    driven = (1 - share) * rate
-    driven[1:] += (share - decay) * rate[:-1]
-    late = np.empty_like(rate)
-    late[0] = now = rate[0]
-    for sample in range(1, longest):
-        late[sample] = now = decay * now + driven[sample]
-    for place, part in enumerate(moving):
-        out[part] = late[: part.stop - part.start, place]
-    return out
+    """The nominal rate (N, 3) behind a first-order lag, while the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), p its pulsation, as steady
+    harmonic motion has it."""
+    pulse = observed.pulsation
+    change = -(tau * observed.acceleration + (pulse * tau) ** 2 * observed.rate) / (1 + (pulse * tau) ** 2)
+    return np.asarray(observed.omega + np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis)
 
 
 class GyroDeadZone(Shaped):
@@ -59,7 +45,7 @@ class GyroDeadZone(Shaped):
 
     def at(self, observed: Observed, value: float) -> Variant:
         squares = (value * DEG) ** 2
-        return _changed(observed, lambda y: np.sign(y) * np.sqrt(np.maximum(y**2 - squares, 0.0)), value)
+        return _changed(observed, lambda y: np.copysign(np.sqrt(np.maximum(y**2 - squares, 0.0)), y), value, None)
 
 
 class GyroSaturation(Shaped):
@@ -74,14 +60,35 @@ class GyroSaturation(Shaped):
         return largest / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value)
+        return self._clipped(observed, value, _largest(observed))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        grid = self.grid(observed)
+        largest = _largest(observed) if len(grid) else np.empty(0)
+        return [self._clipped(observed, float(value), largest) for value in grid]
+
+    @staticmethod
+    def _clipped(observed: Observed, value: float, largest: Array) -> Variant:
+        return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value, largest > value * DEG)
 
 
-def _changed(observed: Observed, output: Callable[[Array], Array], shape: float) -> Variant:
-    """A function of the gyros' nominal output, as what it adds."""
-    nominal = observed.nominal_output
-    parts = {index: output(nominal[:, index]) - nominal[:, index] for index in observed.of_kind("gyro")}
-    return Variant((Column("share", "1", 1.0, 1.0, parts),), shape)
+def _largest(observed: Observed) -> Array:
+    """The largest nominal output of any gyro in each segment, (S,)."""
+    whole = np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max(axis=1)
+    return np.maximum.reduceat(whole, observed.bounds[:-1])
+
+
+def _changed(
+    observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
+) -> Variant:
+    """A function of the gyros' nominal output, as what it adds. acting: (S,), the only segments where it adds anything, if not in all."""
+    nominal, gyros = observed.nominal_output, observed.of_kind("gyro")
+    change = np.zeros((len(nominal), len(gyros)))
+    for part in [slice(None)] if acting is None else [observed.segments()[index] for index in np.flatnonzero(acting)]:
+        here = nominal[part, gyros]
+        change[part] = output(here) - here
+    parts = {index: change[:, place] for place, index in enumerate(gyros)}
+    return Variant((Column("share", "1", 1.0, 1.0, parts, acting),), shape)
 
 
 class GyroBiasRandomWalk:

@@ -44,10 +44,12 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without one."""
+    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without one. widths: where several
+    effects stand together, how many columns each has in turn."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
+    widths: tuple[int, ...] = ()
 
 
 class Effect(Protocol):
@@ -104,3 +106,8 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 def single(columns: Sequence[Column]) -> list[Variant]:
     """The variants of an effect without a shape."""
     return [Variant(tuple(columns))] if columns else []
+
+
+def is_whole(columns: Sequence[Column]) -> bool:
+    """Whether an effect is there as a whole, at its shape alone: a lag, a limit, a delay."""
+    return len(columns) == 1 and columns[0].name == "share" and columns[0].magnitude == columns[0].factor == 1.0

@@ -63,16 +63,10 @@ class TimeLatency(Shaped):
         return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        parts = on_stimulus(observed, delayed(observed, observed.omega, value) - observed.omega, None)
-        return Variant((Column("share", "1", 1.0, 1.0, parts),), value)
-
-
-def delayed(observed: Observed, felt: Array, delay: float) -> Array:
-    """A stimulus (N, 3) as it was `delay` s earlier in each moving segment, by its Taylor series to the second order."""
-    out = felt.copy()
-    for part in observed.segments():
-        if observed.acceleration[part].any():
-            time = observed.time[part]
-            slope = np.gradient(felt[part], time, axis=0)
-            out[part] = felt[part] - slope * delay + np.gradient(slope, time, axis=0) * delay**2 / 2
-    return out
+        """While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd."""
+        pulse = observed.pulsation
+        earlier = value * np.sinc(pulse * value / np.pi)  # sin(pd)/p
+        change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
+        turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
+        parts = on_stimulus(observed, turned, None)
+        return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), value)

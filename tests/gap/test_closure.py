@@ -1,0 +1,98 @@
+"""Closure: intervals of known gaps, and what held-out segments can and cannot say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from planrunner.gap.closure import FOLDS, Known, dealt_by_motion, measured
+from planrunner.gap.diagnosis import Diagnosis, Options, diagnose
+from planrunner.gap.observed import Observed
+from planrunner.plan.schedule import Rock
+from tests.gap.turntable import kept, record
+
+Array = np.ndarray
+SHOWN_BY_ROCKING = ("gyro_bandwidth", "time_latency", "table_tilt", "gyro_g_sensitivity")
+
+
+def test_intervals_of_any_gap_cover_the_truth() -> None:
+    """90 % intervals from residuals of a known gap cover the true shrinkage in at least 87 % of draws (binomial, 1 % level)."""
+    draw = np.random.default_rng(7)
+    m, covered, said = 400, 0, 0
+    for _ in range(200):
+        gap = draw.normal(size=m)
+        gap *= 30 / np.linalg.norm(gap)
+        miss = draw.normal(size=m)
+        difference = gap + miss * draw.uniform(2, 25) / np.linalg.norm(miss)
+        found = measured(gap + draw.normal(size=m), difference)
+        if found.resolvable:
+            said += 1
+            true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
+            covered += found.interval_90[0] <= true <= found.interval_90[1]
+    assert said > 100
+    assert covered >= binom.ppf(0.01, said, 0.9)
+
+
+def test_intervals_of_an_explained_gap_cover_the_truth_and_no_more() -> None:
+    """A gap that is a signature of five amplitudes, predicted from three times as many data as are held out: nine in ten intervals hold the
+    truth (binomial, 1 % level either way), and they are narrower than those of any gap."""
+    draw = np.random.default_rng(9)
+    m, covered, tries, narrower = 600, 0, 200, 0
+    for _ in range(tries):
+        signature = draw.normal(size=(m, 5)) / np.sqrt(m)
+        true = draw.normal(size=5) * 8
+        residual = signature @ true + draw.normal(size=m)
+        gram = signature.T @ signature
+        predicted = true + np.linalg.cholesky(np.linalg.inv(3 * gram)) @ draw.normal(size=5)
+        covariance = np.linalg.inv(4 * gram)
+        mean = covariance @ (signature.T @ residual + 3 * gram @ predicted)
+        difference = signature @ predicted
+        cause = Known(1.0, gram, signature.T @ difference, mean, covariance)
+        found, any_gap = measured(residual, difference, [cause], 0.0), measured(residual, difference)
+        shrinks = 1 - np.linalg.norm(signature @ (true - predicted)) / np.linalg.norm(signature @ true)
+        covered += found.interval_90[0] <= shrinks <= found.interval_90[1]
+        narrower += not any_gap.resolvable or np.ptp(found.interval_90) < np.ptp(any_gap.interval_90)
+    assert binom.ppf(0.01, tries, 0.9) <= covered <= binom.ppf(0.99, tries, 0.9)
+    assert narrower > 0.9 * tries
+
+
+def test_closure_of_too_little_is_not_resolvable() -> None:
+    draw = np.random.default_rng(8)
+    assert not measured(draw.normal(size=400), draw.normal(size=400) * 0.05).resolvable
+
+
+def test_every_fold_holds_some_of_every_motion() -> None:
+    """However they are ordered: here every fourth segment turns, and every second of those the other way round."""
+    kinds = ["Spin" if n % 4 == 0 else "Rest" for n in range(64)]
+    dealt = dealt_by_motion(kinds)
+    for fold in range(FOLDS):
+        assert np.count_nonzero(dealt == fold) == 16
+        assert np.count_nonzero(dealt[::4] == fold) == 4
+        assert np.count_nonzero(dealt[::8] == fold) == 2
+
+
+def _late(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+    """A lag of 1 ms: rates are behind by 1 ms times their change; the table turns about up."""
+    about = np.einsum("sij,j->si", observed.attitude, [0.0, 0.0, 1.0])[observed.owner]
+    return -1e-3 * observed.acceleration[:, None] * about, 0.0
+
+
+def _rocking(number: int) -> Diagnosis:
+    """Of a recording with a lag that rocks so many times."""
+    whole = record(seed=41, fault=_late)
+    rocks = [index for index, motion in enumerate(whole.motions) if isinstance(motion, Rock)]
+    others = [index for index in range(len(whole)) if index not in rocks]
+    return diagnose(kept(whole, sorted([*others, *rocks[:number]])), Options(effects=SHOWN_BY_ROCKING))
+
+
+@pytest.mark.parametrize(("rocks", "resolvable"), [(1, False), (3, True)])
+def test_what_one_segment_alone_shows_cannot_be_seen_to_close(rocks: int, resolvable: bool) -> None:
+    found = _rocking(rocks)
+    assert found.verdict.kind in ("effect", "indistinguishable")
+    assert set(found.verdict.effects) <= {"gyro_bandwidth", "time_latency"}
+    assert found.closure.resolvable is resolvable
+    if resolvable:
+        assert found.closure.shrinks_by > 0.8
+    else:
+        assert found.to_json()["closure"]["interval_90"] is None

@@ -1,0 +1,44 @@
+"""Priors go to what the plan can show, and effects on the noise are weighed together with each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planrunner.gap.diagnosis import diagnose
+from planrunner.gap.observed import Observed
+from planrunner.plan.schedule import Rock
+from tests.gap.turntable import DEG, RATE, kept, record
+
+Array = np.ndarray
+
+
+def test_an_effect_that_cannot_act_takes_no_part_of_the_prior() -> None:
+    """At one temperature and without rocking: half of the prior for the effects that are left, evenly."""
+    whole = record(seed=6)
+    cool = [
+        i
+        for i, part in enumerate(whole.segments())
+        if whole.temperature[part][0] == 25.0 and not isinstance(whole.motions[i], Rock)
+    ]
+    found = diagnose(kept(whole, cool)).posterior
+    single = [name for name in found.log_evidence if "+" not in name and name not in ("none", "unknown")]
+    assert "gyro_bias_temperature" not in single
+    assert "gyro_bandwidth" not in single
+    for name in single:
+        odds = found.probability[name] / found.probability["none"]
+        assert odds == pytest.approx(np.exp(found.log_evidence[name]) * 0.50 / len(single) / 0.20)
+    pair = next(name for name in found.log_evidence if "+" in name and np.isfinite(found.log_evidence[name]))
+    share = 0.15 / (len(single) * (len(single) - 1) / 2)
+    odds = found.probability[pair] / found.probability["none"]
+    assert odds == pytest.approx(np.exp(found.log_evidence[pair]) * share / 0.20)
+
+
+def test_a_walk_is_found_beside_more_noise() -> None:
+    def walk(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        gaps = np.diff(observed.time, prepend=observed.time[0])
+        steps = draw.normal(0.0, 1.0, omega.shape) * np.sqrt(gaps + 1 / RATE)[:, None]
+        return 2e-4 * DEG * np.cumsum(steps, axis=0), 0.0
+
+    found = diagnose(record(seed=8, fault=walk, noise=4.0))
+    assert next(iter(found.posterior.probability)) == "gyro_bias_random_walk+gyro_noise_excess"
