@@ -6,7 +6,7 @@ import pytest
 from compensation_coverage import MEANT, SCENARIOS, coverage
 from scipy.stats import binom
 
-RUNS = 1000
+RUNS = 500
 STATED = [name for name in SCENARIOS if "not stated" not in name]
 
 
