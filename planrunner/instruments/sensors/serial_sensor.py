@@ -53,6 +53,7 @@ class SerialSensor:
         self._skew = 0.0
         self._heard = clock.now()
         self._doubts: dict[str, None] = {}
+        self._lasting = self.lasting_doubts(self.identity)
 
     @classmethod
     def decoder_of(cls, parameters: Any) -> Decoder:
@@ -63,6 +64,11 @@ class SerialSensor:
     def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
         """Set the sensor and ask what it is, as far as it can be asked. Raises `InstrumentError`."""
         return {}
+
+    @classmethod
+    def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
+        """What `configure` found that speaks against all samples, such as a failed self-test."""
+        return ()
 
     @classmethod
     def address(cls, parameters: Any) -> str:
@@ -124,10 +130,10 @@ class SerialSensor:
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """Its doubts since it was last asked; silence is a fault."""
+        """Its doubts since it was last asked, and those that last; silence is a fault."""
         if not self._streaming:
             self._overhear()
-        doubts, self._doubts = tuple(self._doubts), {}
+        doubts, self._doubts = (*self._lasting, *self._doubts), {}
         silent = self.clock.now() - self._heard
         faults = () if silent <= self._patience() else (self._silence(silent),)
         return Condition({}, faults, doubts)
