@@ -81,6 +81,7 @@ ROWS = (
     Row("interlock opens", _of("table", "interlock open"), TURNING, 3, "interlock"),
     Row("interlock opens for a while", _of("table", "interlock open", **{"for": "20 s"}), TURNING, 3, "interlock"),
     Row("chamber stuck for a while", _of("chamber", "stuck", **{"for": "30 s"}), MOVING, 0),
+    Row("chamber stuck for good", _of("chamber", "stuck"), WARMING, 3, "the chamber does not reach 28.0 degC"),
     Row("chamber alarms", _of("chamber", "alarm"), WARMING, 3, "cannot go on"),
     Row("chamber overshoots", _of("chamber", "overshoot", overshoot="20 K"), WARMING, 3, "hotter than"),
     # frames
@@ -97,7 +98,7 @@ ROWS = (
     Row("unplugged and back", _of("gyro", "unplug", **{"for": "10 s"}), TURNING, 3, "gyro"),
     Row("another instrument on the line", _of("gyro", "wrong model"), TURNING, 3, "no good frame"),
     Row("overload", _of("gyro", "overload"), TURNING, 3, "doubts its samples (status: overload)"),
-    Row("overload for a moment", _of("gyro", "overload", **{"for": "15 s"}), TURNING, 3, "(status: overload)"),
+    Row("overload for a while", _of("gyro", "overload", **{"for": "30 s"}), TURNING, 3, "(status: overload)"),
     # processes and the computer
     Row("killed while turning", "SIGKILL", TURNING, -9),
     Row("killed on a ramp", "SIGKILL", WARMING, -9),
@@ -108,6 +109,7 @@ ROWS = (
     Row("simulated bench killed", "SIGKILL simulator", TURNING, 3, "NOT IN THE SAFE STATE", ("table", "chamber")),
     Row("disk full", "disk full", TURNING, 3, "No space left on device"),
     Row("clock set back", "clock step", TURNING, 0),
+    Row("clock set on", "clock leap", TURNING, 0),
 )
 SAMPLE = (
     "killed while turning",
@@ -123,7 +125,7 @@ SAMPLE = (
 """What continuous integration runs; `make faults` runs all."""
 OF_SENSORS = {
     "stim300": (
-        Row("overload", _of("gyro", "overload"), TURNING, 3, "(gyro: overload; "),
+        Row("overload", _of("gyro", "overload"), TURNING, 3, "(gyro: overload)"),
         Row("self-test", _of("gyro", "self-test"), START, 3, "(gyro: system integrity error)"),
     ),
     "kvh_1775": (

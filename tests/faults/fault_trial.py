@@ -80,7 +80,7 @@ def finished(bench: SmallBench, run: Run, older: Path | None, killed: bool) -> E
 
 def resumed(bench: SmallBench, ended: Ended) -> None:
     """Everything is well again: the run goes on to its end, and has all that it had."""
-    for name in ("disk-full", "clock-step"):
+    for name in ("disk-full", "clock-step", "clock-leap"):
         (bench.folder / name).unlink(missing_ok=True)
     if bench.process.poll() is None:
         bench.clear()
