@@ -162,14 +162,15 @@ def _served(folder: Path, bench: str, *more: str) -> tuple[subprocess.Popen[str]
     ready = folder / "ready.json"
     ready.unlink(missing_ok=True)
     command = [sys.executable, "-m", "planrunner", "simulate-bench", bench, "--speed", str(SPEED)]
-    process = subprocess.Popen(
-        [*command, "--ready", str(ready), *more],
-        cwd=folder,
-        env=ENVIRONMENT,
-        text=True,
-        stdout=(folder / "simulated.log").open("a"),
-        stderr=subprocess.STDOUT,
-    )
+    with (folder / "simulated.log").open("a") as log:
+        process = subprocess.Popen(
+            [*command, "--ready", str(ready), *more],
+            cwd=folder,
+            env=ENVIRONMENT,
+            text=True,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
     until(lambda: ready.exists() or process.poll() is not None, "the simulated bench is ready")
     assert process.poll() is None, (folder / "simulated.log").read_text(encoding="utf-8")
     return process, str(json.loads(ready.read_text(encoding="utf-8"))["control"])
