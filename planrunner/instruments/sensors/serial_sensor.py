@@ -114,11 +114,14 @@ class SerialSensor:
         wanted = max(1, round(segment.dwell * self.parameters.sample_rate.value))
         current = SegmentStream(self.decoder, self.link, start, wanted, self._byte_time(), self._skew, self._speed)
         self._current = current
+        advanced = start
         try:
             while not current.over:
                 self.clock.sleep(POLL)
                 block = current.advance()
                 self._hear(current.heard, current.take_doubts())
+                advanced = self.clock.now() if current.fresh or not current.heard else advanced
+                self._check_count(self.clock.now() - advanced)
                 self._check_skew(current.skew)
                 yield block
             self._skew = current.skew
@@ -170,6 +173,13 @@ class SerialSensor:
             f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: look at its power, its cable, "
             "and whether it was reset to other settings; then resume the run"
         )
+
+    def _check_count(self, seconds: float) -> None:
+        if seconds > self._patience():
+            raise InstrumentError(
+                f"the frames that came from {self.parameters.port} for {seconds:.1f} s do not count on: the sensor's counter stands still, "
+                "so that nobody can tell when they were taken; switch it off and on, then resume the run"
+            )
 
     def _check_skew(self, skew: float) -> None:
         if abs(skew) > SKEW_TOLERANCE:

@@ -87,6 +87,21 @@ def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
         sensor.close()
 
 
+def test_a_counter_that_stands_still_ends_the_segment() -> None:
+    """Good frames come for ever, and none is another sample."""
+
+    def same(first: int, end: int) -> bytes:
+        columns = {"time_startup": np.full(end - first, 5e9), "imu": np.zeros((end - first, 6))}
+        return vectornav.VectorNav(("time_startup", "imu")).frames(columns).tobytes()
+
+    with SendingUnit(same, 200) as unit:
+        keys = "driver: vectornav; sample_rate: 200 Hz; fields: [time_startup, imu]; silence: 0.5 s"
+        sensor = VectorNav.connect(parameters_of(keys, unit.port), surroundings())
+        with pytest.raises(InstrumentError, match=r"do not count on: the sensor's counter stands still"):
+            list(sensor.stream(segment(20.0)))
+        sensor.close()
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
