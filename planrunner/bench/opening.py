@@ -6,6 +6,7 @@ safe tries every instrument in the bench's order, whatever the others do.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,6 +93,8 @@ class OpenBench:
         for name in safe_order(self.bench):
             if name not in self.instruments:
                 continue
+            with contextlib.suppress(InstrumentError):  # a lost watchdog is no reason to stop here
+                self.sign_of_life()
             try:
                 getattr(self.instruments[name], action)()
             except Exception as error:  # whatever a driver raises, the next instrument has its turn

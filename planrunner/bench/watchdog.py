@@ -2,7 +2,7 @@
 
 It is started before the first instrument is connected, hears a sign of life about every second, and ends when it is told that the
 bench is safe. Whatever else ends the connection (planrunner killed or crashed, the bench not brought to its safe state), or a silence
-longer than the bench allows, makes it act: `planrunner.bench.watchdog_process`.
+longer than the bench allows, which ends planrunner, makes it act: `planrunner.bench.watchdog_process`.
 """
 
 from __future__ import annotations
@@ -115,7 +115,9 @@ class Watchdog:
 def _start() -> subprocess.Popen[bytes]:
     apart: dict[str, Any] = {"start_new_session": True}  # Ctrl-C in the terminal is not for it
     if os.name == "nt":  # pragma: no cover (not the platform of continuous integration)
-        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined,unused-ignore]
+        # Nor is the closing of the console, which ends every process that is attached to it.
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW  # type: ignore[attr-defined,unused-ignore]
+        apart = {"creationflags": flags}
     command = [sys.executable, "-m", "planrunner.bench.watchdog_process"]
     pipe = subprocess.PIPE
     try:

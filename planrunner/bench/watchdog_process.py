@@ -1,7 +1,8 @@
 """The watchdog process: `python -m planrunner.bench.watchdog_process`, started by `planrunner.bench.watchdog`.
 
-It reads what to guard from its standard input, then signs of life. When they end without the word `safe`, or stay away for too long, it
-connects to every real instrument anew, from the bench file alone, makes it safe, and reports to the run folder and to standard error.
+It reads what to guard from its standard input, then signs of life. When they stay away for too long, it ends planrunner, which may hold
+connections that only one can have, and might go on commanding. Then, and when they end without the word `safe`, it connects to every real
+instrument anew, from the bench file alone, makes it safe, and reports to the run folder and to standard error.
 An instrument that hangs or fails does not keep it from the next.
 """
 
@@ -35,6 +36,8 @@ BETWEEN = 1.0
 """Tries with each instrument, and seconds between them."""
 PATIENCE = 30.0
 """Seconds after which an instrument that does not return is left, so that the next has its turn."""
+ENDED_WITHIN = 5.0
+"""Seconds that the system may take to end planrunner."""
 
 
 @dataclass(slots=True)
@@ -98,7 +101,7 @@ def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
         try:
             line = lines.get(timeout=charge.silence if begun else None).strip()
         except queue.Empty:
-            return f"planrunner gave no sign of life for {charge.silence:g} s"
+            return f"planrunner gave no sign of life for {charge.silence:g} s and {_ended(charge.parent)}"
         if line == b"safe":
             return None
         begun = begun or line == b"alive"
@@ -106,6 +109,19 @@ def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
             return "planrunner ended without leaving the bench safe"
         if line.startswith(b"{"):
             charge.report = Path(json.loads(line)["report"])
+
+
+def _ended(parent: int) -> str:
+    """End planrunner; how that went, in words. Its pipe is open, so that the number is still its own."""
+    number = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process by either name
+    try:
+        os.kill(parent, number)
+    except OSError as error:
+        return f"cannot be ended ({error.strerror or error})"
+    deadline = time.monotonic() + ENDED_WITHIN
+    while os.name != "nt" and os.getppid() == parent and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return "was ended; `planrunner resume` goes on with the run"
 
 
 def rescue(charge: Charge) -> list[str]:

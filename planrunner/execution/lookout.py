@@ -78,9 +78,14 @@ class Lookout:
         if not fresh and self._clock.now() - self._last < EVERY:
             return
         self._last = self._clock.now()
+        conditions = {}
         for item in self._alive.values():
+            self._sign_of_life()  # each may take its time-outs
             item.heartbeat()
-        self.conditions = {name: item.watch() for name, item in self._watched.items()}
+        for name, watched in self._watched.items():
+            self._sign_of_life()
+            conditions[name] = watched.watch()
+        self.conditions = conditions
         self.looks += 1
         self.hear()
         for name, condition in self.conditions.items():

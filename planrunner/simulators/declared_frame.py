@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ class DeclaredFrame:
     running: Running | None = None
     check: Check | None = None
     steady: Sequence[tuple[int, bytes]] = ()
-    """Bytes that never change, such as a status word that finds nothing wrong."""
+    """Bytes at their places that are the same in all frames, such as a status word."""
 
     def frames(self, channels: Mapping[str, Array], numbers: Array) -> Bytes:
         """Frames (n, length) of channels (n,) in the fields' units; numbers: of the frames, running."""
@@ -104,6 +104,23 @@ def _put(frames: Bytes, at: int, column: Bytes) -> None:
     frames[:, at : at + column.shape[1]] = column
 
 
+@dataclass(frozen=True, slots=True)
+class Alarms:
+    """The status word: its place, width and order, what its bits say, and whether a set bit says that all is well."""
+
+    at: int
+    width: int
+    order: Order
+    bits: Mapping[str, int]
+    set_is_good: bool
+
+    def told(self, ails: Collection[str]) -> tuple[int, bytes]:
+        """Its place and bytes. What the sensor ails from is said by the bits whose words name it, or by all where none does."""
+        wrong = {text for text in self.bits if any(word in text for word in ails)} or set(self.bits if ails else ())
+        high = set(self.bits) - wrong if self.set_is_good else wrong
+        return self.at, sum(1 << self.bits[text] for text in high).to_bytes(self.width, self.order)
+
+
 @dataclass(slots=True)
 class DeclaredUnit:
     """units: of the virtual sensor's channels. words: line → mode that it is switched into by it; switch: called with the mode."""
@@ -112,14 +129,17 @@ class DeclaredUnit:
     form: DeclaredFrame
     words: Mapping[bytes, str] = field(default_factory=dict)
     switch: Callable[[str], None] = lambda mode: None
+    alarms: Alarms | None = None
     next: int = 0
     heard: bytes = b""
+    ails: frozenset[str] = frozenset()
 
     def frames(self, block: Block) -> Bytes:
         numbers = np.arange(self.next, self.next + block.time.size, dtype=float)
         self.next += block.time.size
         channels = {name: self._in_unit(block, name, place.unit) for name, place in self.form.fields.items()}
-        return self.form.frames(channels, numbers)
+        form = self.form if self.alarms is None else replace(self.form, steady=[self.alarms.told(self.ails)])
+        return form.frames(channels, numbers)
 
     def hear(self, data: bytes) -> bytes:
         """Words that switch its mode are not answered."""

@@ -32,7 +32,12 @@ LINE = {
     "reorder": "a `share` of the frames comes after the next one",
     "unplug": "the line is gone, and comes back afterwards",
     "wrong baud": "every byte is what another baud rate makes of it",
+    "wrong model": "another instrument sends its lines there",
+    "overload": "its status says that an axis is beyond its range",
+    "self-test": "its status says that its self-test failed",
 }
+AILMENTS = frozenset({"overload", "self-test"})
+"""What a sensor's own status tells."""
 TABLE = {
     "interlock open": "a door or a button opens the interlock chain",
     "over-rate": "an axis trips on its rate",

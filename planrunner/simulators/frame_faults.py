@@ -1,4 +1,5 @@
-"""What goes wrong with frames between a sensor and the computer: corrupted, lost, doubled, out of order, read at another baud rate."""
+"""What goes wrong with frames between a sensor and the computer: corrupted, lost, doubled, out of order, read at another baud rate, or
+those of another instrument."""
 
 from __future__ import annotations
 
@@ -8,6 +9,9 @@ import numpy as np
 
 from planrunner.simulators.columns import Bytes
 from planrunner.simulators.faults import Fault
+
+_COMPASS = b"$HEHDT,274.07,T*03\r\n"
+"""What a heading sensor says."""
 
 
 def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) -> Bytes:
@@ -28,6 +32,8 @@ def struck(frames: Bytes, faults: Sequence[Fault], draw: np.random.Generator) ->
             frames = _corrupted(frames, np.flatnonzero(chosen), draw)
         elif fault.fault == "wrong baud":
             frames = _misread(frames)
+        elif fault.fault == "wrong model":
+            frames = np.tile(np.frombuffer(_COMPASS, np.uint8), (len(frames), 1))
     return frames
 
 

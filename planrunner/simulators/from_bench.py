@@ -22,7 +22,7 @@ from planrunner.simulators.addresses import Address
 from planrunner.simulators.aerosmith import Aerosmith
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import Controller
-from planrunner.simulators.declared_frame import CHECKS, Check, DeclaredFrame, DeclaredUnit, Place, Running
+from planrunner.simulators.declared_frame import CHECKS, Alarms, Check, DeclaredFrame, DeclaredUnit, Place, Running
 from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.kvh1775 import Kvh1775
 from planrunner.simulators.live_world import LiveWorld
@@ -212,19 +212,17 @@ def _declared(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> unit
         for name, item in keys.fields.items()
     }
     running = check = None
-    steady = []
+    alarms = None
     if (counter := keys.counter) is not None:
         modulus = float(counter.modulus or 2 ** (8 * _WORD_BYTES[counter.type]))
         running = Running(Place(counter.place, counter.type, _order(counter)), counter.step, modulus)
     if (declared := keys.checksum) is not None:
         check = Check(*CHECKS[declared.type], declared.start, _order(declared))
-    if (status := keys.status) is not None and status.set_is_good:
-        width = _WORD_BYTES[status.type]
-        good = sum(1 << bit for bit in status.bits.values())
-        steady.append((status.place, good.to_bytes(width, "little" if status.little_endian else "big")))
-    form = DeclaredFrame(bytes.fromhex(keys.sync), keys.length, fields, running, check, tuple(steady))
+    if (status := keys.status) is not None:
+        alarms = Alarms(status.place, _WORD_BYTES[status.type], _order(status), status.bits, status.set_is_good)
+    form = DeclaredFrame(bytes.fromhex(keys.sync), keys.length, fields, running, check)
     words = {text.encode("ascii") + b"\r": mode for mode, text in keys.modes.items()}
-    return DeclaredUnit(own, form, words, feed.set_mode)
+    return DeclaredUnit(own, form, words, feed.set_mode, alarms)
 
 
 def _order(item: Any) -> Any:

@@ -16,6 +16,7 @@ from planrunner.simulators.sensor_units import Counting, Outputs
 Array = NDArray[np.float64]
 _GO_TO_CONFIG, _GO_TO_MEASUREMENT, _DEVICE, _OUTPUTS, _ERROR = 0x30, 0x10, 0x00, 0xC0, 0x42
 _UNKNOWN_MESSAGE = b"\x04"
+_FINE, _CLIPPED_GYRO_X = 0x3, 1 << 11  # of the status word: self-test passed, filter valid
 
 
 def _vectors(outputs: Outputs, block: Block) -> tuple[Array, Array]:
@@ -34,16 +35,20 @@ class XsensUnit:
     counting: Counting = field(default_factory=Counting)
     silent: bool = False
     heard: bytes = b""
+    ails: frozenset[str] = frozenset()
 
     def frames(self, block: Block) -> Bytes:
         count = block.time.size
         if self.silent:
             return np.zeros((0, self.form.length()), dtype=np.uint8)
         rates, forces = _vectors(self.outputs, block)
+        status = (_FINE & ~1 if "self-test" in self.ails else _FINE) | (
+            _CLIPPED_GYRO_X if "overload" in self.ails else 0
+        )
         columns = {
             xsens.PACKET_COUNTER: self.counting.take(count),
             xsens.SAMPLE_TIME_FINE: xsens.fine_time(block.time),
-            xsens.STATUS_WORD: np.full(count, 3.0),
+            xsens.STATUS_WORD: np.full(count, float(status)),
             0x4020: forces,
             0x4010: forces / self.rate,
             0x8020: rates,
@@ -90,12 +95,13 @@ def _turns(angles: Array) -> Array:
 
 @dataclass(slots=True)
 class VectorNavUnit:
-    """form: its binary messages; text: the line that it sends in their place, or nothing."""
+    """form: its binary messages; text: the line that it sends in their place, or nothing. Neither has a status."""
 
     outputs: Outputs
     form: vectornav.VectorNav
     text: str = ""
     heard: bytes = b""
+    ails: frozenset[str] = frozenset()
 
     def frames(self, block: Block) -> Bytes:
         count = block.time.size

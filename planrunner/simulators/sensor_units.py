@@ -22,10 +22,14 @@ from planrunner.simulators.stim300 import INTERNAL_RATE, Stim300
 Array = NDArray[np.float64]
 _DOUBTFUL = 2  # frames of a KVH after its configuration was changed
 _LATENCY = 500.0  # µs between a sample and its datagram
+_INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class Unit(Protocol):
-    """A sensor's electronics between its samples and its line."""
+    """A sensor's electronics between its samples and its line. ails: what its status has to say against its samples, `overload` and
+    `self-test`, as far as its frames have room for it."""
+
+    ails: frozenset[str]
 
     def frames(self, block: Block) -> Bytes:
         """The frames of consecutive samples, (n, length)."""
@@ -78,6 +82,7 @@ class Stim300Unit:
     counting: Counting = field(default_factory=Counting)
     service: bool = False
     heard: bytes = b""
+    ails: frozenset[str] = frozenset()
 
     def frames(self, block: Block) -> Bytes:
         count = block.time.size
@@ -90,6 +95,10 @@ class Stim300Unit:
             columns[f"gyro_{axis}"] = gyro[axis] * per_sample
             columns[f"acc_{axis}"] = columns[f"incl_{axis}"] = force[axis]
             columns |= {f"{cluster}_T_{axis}": celsius for cluster in ("gyro", "acc", "incl")}
+        broken = _INTEGRITY if "self-test" in self.ails else 0
+        columns |= {f"{cluster}_status": np.full(count, float(broken)) for cluster in ("gyro", "acc", "incl")}
+        if "overload" in self.ails:
+            columns["gyro_status"] += _OVERLOAD_X
         numbers = self.counting.take(count)
         sent = self.form.frames(columns, np.floor(numbers * (INTERNAL_RATE / self.rate)), np.full(count, _LATENCY))
         return sent[:0] if self.service else sent
@@ -137,6 +146,7 @@ class KvhUnit:
     counting: Counting = field(default_factory=Counting)
     heard: bytes = b""
     doubtful: int = 0
+    ails: frozenset[str] = frozenset()
 
     def frames(self, block: Block) -> Bytes:
         per_sample = 1 / self.rate if self.increments else 1.0
@@ -149,7 +159,8 @@ class KvhUnit:
         }
         for axis in "xyz":
             columns |= {f"gyro_{axis}": gyro[axis] * per_sample, f"acc_{axis}": force[axis]}
-        columns["status"] = np.where(np.arange(numbers.size) < self.doubtful, 0.0, float(ALL_VALID))
+        valid = 0 if "self-test" in self.ails else ALL_VALID & ~1 if "overload" in self.ails else ALL_VALID
+        columns["status"] = np.where(np.arange(numbers.size) < self.doubtful, 0.0, float(valid))
         self.doubtful = max(0, self.doubtful - numbers.size)
         return self.form.frames(columns, numbers)
 
@@ -163,7 +174,7 @@ class KvhUnit:
             word = line.decode("ascii", "replace").strip().lower()
             self.doubtful = _DOUBTFUL if word.startswith("=") else self.doubtful
             if word == "?bit":
-                replies += built_in_test(b"\x7f" * 6)
+                replies += built_in_test(b"\x7f\x7f\x7e\x7f\x7f\x7f" if "self-test" in self.ails else b"\x7f" * 6)
             elif word in ("=rotfmt,delta", "=rotfmt,rate"):
                 self.increments = word.endswith("delta")
             elif word in ("=rotunits,deg", "=rotunits,rad"):

@@ -17,7 +17,7 @@ from planrunner.plan.findings import InputError
 from planrunner.simulators.addresses import Address
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.control import Control
-from planrunner.simulators.faults import CHAMBER, TABLE, Fault, FaultBoard, read_fault
+from planrunner.simulators.faults import AILMENTS, CHAMBER, TABLE, Fault, FaultBoard, read_fault
 from planrunner.simulators.frame_faults import struck
 from planrunner.simulators.from_bench import Simulated, Spoken
 from planrunner.simulators.message_port import MessagePort, TcpMessages, TerminalMessages
@@ -108,6 +108,7 @@ class Serving:
             return
         line.port.attend()
         faults = self.board.active(sensor.name, self.live.now())
+        sensor.unit.ails = AILMENTS & {fault.fault for fault in faults}
         for block in sensor.feed.take():
             line.offer(struck(sensor.unit.frames(block), faults, self.draw))
         line.pump(time.monotonic())

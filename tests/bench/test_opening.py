@@ -96,6 +96,22 @@ def test_each_is_made_safe_whatever_the_others_do():
     assert opened.close() == []
 
 
+def test_signs_of_life_come_between_the_instruments_while_each_is_made_safe():
+    """Each may take its time-outs; a watchdog that is gone keeps nobody from his turn."""
+
+    class Watchdog:
+        def sign_of_life(self):
+            LOG.append("alive")
+            if len(LOG) > 4:
+                raise InstrumentError("the watchdog process has ended")
+
+    opened = open_bench(bench("a: {driver: table}, b: {driver: chamber}, c: {driver: sensor}"))
+    LOG.clear()
+    opened.watchdog = Watchdog()
+    assert opened.make_safe() == []
+    assert LOG == ["alive", "table safe", "alive", "chamber safe", "alive", "sensor safe"]
+
+
 def test_leaving_says_what_could_not_be_made_safe():
     with (
         pytest.raises(InstrumentError, match="t: does not stop"),

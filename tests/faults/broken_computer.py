@@ -1,5 +1,5 @@
 """A computer that fails under planrunner: while the file `disk-full` lies in a folder its disk takes nothing more, and while `clock-step`
-does its clock is an hour behind."""
+or `clock-leap` does its clock is an hour behind or ahead."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ import planrunner.archive.storage
 
 def break_with(folder: Path) -> None:
     """From now on, in this process."""
-    full, step, true_time = folder / "disk-full", folder / "clock-step", time.time
+    full, true_time = folder / "disk-full", time.time
+
+    def ahead() -> int:
+        """Seconds."""
+        return 3600 * ((folder / "clock-leap").exists() - (folder / "clock-step").exists())
 
     class Disk(io.FileIO):
         def write(self, data: Any, /) -> int:
@@ -29,7 +33,7 @@ def break_with(folder: Path) -> None:
     class Clock(datetime):
         @classmethod
         def now(cls, tz: tzinfo | None = None) -> Any:
-            return datetime.now(tz) - timedelta(hours=step.exists())
+            return datetime.now(tz) + timedelta(seconds=ahead())
 
     storage, journal, run_folder = (
         planrunner.archive.storage,
@@ -38,4 +42,4 @@ def break_with(folder: Path) -> None:
     )
     storage.FileIO = Disk  # type: ignore[misc]
     journal.datetime = run_folder.datetime = Clock  # type: ignore[misc]
-    time.time = lambda: true_time() - 3600 * step.exists()
+    time.time = lambda: true_time() + ahead()

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from small_bench import AMBIENT, DWELL, LABELS, RATE, TURNING, SmallBench, until
+from small_bench import AMBIENT, DWELL, LABELS, RATE, SmallBench, until
+from small_sensors import SmallSensor
 
 from planrunner.archive.run_reader import RunReader
 
@@ -66,7 +67,7 @@ def check_kept(folder: Path, before: dict[str, tuple[str, ...]]) -> None:
     assert reader.check_digests() > 0 and reader.check_events() > 0
 
 
-def check_complete(folder: Path) -> None:
+def check_complete(folder: Path, sensor: SmallSensor) -> None:
     """A sealed run of all segments whose samples are what the sensor felt: in order, at their rate, with a gap for each that was lost, and
     none that a fault has made."""
     reader = RunReader.open(folder)
@@ -74,12 +75,11 @@ def check_complete(folder: Path) -> None:
     for item in reader.acknowledged():
         blocks = list(reader.blocks(item))
         time = np.concatenate([block.time for block in blocks])
-        for name, turned in (("torquer_x", 0.0), ("torquer_y", TURNING)):
+        for name, turned in sensor.felt.items():
             felt = turned if item.label == "turning" else 0.0
             away = np.abs(np.concatenate([block.channels[name] for block in blocks]) - felt)
-            assert np.all(away < 0.002 * TURNING), (
-                f"{item.label}: {int(np.sum(away > 360))} samples that nobody should feel"
-            )
+            strange = int(np.sum(away >= sensor.within))
+            assert not strange, f"{item.label}: {strange} samples that nobody should feel"
         assert np.all(np.diff(time) > 0), f"{item.label}: time runs backwards"
         assert time[-1] - time[0] < DWELL * 1.02
     for event in events(folder):

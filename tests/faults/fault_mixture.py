@@ -14,7 +14,7 @@ from planrunner.simulators.faults import OF_ROLE, WORDS
 RUNS_FOR = 130.0
 """Seconds of the bench that a run takes at least, within which faults begin."""
 ROLES = {"table": "table", "chamber": "chamber", "gyro": "sensor"}
-SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT", "disk full", "clock step")
+SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT", "disk full", "clock step", "clock leap")
 MESSAGES = {
     "table": ("read", "demand", "mode", "status", ""),
     "chamber": ("PVALUE", "SPOINT", "ERROR", ""),

@@ -43,6 +43,8 @@ ROWS = (
     Row("table is silent at first", _of("table", "silent"), START, 3, "did not answer"),
     Row("line is silent at first", _of("gyro", "silent"), START, 3, "nothing comes from"),
     Row("line at another baud", _of("gyro", "wrong baud"), START, 3, "baud"),
+    Row("another sensor on the line", _of("gyro", "wrong model"), START, 3, "no frame that begins with"),
+    Row("self-test failed at first", _of("gyro", "self-test"), START, 3, "(status: self-test failed)"),
     # what is said
     Row(
         "table's link drops once",
@@ -79,6 +81,7 @@ ROWS = (
     Row("interlock opens", _of("table", "interlock open"), TURNING, 3, "interlock"),
     Row("interlock opens for a while", _of("table", "interlock open", **{"for": "20 s"}), TURNING, 3, "interlock"),
     Row("chamber stuck for a while", _of("chamber", "stuck", **{"for": "30 s"}), MOVING, 0),
+    Row("chamber stuck for good", _of("chamber", "stuck"), WARMING, 3, "the chamber does not reach 28.0 degC"),
     Row("chamber alarms", _of("chamber", "alarm"), WARMING, 3, "cannot go on"),
     Row("chamber overshoots", _of("chamber", "overshoot", overshoot="20 K"), WARMING, 3, "hotter than"),
     # frames
@@ -93,16 +96,20 @@ ROWS = (
     Row("silent for good", _of("gyro", "silent"), TURNING, 3, "no good frame"),
     Row("unplugged", _of("gyro", "unplug"), TURNING, 3, "gyro"),
     Row("unplugged and back", _of("gyro", "unplug", **{"for": "10 s"}), TURNING, 3, "gyro"),
+    Row("another instrument on the line", _of("gyro", "wrong model"), TURNING, 3, "no good frame"),
+    Row("overload", _of("gyro", "overload"), TURNING, 3, "doubts its samples (status: overload)"),
+    Row("overload for a while", _of("gyro", "overload", **{"for": "30 s"}), TURNING, 3, "(status: overload)"),
     # processes and the computer
     Row("killed while turning", "SIGKILL", TURNING, -9),
     Row("killed on a ramp", "SIGKILL", WARMING, -9),
     Row("killed while it moves", "SIGKILL", MOVING, -9),
     Row("terminated", "SIGTERM", TURNING, 130, "Stopped at once"),
-    Row("stands still", "SIGSTOP", TURNING, 3, "no sign of life for 15 s"),
+    Row("stands still", "SIGSTOP", TURNING, -9, "no sign of life for 15 s"),
     Row("watchdog killed", "SIGKILL watchdog", TURNING, 3, "watchdog process has ended"),
     Row("simulated bench killed", "SIGKILL simulator", TURNING, 3, "NOT IN THE SAFE STATE", ("table", "chamber")),
     Row("disk full", "disk full", TURNING, 3, "No space left on device"),
     Row("clock set back", "clock step", TURNING, 0),
+    Row("clock set on", "clock leap", TURNING, 0),
 )
 SAMPLE = (
     "killed while turning",
@@ -116,3 +123,25 @@ SAMPLE = (
     "disk full",
 )
 """What continuous integration runs; `make faults` runs all."""
+OF_SENSORS = {
+    "stim300": (
+        Row("overload", _of("gyro", "overload"), TURNING, 3, "(gyro: overload)"),
+        Row("self-test", _of("gyro", "self-test"), START, 3, "(gyro: system integrity error)"),
+    ),
+    "kvh_1775": (
+        Row("overload", _of("gyro", "overload"), TURNING, 3, "(gyro: x invalid)"),
+        Row("self-test", _of("gyro", "self-test"), START, 3, "(gyro: x invalid)"),
+    ),
+    "xsens_mti": (
+        Row("overload", _of("gyro", "overload"), TURNING, 3, "(MTi: gyro x clipped)"),
+        Row("self-test", _of("gyro", "self-test"), START, 3, "(MTi: self-test failed)"),
+    ),
+    "vectornav": (Row("half corrupt", _of("gyro", "corrupt", share="50 %"), TURNING, 3, "frames were"),),
+}
+"""What the status of each kind of sensor says, on a bench with such a one, and one fault of frames where it has no status; for all of them
+besides: """
+OF_EVERY_SENSOR = (
+    Row("another sensor at first", _of("gyro", "wrong model"), START, 3, "no frame that begins with"),
+    Row("unplugged and back", _of("gyro", "unplug", **{"for": "10 s"}), TURNING, 3, "gyro"),
+    Row("5 % lost", _of("gyro", "lose", share="5 %"), TURNING, 0),
+)

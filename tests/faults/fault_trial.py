@@ -37,7 +37,7 @@ def scripted(bench: SmallBench, row: Row) -> None:
         until(lambda: run.code is not None or _has_come(bench, row.when, older), f"{row.when} begins")
         assert run.code is None, run.said
         strike(bench, row.fault, run)
-    ended = finished(bench, run, older, killed=row.ends < 0 or row.fault == "SIGSTOP")
+    ended = finished(bench, run, older, killed=row.ends < 0)
     assert ended.code == row.ends, ended.said
     assert row.says in ended.said and "Traceback" not in ended.said, ended.said
     assert set(ended.not_safe) <= set(row.not_safe), f"not safe: {ended.not_safe}; {ended.said}"
@@ -70,7 +70,6 @@ def finished(bench: SmallBench, run: Run, older: Path | None, killed: bool) -> E
     folder: Callable[[], Path | None] = lambda: None if run_folder(bench) == older else run_folder(bench)  # noqa: E731
     if killed:
         until(lambda: (place := folder()) is None or (place / "watchdog.txt").exists(), "the watchdog reports")
-        run.send(signal.SIGCONT)
     code = run.wait(PATIENCE)
     said, place = run.said, folder()
     if place is not None and (place / "watchdog.txt").exists():
@@ -81,7 +80,7 @@ def finished(bench: SmallBench, run: Run, older: Path | None, killed: bool) -> E
 
 def resumed(bench: SmallBench, ended: Ended) -> None:
     """Everything is well again: the run goes on to its end, and has all that it had."""
-    for name in ("disk-full", "clock-step"):
+    for name in ("disk-full", "clock-step", "clock-leap"):
         (bench.folder / name).unlink(missing_ok=True)
     if bench.process.poll() is None:
         bench.clear()
@@ -95,7 +94,7 @@ def resumed(bench: SmallBench, ended: Ended) -> None:
     folder = run_folder(bench) if ended.folder is None else ended.folder
     assert folder is not None
     check_kept(folder, ended.kept)
-    check_complete(folder)
+    check_complete(folder, bench.sensor)
 
 
 def _not_safe(bench: SmallBench) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A small laboratory for faults: a table with two axes, a quick chamber and a flexure gyro, simulated in a process of their own, and a plan
+"""A small laboratory for faults: a table with two axes, a quick chamber and a sensor, simulated in a process of their own, and a plan
 of three short segments for it."""
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from forked_runs import Forks, Run
+from small_sensors import FLEXURE, SmallSensor
 
 from planrunner.bench.simulation import ask
 from planrunner.instruments.interfaces import InstrumentError
@@ -38,13 +39,6 @@ instruments:
       - {{name: inner, direction: north, max_rate: 100 deg/s, max_acceleration: 100 deg/s^2}}
   chamber: {{driver: virtual_chamber, lowest: -55 degC, highest: 85 degC, ramp: 60 K/min, ambient: 25 degC, lag: 2 s}}
   gyro:
-    driver: virtual_flexure_gyro
-    scale_factor: {{x: 0.2 (deg/h)/(pulse/s), y: 0.2 (deg/h)/(pulse/s)}}
-    drift_x: {{F: 1.8 deg/h, X: 3.2 deg/h/g, Y: -2.1 deg/h/g, Z: 0.35 deg/h/g}}
-    drift_y: {{F: -1.2 deg/h, X: 2.4 deg/h/g, Y: 3.0 deg/h/g, Z: -0.28 deg/h/g}}
-    white_noise: 0.9 pulse/sqrt(s)
-    full_scale: 1000000 pulse/s
-    sample_rate: 100 Hz
 """
 BENCH = f"""\
 planrunner_bench: 1
@@ -71,25 +65,12 @@ instruments:
     ambient: 25 degC
     lag: 2 s
   gyro:
-    driver: declared_frame
-    kind: flexure-gyro
-    port: gyro
-    baud: 115200
-    sample_rate: 100 Hz
-    silence: 10 s
-    sync: "A5 5A"
-    length: 14
-    fields:
-      torquer_x: {{at: 2, type: i32, unit: pulse/s}}
-      torquer_y: {{at: 6, type: i32, unit: pulse/s}}
-    counter: {{at: 10, type: u16}}
-    checksum: {{type: crc16_xmodem, from: 2}}
 """
 PLAN = """\
 planrunner: 1
 title: Three short segments
 bench: bench.yaml
-sensor: {kind: flexure-gyro, outputs: [torquer_x, torquer_y]}
+sensor: SENSOR
 defaults:
   temperature: 25 degC
   orientation: {x: up, y: north, z: west}
@@ -105,8 +86,6 @@ report: []
 """
 LABELS = ("still", "turning", "warm")
 DWELL, RATE = 20.0, 100.0
-TURNING = 10 * 3600 / 0.2
-"""pulse/s of the torquer that holds the gyro against the turning."""
 
 
 @dataclass
@@ -117,16 +96,17 @@ class SmallBench:
     process: subprocess.Popen[str]
     control: str
     forks: Forks
+    sensor: SmallSensor = FLEXURE
     runs: int = 0
 
     @classmethod
-    def start(cls, folder: Path, timeout: str = "2 s") -> SmallBench:
+    def start(cls, folder: Path, timeout: str = "2 s", sensor: SmallSensor = FLEXURE) -> SmallBench:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "truth.yaml").write_text(TRUTH, encoding="utf-8")
-        (folder / "asked.yaml").write_text(BENCH.replace("TIMEOUT", timeout), encoding="utf-8")
-        (folder / "plan.yaml").write_text(PLAN, encoding="utf-8")
+        (folder / "truth.yaml").write_text(TRUTH + sensor.truth, encoding="utf-8")
+        (folder / "asked.yaml").write_text(BENCH.replace("TIMEOUT", timeout) + sensor.bench, encoding="utf-8")
+        (folder / "plan.yaml").write_text(PLAN.replace("SENSOR", sensor.plan), encoding="utf-8")
         process, control = _served(folder, "asked.yaml", "--copy", str(folder / "bench.yaml"))
-        return cls(folder, process, control, Forks(ENVIRONMENT))
+        return cls(folder, process, control, Forks(ENVIRONMENT), sensor)
 
     def start_again(self) -> None:
         """At the same addresses, after its process was killed."""
@@ -182,14 +162,15 @@ def _served(folder: Path, bench: str, *more: str) -> tuple[subprocess.Popen[str]
     ready = folder / "ready.json"
     ready.unlink(missing_ok=True)
     command = [sys.executable, "-m", "planrunner", "simulate-bench", bench, "--speed", str(SPEED)]
-    process = subprocess.Popen(
-        [*command, "--ready", str(ready), *more],
-        cwd=folder,
-        env=ENVIRONMENT,
-        text=True,
-        stdout=(folder / "simulated.log").open("a"),
-        stderr=subprocess.STDOUT,
-    )
+    with (folder / "simulated.log").open("a") as log:
+        process = subprocess.Popen(
+            [*command, "--ready", str(ready), *more],
+            cwd=folder,
+            env=ENVIRONMENT,
+            text=True,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
     until(lambda: ready.exists() or process.poll() is not None, "the simulated bench is ready")
     assert process.poll() is None, (folder / "simulated.log").read_text(encoding="utf-8")
     return process, str(json.loads(ready.read_text(encoding="utf-8"))["control"])

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from fault_mixture import ROLES, drawn, trial
-from fault_table import ROWS, SAMPLE, Row
+from fault_table import OF_EVERY_SENSOR, OF_SENSORS, ROWS, SAMPLE, Row
 from fault_trial import scripted
 from small_bench import SmallBench
+from small_sensors import SENSORS
 
 from planrunner.simulators.faults import read_fault
 
@@ -45,6 +47,18 @@ def test_random_faults_are_faults_and_the_same_each_time() -> None:
 @pytest.mark.parametrize("row", [row for row in ROWS if ALL or row.name in SAMPLE], ids=lambda row: row.name)
 def test_faults_by_script(bench: SmallBench, row: Row) -> None:
     scripted(bench, row)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OF_SENSORS)
+def test_faults_of_each_sensor(name: str, tmp_path: Path) -> None:
+    """The last of its own, where not all are asked for."""
+    bench = SmallBench.start(tmp_path, sensor=SENSORS[name])
+    try:
+        for row in (*OF_SENSORS[name], *OF_EVERY_SENSOR) if ALL else OF_SENSORS[name][-1:]:
+            scripted(bench, row)
+    finally:
+        bench.stop()
 
 
 @pytest.mark.slow

@@ -182,17 +182,34 @@ def test_an_instrument_that_cannot_be_made_safe_is_tried_again_by_the_watchdog(
 
 @pytest.mark.slow
 def test_a_run_that_stands_still_is_taken_the_bench_from(planrunner: Planrunner, tmp_path: Path) -> None:
-    """SIGSTOP: no sign of life for the five seconds that the bench allows. Continued, the run finds its watchdog gone and ends."""
+    """SIGSTOP: no sign of life for the five seconds that the bench allows. The run is ended, so that it can neither go on commanding nor
+    keep a connection that only one can have, and goes on where it was."""
     bench_file(tmp_path, "protection: {silence: 5 s}\n")
     run = started(planrunner, tmp_path)
     run.send_signal(signal.SIGSTOP)
     wait(lambda: (the_run(tmp_path) / "watchdog.txt").exists(), seconds=30)
-    assert safe(tmp_path)
-    assert "no sign of life for 5 s" in (the_run(tmp_path) / "watchdog.txt").read_text(encoding="utf-8")
-    run.send_signal(signal.SIGCONT)
+    assert safe(tmp_path) and acknowledged(tmp_path) == 1
+    told = "planrunner gave no sign of life for 5 s and was ended; `planrunner resume` goes on with the run\n  table: safe\n"
+    assert told in (the_run(tmp_path) / "watchdog.txt").read_text(encoding="utf-8")
     _, err = run.communicate(timeout=30)
-    assert run.returncode == 3 and "the watchdog process has ended" in err
-    assert safe(tmp_path)
+    assert run.returncode == -signal.SIGKILL and told in err
+    resumed = planrunner("resume", str(the_run(tmp_path)), "--quiet")
+    wait(lambda: state(tmp_path, "table")["rate"] > 0.3, resumed, seconds=60)
+    resumed.send_signal(signal.SIGTERM)
+    resumed.communicate(timeout=60)
+    assert resumed.returncode == 130 and safe(tmp_path) and acknowledged(tmp_path) == 1
+
+
+@pytest.mark.slow
+def test_a_driver_that_hangs_in_the_middle_of_a_segment_is_ended(planrunner: Planrunner, tmp_path: Path) -> None:
+    """The process lives, its other threads too; only the thread that carries out the run comes to nothing."""
+    bench_file(tmp_path, "protection: {silence: 5 s}\n")
+    run = started(planrunner, tmp_path)
+    (tmp_path / "chamber.faults").write_text("hang", encoding="utf-8")
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == -signal.SIGKILL and "no sign of life for 5 s and was ended" in err
+    wait(lambda: (the_run(tmp_path) / "watchdog.txt").exists(), seconds=60)
+    assert safe(tmp_path) and acknowledged(tmp_path) == 1
 
 
 @pytest.mark.slow
@@ -208,8 +225,7 @@ def test_a_driver_that_hangs_while_it_is_made_safe_keeps_nobody_from_his_turn(
     assert "no sign of life for 5 s" in report and "table: safe" in report
     assert "chamber: NOT SAFE, it did not return within 30 s" in report
     assert state(tmp_path, "table")["safe"] and state(tmp_path, "table")["rate"] == 0 and acknowledged(tmp_path) == 1
-    run.send_signal(signal.SIGKILL)
-    run.communicate()
+    run.communicate(timeout=30)
     (tmp_path / "chamber.faults").unlink()
     resumed = planrunner("resume", str(the_run(tmp_path)), "--quiet")
     wait(lambda: state(tmp_path, "table")["rate"] > 0.3, resumed, seconds=60)

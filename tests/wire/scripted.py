@@ -9,11 +9,12 @@ import socket
 import struct
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from planrunner.bench.clock import WallClock
 from planrunner.instruments.interfaces import Surroundings
@@ -154,6 +155,7 @@ class SerialPlayer(Player):
     def __init__(self, name: str):
         self.transcript = Transcript.read(name)
         self.heard = []
+        tty = pytest.importorskip("tty", reason="this system has no pseudo-terminals")
         self._near, self._far = os.openpty()
         tty.setraw(self._far)
         self._thread = threading.Thread(target=self._attend_line, daemon=True)

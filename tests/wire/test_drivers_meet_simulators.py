@@ -22,7 +22,8 @@ from planrunner.bench.opening import OpenBench, open_bench
 from planrunner.bench.simulation import ask
 from planrunner.instruments.interfaces import InstrumentError, OwnLimits
 from planrunner.physics.kinematics import rotation_about
-from planrunner.plan.schedule import Rock, Segment, Spin
+from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.plan.schedule import Cycle, Move, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
 pytestmark = [
@@ -114,6 +115,29 @@ def turned(degrees: float) -> Any:
     return rotation_about((0.0, 0.0, 1.0), math.radians(degrees)).T
 
 
+def check_cycle(bench: OpenBench, control: str) -> None:
+    """Two cycles of turns, one of them the longer way: near the end of every stop the axis has truly turned as far as the cycle says, whole
+    turns counted, which a position that is read does not."""
+    table, clock = bench.table, bench.clock
+    degrees = (180.0, 90.0, -270.0)
+    motion = Cycle({}, tuple(Move("", math.radians(turn), "") for turn in degrees), math.radians(40), 30.0)
+    planned = RotationCycle.of(motion, math.radians(200))
+    wait_for(bench, table.holding, table.orient(turned(10.0)))
+
+    def truth() -> float:
+        return float(ask(control, {"ask": "state"})["table"]["angles"][0])
+
+    home, begun = truth(), clock.now()
+    table.begin_motion(motion, 2 * planned.period)
+    stop_ends = np.cumsum([30.0 + abs(turn) / 40 + 40 / 200 for turn in degrees])
+    for moment in np.concatenate([stop_ends, planned.period + stop_ends]) + 26.0:
+        while clock.now() < begun + moment:
+            assert table.watch().faults == ()
+            time.sleep(0.02)
+        assert truth() - home == pytest.approx(float(planned.angle(np.array([moment]))[0]), abs=math.radians(0.03))
+    wait_for(bench, table.holding, table.end_motion())
+
+
 @pytest.mark.parametrize("pair", PAIRS)
 def test_what_the_driver_asks_for_is_what_the_world_does(
     pair: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -143,6 +167,8 @@ def test_what_the_driver_asks_for_is_what_the_world_does(
         else:
             with pytest.raises(InstrumentError, match="has no rocking motion"):
                 table.foresee([Segment(0, "R", None, "", rock, 60.0)])
+
+        check_cycle(bench, control)
 
         chamber.limit(OwnLimits())
         wait_for(bench, chamber.at_temperature, chamber.set_temperature(30 + ZERO_CELSIUS))

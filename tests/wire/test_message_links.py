@@ -6,7 +6,6 @@ import os
 import socket
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -238,6 +237,7 @@ def test_an_interrupted_question_does_not_leave_its_answer_to_the_next(monkeypat
 
 @contextmanager
 def serial_line(talk: Callable[[int], None]) -> Iterator[str]:
+    tty = pytest.importorskip("tty", reason="this system has no pseudo-terminals")
     near, far = os.openpty()
     tty.setraw(far)
     thread = threading.Thread(target=talk, args=(near,), daemon=True)

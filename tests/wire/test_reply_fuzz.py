@@ -18,7 +18,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.tables.acutrol import AcutrolCommands, AcutrolParameters
 from planrunner.instruments.tables.acutrol_framing import KINDS, kind_of
 from planrunner.instruments.tables.aerosmith import AerosmithCommands, AerosmithParameters
-from planrunner.instruments.tables.axis_table import AxisBounds
+from planrunner.instruments.tables.axis_commands import AxisBounds
 from planrunner.instruments.wire.links import LinkFailure, MessageLink
 from planrunner.plan.kinds import Record
 

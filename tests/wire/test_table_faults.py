@@ -279,6 +279,24 @@ def test_rocking_ends_by_itself_after_its_duration() -> None:
         assert table.end_motion() == 0.0
 
 
+def test_a_mode_that_another_thread_changes_meanwhile_has_not_strayed() -> None:
+    """As a cycle does: between the question for the mode and its answer the axis is sent to another."""
+    with bench() as (controller, table, _):
+        table.orient(turned(5.0))
+        answer = controller._reply
+
+        def late(text: str) -> str | None:
+            if text == ":mode? 1":
+                controller.mode[1], table.commands._modes[1] = "Rate", "rate"
+            return answer(text)
+
+        controller._reply = late  # type: ignore[method-assign]
+        assert table.watch().faults == ()
+        controller._reply = answer  # type: ignore[method-assign]
+        controller.mode[1] = "Off"
+        assert table.watch().faults == ("axis 1 went into the mode 'Off' by itself",)
+
+
 def test_rocking_two_rings_in_phase_is_one_message() -> None:
     with bench(TWO) as (controller, table, _):
         table.begin_motion(Rock(math.radians(3), 0.2, (0.0, math.pi / 4), math.inf), 60.0)
@@ -290,8 +308,8 @@ def test_what_it_cannot_do_is_foreseen() -> None:
     with bench() as (_, table, _server):
         for motion, why in (
             (
-                Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 0.1, 1.0),
-                "'S1': the table has no cycle of turns and stops",
+                Cycle({"A": 0.0, "C": math.pi}, (Move("A", math.pi, "C"), Move("C", -math.pi, "A")), 2.0, 1.0),
+                "'S1': the axis 'table' reaches 100 deg/s, not 114.592 deg/s",
             ),
             (Rock(0.01, 0.2, (0.0, 0.0), 1.0), "'S1': 2 rings are to rock, the table has 1"),
             (Rock(1.0, 1.0, (0.0,), 1.0), "'S1': rocking needs 360 deg/s and 2262 deg/s^2 of the axis 'table'"),

@@ -86,6 +86,12 @@ class Kvh1775(SerialSensor):
         clock.sleep(SETTLE)
         return {"configured": ", ".join(commands[1:]), **ask_built_in_test(link, clock)}
 
+    @classmethod
+    def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
+        results = bytes.fromhex(identity.get("built_in_test", ""))
+        failed = [f"{place}.{bit}" for place, byte_ in enumerate(results) for bit in range(7) if not byte_ >> bit & 1]
+        return (f"its built-in test failed (byte.bit {', '.join(failed)})",) if failed else ()
+
 
 def layout(parameters: Kvh1775Parameters) -> FrameLayout:
     """Where everything stands in a frame."""

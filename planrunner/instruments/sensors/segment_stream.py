@@ -21,7 +21,7 @@ class SegmentStream:
     """`wanted` samples from `start` (s, by the bench's clock) on. byte_time: s that a byte is on the line; skew: of the sensor's clock, as
     known so far; haste: seconds of the bench's clock in one of the wall.
 
-    over: whether all samples are out. heard: good frames of the last call.
+    over: whether all samples are out. heard: good frames of the last call; fresh: those among them that lie beyond all before.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class SegmentStream:
         haste: float = 1.0,
     ):
         self.over = False
-        self.heard = 0
+        self.heard = self.fresh = 0
         self._decoder, self._link = decoder, link
         self._start, self._wanted, self._haste = start, wanted, haste
         self._framer = Framer(decoder.framing, byte_time)
@@ -70,6 +70,7 @@ class SegmentStream:
             index = self._unwrapping.resolve(waiting.received, waiting.counter)
         self._pending = waiting.part(slice(index.size, None))
         chosen = self._onwards(index)
+        self.fresh = int(np.count_nonzero(chosen))
         ready = waiting.part(slice(0, index.size)).part(chosen)
         time = self._clock.stamp(index[chosen], ready.received - ready.latency)
         return self._within(time, index[chosen], ready)

@@ -53,6 +53,7 @@ class SerialSensor:
         self._skew = 0.0
         self._heard = clock.now()
         self._doubts: dict[str, None] = {}
+        self._lasting = self.lasting_doubts(self.identity)
 
     @classmethod
     def decoder_of(cls, parameters: Any) -> Decoder:
@@ -63,6 +64,11 @@ class SerialSensor:
     def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
         """Set the sensor and ask what it is, as far as it can be asked. Raises `InstrumentError`."""
         return {}
+
+    @classmethod
+    def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
+        """What `configure` found that speaks against all samples, such as a failed self-test."""
+        return ()
 
     @classmethod
     def address(cls, parameters: Any) -> str:
@@ -108,11 +114,14 @@ class SerialSensor:
         wanted = max(1, round(segment.dwell * self.parameters.sample_rate.value))
         current = SegmentStream(self.decoder, self.link, start, wanted, self._byte_time(), self._skew, self._speed)
         self._current = current
+        advanced = start
         try:
             while not current.over:
                 self.clock.sleep(POLL)
                 block = current.advance()
                 self._hear(current.heard, current.take_doubts())
+                advanced = self.clock.now() if current.fresh or not current.heard else advanced
+                self._check_count(self.clock.now() - advanced)
                 self._check_skew(current.skew)
                 yield block
             self._skew = current.skew
@@ -124,10 +133,10 @@ class SerialSensor:
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """Its doubts since it was last asked; silence is a fault."""
+        """Its doubts since it was last asked, and those that last; silence is a fault."""
         if not self._streaming:
             self._overhear()
-        doubts, self._doubts = tuple(self._doubts), {}
+        doubts, self._doubts = (*self._lasting, *self._doubts), {}
         silent = self.clock.now() - self._heard
         faults = () if silent <= self._patience() else (self._silence(silent),)
         return Condition({}, faults, doubts)
@@ -164,6 +173,13 @@ class SerialSensor:
             f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: look at its power, its cable, "
             "and whether it was reset to other settings; then resume the run"
         )
+
+    def _check_count(self, seconds: float) -> None:
+        if seconds > self._patience():
+            raise InstrumentError(
+                f"the frames that came from {self.parameters.port} for {seconds:.1f} s do not count on: the sensor's counter stands still, "
+                "so that nobody can tell when they were taken; switch it off and on, then resume the run"
+            )
 
     def _check_skew(self, skew: float) -> None:
         if abs(skew) > SKEW_TOLERANCE:

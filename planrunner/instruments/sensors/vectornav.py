@@ -28,6 +28,7 @@ from planrunner.plan.kinds import Choice, ListOf, key
 BASE_RATE = 800.0  # Hz, of which binary output takes every n-th
 COMMON_GROUP = 1
 LINE_LONGEST = 256
+MODEL, SERIAL = 1, 3  # registers
 
 
 def _axes(name: str, unit: str) -> dict[str, str]:
@@ -106,9 +107,14 @@ class VectorNav(SerialSensor):
             raise InstrumentError(
                 f"a VN-100 sends 800 Hz or a whole part of it, not {parameters.sample_rate.value:g} Hz"
             )
+        model, serial = (ask(link, clock, f"VNRRG,{register}").rpartition(",")[2] for register in (MODEL, SERIAL))
+        if not model.startswith("VN-"):
+            raise InstrumentError(
+                f"the sensor on {parameters.port} says that it is '{model[:40]}', which is no VectorNav"
+            )
         port = parameters.configure.removeprefix("port_")
         ask(link, clock, f"VNWRG,75,{port},{round(divisor)},{COMMON_GROUP:02X},{word(parameters.fields):04X}")
-        return {"configured": ", ".join(parameters.fields)}
+        return {"model": model, "serial": serial, "configured": ", ".join(parameters.fields)}
 
 
 # -- commands ----------------------------------------------------------------------------------------------------------

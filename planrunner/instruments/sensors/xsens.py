@@ -26,7 +26,7 @@ from planrunner.instruments.wire.serial_stream import SerialStream
 from planrunner.plan.kinds import Boolean, Choice, ListOf, key
 
 LONGEST = 2048 + 7
-MT_DATA_2, GO_TO_CONFIG, GO_TO_MEASUREMENT, SET_OUTPUTS, ERROR = 0x36, 0x30, 0x10, 0xC0, 0x42
+MT_DATA_2, DEVICE, GO_TO_CONFIG, GO_TO_MEASUREMENT, SET_OUTPUTS, ERROR = 0x36, 0x00, 0x30, 0x10, 0xC0, 0x42
 PACKET_COUNTER, SAMPLE_TIME_FINE, STATUS_WORD = 0x1020, 0x1060, 0xE020
 OUTPUTS = {
     "acceleration": (0x4020, 3),
@@ -96,9 +96,10 @@ class XsensMti(SerialSensor):
         ]
         settings = b"".join(number.to_bytes(2, "big") for item in wanted for number in item)
         ask(link, clock, GO_TO_CONFIG)
+        serial = ask(link, clock, DEVICE)[4:-1].hex().upper()
         ask(link, clock, SET_OUTPUTS, settings)
         ask(link, clock, GO_TO_MEASUREMENT)
-        return {"configured": ", ".join(parameters.outputs)}
+        return {"serial": serial, "configured": ", ".join(parameters.outputs)}
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------

@@ -7,12 +7,13 @@ Commands are `:Main:Sub axis,argument;Sub axis,argument` and are not answered; w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.acutrol_framing import AcutrolFraming
-from planrunner.instruments.tables.axis_table import AxisBounds, AxisState, AxisTable, Sine
+from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
+from planrunner.instruments.tables.axis_table import AxisTable
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
 from planrunner.instruments.wire.link_keys import LinkKeys
 from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
@@ -117,22 +118,24 @@ class AcutrolCommands:
         # What is not in its position mode holds where it is first, so that no earlier demand takes effect with the mode.
         entering = {axis: here[axis] for axis in positions if self._modes.get(axis) != "pos"}
         hold = [_joined("dem", "pos", entering), _joined("mode", "pos", entering)] if entering else []
-        self._do(*hold, _joined("dem", "pos", positions))
-        self._modes.update(dict.fromkeys(positions, "pos"))
+        self._enter("pos", positions, *hold, _joined("dem", "pos", positions))
 
     def turn(self, axis: int, rate: float) -> None:
-        if self._modes.get(axis) == "rate":
-            self._do(f":dem:rate {axis},{written(rate)}")
-        else:
-            self._do(f":dem:rate {axis},0", f":mode:rate {axis}", f":dem:rate {axis},{written(rate)}")
-        self._modes[axis] = "rate"
+        hold = [] if self._modes.get(axis) == "rate" else [f":dem:rate {axis},0", f":mode:rate {axis}"]
+        self._enter("rate", [axis], *hold, f":dem:rate {axis},{written(rate)}")
 
     def rock(self, sines: Mapping[int, Sine]) -> None:
         still = {axis: Sine(0.0, sine.frequency, sine.phase) for axis, sine in sines.items()}
         entering = any(self._modes.get(axis) != "synt" for axis in sines)
         enter = [_oscillation(still), ":mode:" + ";".join(f"synt {axis}" for axis in sines)] if entering else []
-        self._do(*enter, _oscillation(sines))
-        self._modes.update(dict.fromkeys(sines, "synt"))
+        self._enter("synt", sines, *enter, _oscillation(sines))
+
+    def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
+        """Meanwhile nobody knows their mode, who asks from another thread included."""
+        for axis in axes:
+            self._modes.pop(axis, None)
+        self._do(*commands)
+        self._modes.update(dict.fromkeys(axes, mode))
 
     def state(self, axis: int) -> AxisState:
         position, rate = numbers(self.link, f":read:pos? {axis};rate? {axis}", 2)
@@ -141,9 +144,9 @@ class AcutrolCommands:
     def faults(self) -> Sequence[str]:
         found = self._reported()
         strayed = []
-        for axis, mode in self._modes.items():
+        for axis, mode in list(self._modes.items()):
             said = self.link.query(f":mode? {axis}")
-            if MODES.get(said[:1].casefold(), said.casefold()) != mode:
+            if MODES.get(said[:1].casefold(), said.casefold()) != mode and self._modes.get(axis) == mode:
                 strayed.append(f"axis {axis} went into the mode '{said}' by itself")
         if strayed and not found:  # it happened between the two questions
             found = self._reported()

@@ -1,4 +1,5 @@
-"""What every real table does, whoever made it: attitudes to axis positions, spins, rocking, whether a state is held, the safe state.
+"""What every real table does, whoever made it: attitudes to axis positions, spins, rocking, cycles, whether a state is held, the safe
+state.
 
 How a controller is told stands in a file of its own, as an `AxisCommands`; this file knows no vendor. States are judged by what the
 controller measures, never by the time that went by.
@@ -7,14 +8,15 @@ controller measures, never by the time that went by.
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from planrunner.instruments.interfaces import Array, Clock, Condition, InstrumentError, OwnLimits, Surroundings
+from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, Sine
+from planrunner.instruments.tables.profiles import check_cycle, check_reach, check_rock, turns_of
+from planrunner.instruments.tables.timed_motion import TimedMotion
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
 from planrunner.physics.kinematics import (
     TableAxis,
@@ -31,67 +33,15 @@ STOPPED = math.radians(0.1)
 """rad/s below which an axis may be switched off."""
 POLL = 0.05
 """s between two looks at a table that is being stopped."""
-LOOK = 0.005
-"""s, of the wall, between two looks at the clock while it rocks."""
 
 
 @dataclass(frozen=True, slots=True)
-class AxisState:
-    """What the controller measures: degrees and deg/s, as it counts."""
+class Aim:
+    """What the axes were told last: joint angles [rad] of those that shall stand, rates [rad/s] of those that shall turn, by index. An
+    aim is another one as soon as anything new is told, whatever it says."""
 
-    position: float
-    rate: float
-
-
-@dataclass(frozen=True, slots=True)
-class AxisBounds:
-    """What an axis shall keep to by itself, as the controller counts: deg/s, deg/s², deg; lowest and highest None without stops."""
-
-    rate: float
-    acceleration: float
-    tracking_error: float
-    lowest: float | None = None
-    highest: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Sine:
-    """amplitude·sin(2π·frequency·t + phase) about the position that is held: deg, Hz, deg."""
-
-    amplitude: float
-    frequency: float
-    phase: float
-
-
-class AxisCommands(Protocol):
-    """How a controller is told. Axes go by the controller's numbers, angles are its degrees. Every failure is an `InstrumentError`."""
-
-    rocks: bool
-    """Whether it has a sine motion of its own."""
-
-    def identify(self) -> Mapping[str, str]: ...
-    def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
-        """Set what the axis keeps to by itself; a line for each limit that is set now."""
-
-    def energise(self) -> None:
-        """Make the axes ready to move. Called before the first move, and after `switch_off`."""
-
-    def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Go to positions and stand there. here: where the axes are now, so that one which is only entering its position mode holds
-        there first."""
-
-    def turn(self, axis: int, rate: float) -> None: ...
-    def rock(self, sines: Mapping[int, Sine]) -> None: ...
-    def state(self, axis: int) -> AxisState: ...
-    def faults(self) -> Sequence[str]:
-        """Why it cannot go on, in words; empty while all is well."""
-
-    def stop(self) -> None:
-        """Bring every axis to rest, controlled."""
-
-    def switch_off(self) -> None: ...
-    def remarks(self) -> Sequence[str]: ...
-    def close(self) -> None: ...
+    positions: Mapping[int, float] = field(default_factory=dict)
+    rates: Mapping[int, float] = field(default_factory=dict)
 
 
 class AxisTable:
@@ -101,14 +51,12 @@ class AxisTable:
         self.commands, self.keys, self.clock, self.azimuth = commands, keys, clock, azimuth
         self.axes: tuple[TableAxis, ...] = keys.model().axes
         self.counted = counted(keys)
-        self._positions: dict[int, float] = {}  # of the axes that shall stand, joint angles [rad]
-        self._rates: dict[int, float] = {}  # of the axes that shall turn, rad/s
+        self._aim = Aim()
+        self._reached: Aim | None = None
         self._rocking: Rock | None = None
         self._home: tuple[float, ...] = ()
-        self._rocked: threading.Thread | None = None
-        self._called_off = threading.Event()
-        self._broken = ""
-        self._ready = self._limited = self._reached = False
+        self._timed = TimedMotion(clock)
+        self._ready = self._limited = False
 
     @classmethod
     def connect(cls, commands: AxisCommands, keys: WiredTableKeys, surroundings: Surroundings) -> AxisTable:
@@ -146,13 +94,14 @@ class AxisTable:
             )
             told += self.commands.limit(counted_.number, bounds)
         self._limited = True
+        self._timed.patience = limits.silence or math.inf
         return told
 
     def foresee(self, segments: Sequence[Segment]) -> None:
         for segment in segments:
             motion = segment.motion
             if isinstance(motion, Cycle):
-                raise InstrumentError(f"'{segment.label}': the table has no cycle of turns and stops")
+                check_cycle(self.axes[0], motion, f"'{segment.label}': ")
             if isinstance(motion, Rock):
                 self._check_rock(motion, f"'{segment.label}': ")
 
@@ -176,22 +125,21 @@ class AxisTable:
         self._make_ready()
         if isinstance(motion, Spin):
             return self._spin(motion)
-        if isinstance(motion, Rock):
-            return self._rock(motion)
-        raise InstrumentError("the table has no cycle of turns and stops")
+        return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
-        self._call_off()
+        """A turn of a cycle ends where it is then; one that is at its end is led to its position."""
+        self._timed.call_off()
         if self._rocking is not None:
             return self._end_rocking()
         _, rates = self._measured()
+        aim = self._aim
         turning = [index for index, rate in enumerate(rates) if abs(rate) > STOPPED]
-        if any(index not in self._rates for index in turning):  # nobody here set it going, as after a crash
+        told = {**aim.rates, **aim.positions}
+        if any(index not in told for index in turning):  # nobody here set it going, as after a crash
             self.commands.stop()
-        for index in self._rates:
-            self.commands.turn(self.counted[index].number, 0.0)
-            self._rates[index] = 0.0
-            self._reached = False
+        for index in aim.rates:
+            self._turn(index, 0.0, aim.positions)
         return max(spin_up_time(axis, float(rate)) for axis, rate in zip(self.axes, rates, strict=True))
 
     def holding(self) -> bool:
@@ -205,26 +153,32 @@ class AxisTable:
     def watch(self) -> Condition:
         """On the way to a state there is no error from it yet: errors are told from when it was reached first."""
         faults, errors = self._observed()
-        return Condition(errors if self._reached else {}, faults)
+        return Condition(errors if self._reached is self._aim else {}, faults)
 
     def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Faults, and how far the axes are from what they were told last [rad, rad/s]."""
-        faults = [*self.commands.faults(), *([self._broken] if self._broken else [])]
+        """Faults, and how far the axes are from what they were told last [rad, rad/s]; nothing where that changed meanwhile."""
+        self._timed.looked_at()
+        aim, rocking = self._aim, self._rocking  # another thread may be changing them
+        faults = [*self.commands.faults(), *([self._timed.broken] if self._timed.broken else [])]
         joints, rates = self._measured()
-        rocking = self._rocking  # another thread may be ending it
         if rocking is not None:
             reach = rocking.amplitude + self.keys.tracking_error.value
             away = max(abs(self._off(index, joints, home)) for index, home in enumerate(self._home))
             if away > reach:
                 faults.append(f"an axis is {math.degrees(away):.4g} deg from where it rocks about")
             return tuple(faults), {}
-        errors = {"rate_error": max(abs(float(rate) - self._rates.get(index, 0.0)) for index, rate in enumerate(rates))}
-        if self._positions:
+        errors = self._errors(aim, joints, rates)
+        return tuple(faults), errors if self._aim is aim else {}
+
+    def _errors(self, aim: Aim, joints: Array, rates: Array) -> dict[str, float]:
+        errors = {"rate_error": max(abs(float(rate) - aim.rates.get(index, 0.0)) for index, rate in enumerate(rates))}
+        if aim.positions:
             errors["position_error"] = max(
-                abs(self._off(index, joints, target)) for index, target in self._positions.items()
+                abs(self._off(index, joints, target)) for index, target in aim.positions.items()
             )
-        self._reached = self._reached or self._within(errors)
-        return tuple(faults), errors
+        if self._within(errors):
+            self._reached = aim
+        return errors
 
     def _within(self, errors: Mapping[str, float]) -> bool:
         return (
@@ -243,9 +197,8 @@ class AxisTable:
 
     def make_safe(self) -> None:
         """Stop every axis, then switch off. An axis that does not stop is switched off nevertheless, and told."""
-        self._call_off()
-        self._forget()
-        self._ready = False
+        self._timed.call_off()
+        self._aim, self._rocking, self._ready = Aim(), None, False
         try:
             trouble = self._stop_and_switch_off()
         except InstrumentError:  # a connection that was lost unnoticed is opened anew
@@ -254,17 +207,14 @@ class AxisTable:
             raise InstrumentError(trouble)
 
     def close(self) -> None:
-        self._call_off()
+        self._timed.call_off()
         self.commands.close()
 
     # -- how it does it ------------------------------------------------------------------------------------------------
 
-    def _forget(self) -> None:
-        self._positions, self._rates, self._rocking, self._reached = {}, {}, None, False
-
     def _make_ready(self) -> None:
         if not self._ready:
-            self._broken = ""
+            self._timed.broken = ""
             if not self._limited:
                 self.limit(OwnLimits())
             self.commands.energise()
@@ -282,8 +232,7 @@ class AxisTable:
         return math.remainder(off, 2 * math.pi) if self.axes[index].continuous else off
 
     def _stand(self, joints: Sequence[float] | Array, here: Sequence[float] | Array) -> None:
-        self._forget()
-        self._positions = {index: float(joint) for index, joint in enumerate(joints)}
+        self._aim, self._rocking = Aim({index: float(joint) for index, joint in enumerate(joints)}), None
         self.commands.go_to(self._readings(joints), self._readings(here))
 
     def _readings(self, joints: Sequence[float] | Array) -> dict[int, float]:
@@ -295,7 +244,7 @@ class AxisTable:
             index = spin_axis(self.axes, joints, motion.about, self.azimuth)
         except Unreachable as error:
             raise InstrumentError(f"the table cannot spin about this direction: {error}") from None
-        axis, counted_ = self.axes[index], self.counted[index]
+        axis = self.axes[index]
         if abs(motion.rate) > axis.max_rate * (1 + 1e-9):
             reached = f"{math.degrees(axis.max_rate):g} deg/s"
             raise InstrumentError(
@@ -303,11 +252,15 @@ class AxisTable:
             )
         along = float(joint_directions(self.axes, joints, self.azimuth)[index] @ np.asarray(motion.about))
         rate = math.copysign(1.0, along) * motion.rate
-        self._forget()
-        self._positions = {other: float(joint) for other, joint in enumerate(joints) if other != index}
-        self._rates = {index: rate}
-        self.commands.turn(counted_.number, counted_.sense * math.degrees(rate))
+        self._rocking = None
+        self._turn(index, rate, {other: float(joint) for other, joint in enumerate(joints)})
         return spin_up_time(axis, rate - float(rates[index]))
+
+    def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
+        """standing: where the others stand."""
+        self._aim = Aim({other: joint for other, joint in standing.items() if other != index}, {index: rate})
+        axis = self.counted[index]
+        self.commands.turn(axis.number, axis.sense * math.degrees(rate))
 
     def _rock(self, motion: Rock) -> float:
         self._check_rock(motion)
@@ -315,15 +268,13 @@ class AxisTable:
         for axis, joint, _ in zip(self.axes, joints, motion.phases, strict=False):
             if not axis.lowest <= joint - motion.amplitude <= joint + motion.amplitude <= axis.highest:
                 raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
-        self._forget()
-        self._rocking, self._home = motion, tuple(float(joint) for joint in joints)
+        self._aim = Aim()
+        self._home, self._rocking = tuple(float(joint) for joint in joints), motion
         self.commands.rock(self._sines(motion, motion.amplitude))
         steady = 1 / motion.frequency
         if math.isfinite(motion.duration):
             end = self.clock.now() + steady + motion.duration
-            self._called_off.clear()
-            self._rocked = threading.Thread(target=self._rock_until, args=(end,), daemon=True)
-            self._rocked.start()
+            self._timed.begin("rocking could not be ended", lambda: self._rock_until(end))
         return steady
 
     def _sines(self, motion: Rock, amplitude: float) -> dict[int, Sine]:
@@ -335,14 +286,7 @@ class AxisTable:
     def _check_rock(self, motion: Rock, where: str = "") -> None:
         if not self.commands.rocks:
             raise InstrumentError(f"{where}the table has no rocking motion")
-        if len(motion.phases) > len(self.axes):
-            raise InstrumentError(f"{where}{len(motion.phases)} rings are to rock, the table has {len(self.axes)}")
-        circular = 2 * math.pi * motion.frequency
-        for axis, _ in zip(self.axes, motion.phases, strict=False):
-            rate, acceleration = motion.amplitude * circular, motion.amplitude * circular**2
-            if rate > axis.max_rate * (1 + 1e-9) or acceleration > axis.max_acceleration * (1 + 1e-9):
-                needed = f"{math.degrees(rate):.4g} deg/s and {math.degrees(acceleration):.4g} deg/s^2"
-                raise InstrumentError(f"{where}rocking needs {needed} of the axis '{axis.name}', more than it reaches")
+        check_rock(self.axes, motion, where)
 
     def _end_rocking(self) -> float:
         assert self._rocking is not None
@@ -352,21 +296,47 @@ class AxisTable:
         return 1 / rocking.frequency
 
     def _rock_until(self, end: float) -> None:
-        """The duration of the rocking is over while the segment goes on; on a thread of its own, by the bench's clock."""
-        while self.clock.now() < end:
-            if self._called_off.wait(LOOK):
-                return
-        try:
-            self._end_rocking()
-        except InstrumentError as error:
-            self._broken = f"rocking could not be ended: {error}"
+        """The duration of the rocking is over while the segment goes on."""
+        self._timed.until(end)
+        self._end_rocking()
 
-    def _call_off(self) -> None:
-        """The rocking is no longer ended by itself."""
-        self._called_off.set()
-        thread, self._rocked = self._rocked, None
-        if thread is not None:
-            thread.join()
+    def _cycle(self, motion: Cycle) -> float:
+        """Turns and stops of the outermost axis; the first stop begins now."""
+        joints, _ = self._measured()
+        joints[0] = self._aim.positions.get(0, joints[0])
+        check_cycle(self.axes[0], motion)
+        check_reach(self.axes[0], float(joints[0]), motion)
+        self._stand(joints, joints)
+        self._timed.begin("the cycle could not go on", lambda: self._turns(motion, joints, self.clock.now()))
+        return 0.0
+
+    def _turns(self, motion: Cycle, home: Array, begun: float) -> None:
+        """Every turn by its rate, so that it has its sense whichever way is shorter; what is missing at its end is made good by position,
+        in the stop that follows."""
+        standing = {index: float(joint) for index, joint in enumerate(home)}
+        for turn in turns_of(motion, self.axes[0].max_acceleration):
+            self._timed.until(begun + turn.begins)
+            self._turn(0, turn.rate, standing)
+            self._timed.until(begun + turn.brakes)
+            self._turn(0, 0.0, standing)
+            self._timed.until(begun + turn.ends)
+            standing[0] = float(home[0]) + turn.target
+            self._lead_in(list(standing.values()), begun + turn.ends + motion.stop)
+
+    def _lead_in(self, joints: Sequence[float], end: float) -> None:
+        while abs(self._measured()[1][0]) > STOPPED:
+            self._wait_before(end)
+        self._stand(joints, self._measured()[0])
+        while not self._within(self._errors(self._aim, *self._measured())):
+            self._wait_before(end)
+
+    def _wait_before(self, end: float) -> None:
+        if self.clock.now() >= end:
+            raise InstrumentError(
+                f"the axis '{self.axes[0].name}' does not stand at its position when the stop there is over: let it stop for longer, "
+                "and look at max_acceleration and position_tolerance in the bench file"
+            )
+        self._timed.until(self.clock.now() + POLL)
 
     def _stop_and_switch_off(self) -> str:
         """What is wrong with the table now, or nothing."""

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
-from planrunner.instruments.tables.axis_table import AxisBounds, AxisState, AxisTable, Sine
+from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
+from planrunner.instruments.tables.axis_table import AxisTable
 from planrunner.instruments.tables.command_templates import CommandTemplate, filled
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
 from planrunner.instruments.wire.link_keys import LinkKeys

@@ -26,6 +26,16 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 
 @compiled()
+def _word(data, place, little):  # type: ignore[no-untyped-def]
+    """Four bytes as a number. place: unsigned, which spares numba the question whether it counts from the end."""
+    first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
+    third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
+    if little:
+        return np.uint32(first | (second << 8) | (third << 16) | (fourth << 24))
+    return np.uint32((first << 24) | (second << 16) | (third << 8) | fourth)
+
+
+@compiled()
 def value(data, start, length, padding, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
     """The check of data[start : start + length] followed by `padding` zeros. numba widens integers, so registers are cut to 32 bits; an
     unsigned index spares it the question whether it counts from the end."""
@@ -43,30 +53,33 @@ def value(data, start, length, padding, kind, width, tables, initial, reflected,
     place, end = np.uintp(start), np.uintp(start + length)
     if not reflected:
         while place + np.uintp(8) <= end:
-            first = np.uint32(
-                (np.uint32(data[place]) << 24)
-                | (np.uint32(data[place + np.uintp(1)]) << 16)
-                | (np.uint32(data[place + np.uintp(2)]) << 8)
-                | np.uint32(data[place + np.uintp(3)])
-            )
-            register = np.uint32(register ^ first)
+            register = np.uint32(register ^ _word(data, place, False))
             register = np.uint32(
-                tables[7, register >> 24]
-                ^ tables[6, (register >> 16) & 0xFF]
-                ^ tables[5, (register >> 8) & 0xFF]
-                ^ tables[4, register & 0xFF]
+                tables[7, np.uintp(register >> 24)]
+                ^ tables[6, np.uintp((register >> 16) & 0xFF)]
+                ^ tables[5, np.uintp((register >> 8) & 0xFF)]
+                ^ tables[4, np.uintp(register & 0xFF)]
                 ^ tables[3, data[place + np.uintp(4)]]
                 ^ tables[2, data[place + np.uintp(5)]]
                 ^ tables[1, data[place + np.uintp(6)]]
                 ^ tables[0, data[place + np.uintp(7)]]
             )
             place += np.uintp(8)
+        if place + np.uintp(4) <= end:
+            register = np.uint32(register ^ _word(data, place, False))
+            register = np.uint32(
+                tables[3, np.uintp(register >> 24)]
+                ^ tables[2, np.uintp((register >> 16) & 0xFF)]
+                ^ tables[1, np.uintp((register >> 8) & 0xFF)]
+                ^ tables[0, np.uintp(register & 0xFF)]
+            )
+            place += np.uintp(4)
     stop = end + np.uintp(padding)
     while place < stop:
         byte = np.uint32(data[place]) if place < end else np.uint32(0)
         if reflected:
             byte = _mirrored(byte, 8)
-        register = np.uint32(np.uint32(register << 8) ^ tables[0, (register >> 24) ^ byte])
+        register = np.uint32(np.uint32(register << 8) ^ tables[0, np.uintp((register >> 24) ^ byte)])
         place += np.uintp(1)
     register = np.uint32(register >> (32 - width))
     if reflected:
@@ -239,16 +252,21 @@ def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no-untyped-def]
-    word, long_word = np.empty(1, np.uint32), np.empty(1, np.int64)
-    single, double = word.view(np.float32), long_word.view(np.float64)
+    """Bits first, numbers then: each loop is simple enough to be done several frames at a time."""
+    if width == 4:
+        words = np.empty(starts.size, np.uint32)
+        for frame in range(starts.size):
+            words[frame] = _word(data, np.uintp(starts[frame] + offset), little)
+        singles = words.view(np.float32)
+        for frame in range(starts.size):
+            out[frame] = singles[frame] * scale
+        return
+    long_words = np.empty(starts.size, np.int64)
     for frame in range(starts.size):
-        found = _bits(data, starts[frame] + offset, width, little)
-        if width == 4:
-            word[0] = np.uint32(found)
-            out[frame] = single[0] * scale
-        else:
-            long_word[0] = found
-            out[frame] = double[0] * scale
+        long_words[frame] = _bits(data, starts[frame] + offset, width, little)
+    doubles = long_words.view(np.float64)
+    for frame in range(starts.size):
+        out[frame] = doubles[frame] * scale
 
 
 @compiled()

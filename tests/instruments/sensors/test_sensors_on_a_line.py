@@ -87,6 +87,21 @@ def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
         sensor.close()
 
 
+def test_a_counter_that_stands_still_ends_the_segment() -> None:
+    """Good frames come for ever, and none is another sample."""
+
+    def same(first: int, end: int) -> bytes:
+        columns = {"time_startup": np.full(end - first, 5e9), "imu": np.zeros((end - first, 6))}
+        return vectornav.VectorNav(("time_startup", "imu")).frames(columns).tobytes()
+
+    with SendingUnit(same, 200) as unit:
+        keys = "driver: vectornav; sample_rate: 200 Hz; fields: [time_startup, imu]; silence: 0.5 s"
+        sensor = VectorNav.connect(parameters_of(keys, unit.port), surroundings())
+        with pytest.raises(InstrumentError, match=r"do not count on: the sensor's counter stands still"):
+            list(sensor.stream(segment(20.0)))
+        sensor.close()
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
@@ -121,6 +136,7 @@ def test_kvh_is_set_by_commands() -> None:
         sensor = Kvh1775.connect(parameters_of(keys, unit.port), surroundings())
         sensor.close()
         assert sensor.identify()["built_in_test"] == "7f 7f 7e 7b 7f 7f"
+        assert sensor.watch().doubts == sensor.watch().doubts == ("its built-in test failed (byte.bit 2.0, 3.2)",)
         commands = [b"=config,1", b"=dr,500", b"=rotfmt,delta", b"=tempunits,C_100", b"=config,0", b"?bit"]
         assert unit.heard.split(b"\r\n")[:-1] == commands
 
@@ -141,17 +157,23 @@ class AnsweringMti(SendingUnit):
         while len(self.heard) >= self.answered + 5:
             identifier, length = self.heard[self.answered + 2], self.heard[self.answered + 3]
             self.answered += 5 + length
-            stream += xsens.short_message(0x42, b"\x04") if self.refuses else xsens.short_message(identifier + 1)
+            said = b"\x03\x80\xab\x12" if identifier == 0 else b""
+            stream += xsens.short_message(0x42, b"\x04") if self.refuses else xsens.short_message(identifier + 1, said)
         return stream
 
 
 def test_xsens_is_set_by_messages_that_are_answered() -> None:
     with AnsweringMti() as unit:
         keys = "driver: xsens_mti; sample_rate: 100 Hz; configure: true"
-        XsensMti.connect(parameters_of(keys, unit.port), surroundings()).close()
+        sensor = XsensMti.connect(parameters_of(keys, unit.port), surroundings())
+        sensor.close()
+        assert sensor.identify()["serial"] == "0380AB12"
         settings = b"\x10\x20\xff\xff\xe0\x20\xff\xff\x80\x20\x00\x64\x40\x20\x00\x64"
         assert unit.heard == (
-            xsens.short_message(0x30) + xsens.short_message(0xC0, settings) + xsens.short_message(0x10)
+            xsens.short_message(0x30)
+            + xsens.short_message(0x00)
+            + xsens.short_message(0xC0, settings)
+            + xsens.short_message(0x10)
         )
         unit.refuses = True
         with pytest.raises(InstrumentError, match="refuses message 30 with error 04"):
@@ -159,19 +181,29 @@ def test_xsens_is_set_by_messages_that_are_answered() -> None:
 
 
 def test_vectornav_is_set_by_a_line_that_it_echoes() -> None:
+    registers = ["VN-100S-CR", "0100001234"]
+
     def frames(first: int, end: int) -> bytes:
         columns = {"time_startup": np.arange(first, end) * 5e6, "imu": np.zeros((end - first, 6))}
         stream = vectornav.VectorNav(("time_startup", "imu")).frames(columns).tobytes()
-        echo, unit.heard = unit.heard, b""
-        return stream + echo
+        asked, unit.heard = unit.heard, b""
+        for place, register in enumerate(registers, start=1):
+            if asked.startswith(f"$VNRRG,{2 * place - 1}*".encode()):
+                return stream + vectornav.line(f"VNRRG,{2 * place - 1:02d},{register}")
+        return stream + asked
 
     unit = SendingUnit(frames, 200)
     with unit:
         keys = "driver: vectornav; sample_rate: 200 Hz; fields: [time_startup, imu]; configure: port_1"
         sensor = VectorNav.connect(parameters_of(keys, unit.port), surroundings())
-        assert sensor.identify()["configured"] == "time_startup, imu"
+        identity = sensor.identify()
+        assert (identity["model"], identity["serial"]) == ("VN-100S-CR", "0100001234")
+        assert identity["configured"] == "time_startup, imu"
         assert sum(block.time.size for block in sensor.stream(segment(0.4))) <= 80
         sensor.close()
+        registers[0] = "OEM-7"
+        with pytest.raises(InstrumentError, match="says that it is 'OEM-7', which is no VectorNav"):
+            VectorNav.connect(parameters_of(keys, unit.port), surroundings())
         keys = keys.replace("200 Hz", "300 Hz")
         with pytest.raises(InstrumentError, match="800 Hz or a whole part"):
             VectorNav.connect(parameters_of(keys, unit.port), surroundings())

@@ -1,0 +1,66 @@
+"""How the controller of a real table is told: what a driver of one must be able to say, whoever made it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class AxisState:
+    """What the controller measures: degrees and deg/s, as it counts."""
+
+    position: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxisBounds:
+    """What an axis shall keep to by itself, as the controller counts: deg/s, deg/s², deg; lowest and highest None without stops."""
+
+    rate: float
+    acceleration: float
+    tracking_error: float
+    lowest: float | None = None
+    highest: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """amplitude·sin(2π·frequency·t + phase) about the position that is held: deg, Hz, deg."""
+
+    amplitude: float
+    frequency: float
+    phase: float
+
+
+class AxisCommands(Protocol):
+    """How a controller is told. Axes go by the controller's numbers, angles are its degrees. Every failure is an `InstrumentError`."""
+
+    rocks: bool
+    """Whether it has a sine motion of its own."""
+
+    def identify(self) -> Mapping[str, str]: ...
+    def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
+        """Set what the axis keeps to by itself; a line for each limit that is set now."""
+
+    def energise(self) -> None:
+        """Make the axes ready to move. Called before the first move, and after `switch_off`."""
+
+    def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
+        """Go to positions and stand there. here: where the axes are now, so that one which is only entering its position mode holds
+        there first."""
+
+    def turn(self, axis: int, rate: float) -> None: ...
+    def rock(self, sines: Mapping[int, Sine]) -> None: ...
+    def state(self, axis: int) -> AxisState: ...
+    def faults(self) -> Sequence[str]:
+        """Why it cannot go on, in words; empty while all is well."""
+
+    def stop(self) -> None:
+        """Bring every axis to rest, controlled."""
+
+    def switch_off(self) -> None: ...
+    def remarks(self) -> Sequence[str]: ...
+    def close(self) -> None: ...
