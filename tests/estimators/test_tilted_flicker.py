@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tilted_recording import Gyro, estimate, series
+from tilted_recording import SITE, Gyro, estimate, plan_mounting, series
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import Estimate
+from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.tilted.evaluation import Group
+from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.zero_drift import half_drift
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.uncertainty.influences import BudgetLine, InputQuantity, Inputs
 
 AXIS = {"x": (0.0, 0.0)}  # along the rotation axis: it sees all of the rate and a constant part of the Earth's
@@ -88,6 +90,19 @@ def test_within_segments_flicker_acts_through_all_means() -> None:
         assert data.contribution == pytest.approx(math.sqrt(white_left() * own @ own), rel=1e-6)
         assert line(found, name, "zero drift gyro_x") is None
     assert any("that flicker seen once" in text for text in found.notes)
+
+
+def test_what_is_planned_is_expected_with_flicker() -> None:
+    """Noise of 1e-4 deg/s·√s over each dwell, and flicker through all means."""
+    planned = tuple(replace(one.segment, start=k * STEP) for k, one in enumerate(recording(2)))
+    model = SensorModel("gyro", (OutputModel("gyro_x", "deg/s", noise=NoiseModel(1e-4)),), 10.0)
+    setup = Setup(None, plan_mounting(AXIS), DECLARED)
+    parameters = ScaleFactorTiltedParameters(earth_rate="averaged")
+    design = ScaleFactorTilted().design(DesignRequest("scale", planned, parameters, SITE, model, setup=setup))
+    expected = {one.name: one.standard_uncertainty for one in design.predicted}
+    covariance = 1e-8 / DWELL * np.eye(len(planned)) + B**2 * kernel(len(planned))
+    for name, own in weights(2).items():
+        assert expected[name] == pytest.approx(math.sqrt(own @ covariance @ own), rel=1e-3)
 
 
 def test_residuals_scale_noise_and_flicker_together() -> None:
