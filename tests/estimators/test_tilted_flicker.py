@@ -121,10 +121,12 @@ def test_residuals_scale_noise_and_flicker_together() -> None:
     for name, own in weights(1).items():
         data, flicker = line(found, name, "data"), line(found, name, NAME)
         rates, zeros = own[1:-1], own[[0, -1]]
-        variance = factor * (own @ tied @ own + white_left() * rates @ rates) + white_left() * zeros @ zeros
+        scaled, known = factor * (own @ tied @ own + white_left() * rates @ rates), white_left() * zeros @ zeros
+        variance, samples = scaled + known, len(recorded) * (BATCHES - 1)
         assert data is not None and data.contribution == pytest.approx(math.sqrt(variance), rel=1e-3)
         assert found[name].standard_uncertainty == data.contribution
-        assert found[name].degrees_of_freedom == n - 2
+        freedom = variance**2 / (scaled**2 / (n - 2) + known**2 / samples)
+        assert found[name].degrees_of_freedom == pytest.approx(freedom, rel=1e-3)
         assert flicker is not None and not flicker.added
         assert line(found, name, "zero drift gyro_x") is None
 

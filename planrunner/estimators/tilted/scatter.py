@@ -104,12 +104,14 @@ def scatter_of_means(
             if len(group.rates) < 3:
                 raise EstimationError("two rates leave no residual to take an uncertainty from: add rates, or repeats")
             sigma, slow = _about_the_line(group, found.residuals[k], sigma, flicker)
-            freedom = np.full(len(freedom), len(group.rates) - 2.0)
         rows = gains * np.vstack([sigma, noise.rest[k]])[..., None]
         covariance = np.einsum("nap,nbr,ab->apbr", rows, rows, noise.correlation)
         for axis, own in enumerate(slow):
             covariance[axis, :, axis] += gains[:, axis].T @ own @ gains[:, axis]
         covariances.append(covariance.reshape(len(freedom), -1))
+        if basis == "residual":
+            total, zeros = np.diag(covariances[k]), (rows[-1] ** 2).ravel()
+            freedom = _effective(total - zeros, len(group.rates) - 2.0, zeros, freedom)
         freedoms.append(freedom)
     return Scatter(np.array(covariances), np.array(freedoms), np.zeros(len(freedoms[0]), dtype=bool))
 
@@ -137,6 +139,13 @@ def _about_the_line(group: Group, residuals: Array, noise: Array, flicker: Seque
             factor = _squares_about(matrix, residuals[:, axis], white * np.eye(n) + tied) / (n - 2)
             spread[axis], slow[axis] = np.sqrt(factor * white), factor * slow[axis]
     return np.broadcast_to(spread, (n, m)), slow
+
+
+def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
+    """Welch–Satterthwaite (JCGM 100:2008, G.4.1) of the residuals' variance and that of the zeros' noise, which leaves no residual."""
+    known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
+    squares = one**2 / freedom_of_one + other**2 / known
+    return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
 
 
 def _squares_about(matrix: Array, values: Array, covariance: Array) -> float:
