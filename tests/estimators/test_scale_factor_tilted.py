@@ -28,7 +28,6 @@ from planrunner.estimators.interface import EstimateRequest, EstimationError
 from planrunner.estimators.temperature.temperature_model import TemperatureModel, TemperatureModelParameters
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
-from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 LEVEL = (
     EARTH * math.cos(40 * DEG) * math.sin(THETA * DEG)
@@ -247,21 +246,6 @@ def test_drift_between_the_zeros_is_an_uncertainty_of_the_offset() -> None:
     )
     assert line.standard_uncertainty == pytest.approx(d / 2 / math.sqrt(3), rel=1e-6)
     assert line.contribution == pytest.approx(line.standard_uncertainty, rel=1e-3)
-
-
-def test_declared_flicker_that_the_basis_does_not_see_is_a_warning() -> None:
-    recorded = [one for n in (1, 2) for one in series(TRIAD, GYROS, repeat=n, error=1e-5)]
-    name = "bias instability gyro_y"
-    held = Inputs({name: InputQuantity(name, 0.0, "deg/s", 1e-5)})
-
-    def warned(basis: str, stated: Inputs | None) -> list[str]:
-        return [
-            text for text in estimate(recorded, TRIAD, stated, uncertainty=basis).warnings if "bias instability" in text
-        ]
-
-    (text,) = warned("within_segment", held)
-    assert "gyro_y" in text and "gyro_x" not in text and "uncertainty: repeats" in text
-    assert not warned("within_segment", None) and not warned("repeats", held) and not warned("residual", held)
 
 
 def test_a_dead_zone_shows_in_the_response() -> None:

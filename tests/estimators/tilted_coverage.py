@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +33,8 @@ RATES = (300.0, -300.0, 100.0, -100.0, 20.0, -20.0)
 CELSIUS = (-40.0, 20.0, 60.0)
 DWELL = 36.0  # s: whole turns at every rate
 WHITE = 5e-5  # deg/s·√s
+SPAN = 7200.0  # s, longer than all dwells together
+SAMPLE = 0.1  # s, for which the last sample stands
 SPREAD = 5e-6  # relative, of K from repeat to repeat
 SCENARIOS: dict[str, dict[str, float]] = {
     "noise and repeatability": {},
@@ -42,7 +43,8 @@ SCENARIOS: dict[str, dict[str, float]] = {
     "with a fixture of 20 arcsec and table rates of 10 ppm": {"arcsec": 20.0, "rate": 10e-6},
     "with flicker of 0.1 deg/h, fixture and table": {"flicker": 0.1, "arcsec": 20.0, "rate": 10e-6},
 }
-# What the other bases make of flicker; the scale factors keep still from repeat to repeat, which neither basis would see.
+NAMES = ("K_x", "K_x_-40degC", "temperature_coefficient_x", "F0_x")
+# What the other bases make of declared flicker; the scale factors keep still from repeat to repeat, which neither basis would see.
 OTHER_BASES = [
     (basis, {"flicker": flicker, "spread": 0.0})
     for basis in ("residual", "within_segment")
@@ -58,20 +60,24 @@ FIXTURE: dict[str, dict[str, float]] = {
 PAUSE = 24.0  # s
 
 
-def flicker_means(rng: np.random.Generator, count: int, floor: float) -> np.ndarray:
-    """Means of `count` consecutive dwells of 1/f noise with IEEE 952's coefficient `floor`: one-sided density B²/(π·f)."""
-    if floor == 0:
-        return np.zeros(count)
-    n, inside = 1 << (8 * count - 1).bit_length(), 8  # eight points a dwell, and slower parts than the test
-    frequency = np.fft.rfftfreq(n * inside)[1:]
-    size = np.sqrt(floor**2 / (math.pi * frequency) * (frequency[1] - frequency[0]) / 2)
-    spectrum = (rng.standard_normal(len(frequency)) + 1j * rng.standard_normal(len(frequency))) * size
-    values = np.fft.irfft(np.concatenate([[0], spectrum]), n * inside) * n * inside / math.sqrt(2)
-    return np.asarray(values[: count * inside].reshape(count, inside).mean(axis=1))
-
-
-def noise_of_a_mean(rng: np.random.Generator, slow: Mapping[str, Iterator[float]], axis: str, seconds: float) -> float:
-    return WHITE / math.sqrt(seconds) * float(rng.standard_normal()) + next(slow[axis])
+def noisy(
+    draw: np.random.Generator, made: Sequence[RecordedSegment], error: float, flicker: float, pause: float = 0.0
+) -> list[RecordedSegment]:
+    """The recording with noise of batch means, one dwell after the other: white, `error` in each mean, and flicker, deg/h, independent
+    in each channel."""
+    n, channels = len(made), len(made[0].statistics.mean)
+    batches = error * math.sqrt(BATCHES) * draw.standard_normal((channels, n, BATCHES))
+    if flicker:
+        batches = batches + flicker_in_segments(draw, (channels,), flicker / 3600, n, DWELL, pause, SPAN)
+    mean, scatter = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
+    found = []
+    for k, one in enumerate(made):
+        start, known = k * (DWELL + pause), one.statistics
+        statistics = replace(
+            known, mean=known.mean + mean[:, k], standard_error=scatter[:, k], start=start, end=start + DWELL - SAMPLE
+        )
+        found.append(replace(one, statistics=statistics))
+    return found
 
 
 def holds(item: object, truth: float) -> bool:
@@ -88,24 +94,24 @@ def scale_factor_coverage(
     rate: float = 0.0,
     basis: str = "repeats",
     spread: float = SPREAD,
+    names: Sequence[str] = NAMES[:3],
 ) -> dict[str, float]:
     """Share of runs whose interval holds the truth: K at 20 and at −40 degC, and the temperature coefficient, of the axis x.
 
-    flicker: deg/h; arcsec: of the fixture; rate: relative; spread: of K from repeat to repeat, relative."""
+    flicker: deg/h, declared as it is; arcsec: of the fixture; rate: relative; spread: of K from repeat to repeat, relative; names: of the
+    results, of which F0 is the offset at 20 degC."""
     rng = np.random.default_rng(seed)
-    hits = dict.fromkeys(("K_x", "K_x_-40degC", "temperature_coefficient_x"), 0)
-    stated = inputs(AXES, arcsec, rate)
+    hits = dict.fromkeys(names, 0)
+    stated, noise = inputs(AXES, arcsec, rate, flicker), WHITE / math.sqrt(DWELL)
     # The slope of K over temperature by K at 20 degC; K is linear here, so that the line's slope is the truth.
     truth = {"K_x": GYROS["x"].K, "K_x_-40degC": GYROS["x"].K * (1 - 60 * GYROS["x"].slope)}
+    truth["F0_x"] = 0.0
     truth["temperature_coefficient_x"] = GYROS["x"].slope * 1e6
-    steps = len(RATES) + 2
     for _ in range(runs):
         real = {
             axis: (angle + arcsec / 3600 * rng.standard_normal(), azimuth) for axis, (angle, azimuth) in AXES.items()
         }
         errors = {value: rate * rng.standard_normal() for value in RATES}
-        slow = {axis: iter(flicker_means(rng, 3 * repeats * steps, flicker / 3600)) for axis in AXES}
-        draw = partial(noise_of_a_mean, rng, slow)
         recorded = []
         for celsius in CELSIUS:
             for repeat in range(1, repeats + 1):
@@ -114,9 +120,9 @@ def scale_factor_coverage(
                     for axis, gyro in GYROS.items()
                 }
                 recorded += series(
-                    real, drawn, celsius, repeat, RATES, lambda value: DWELL, draw, WHITE / math.sqrt(DWELL), errors
+                    real, drawn, celsius, repeat, RATES, lambda value: DWELL, error=noise, rate_error=errors
                 )
-        result = estimate(recorded, AXES, stated, uncertainty=basis)
+        result = estimate(noisy(rng, recorded, noise, flicker), AXES, stated, uncertainty=basis)
         for name in hits:
             hits[name] += holds(result[name], truth[name])
     return {name: count / runs for name, count in hits.items()}
@@ -128,19 +134,7 @@ def spun(draw: np.random.Generator, world: Mapping[str, float]) -> list[Recorded
     off = world.get("skew", 0.0) * HOUR * draw.standard_normal((3, 3))
     errors = {value: world.get("rate", 0.0) * draw.standard_normal() for value in rates}
     made = spins([Z_UP, X_UP, Y_UP], TRUE, None, 0.0, off, errors)
-    n = len(made)
-    batches = 1e-4 * math.sqrt(BATCHES) * draw.standard_normal((len(TRUE), n, BATCHES))
-    if flicker := world.get("flicker", 0.0):
-        batches = batches + flicker_in_segments(draw, (len(TRUE),), flicker / 3600, n, DWELL, PAUSE, 7200.0)
-    mean, error = batches.mean(axis=2), batches.std(axis=2, ddof=1) / math.sqrt(BATCHES)
-    found = []
-    for k, one in enumerate(made):
-        start, known = k * (DWELL + PAUSE), one.statistics
-        statistics = replace(
-            known, mean=known.mean + mean[:, k], standard_error=error[:, k], start=start, end=start + known.end
-        )
-        found.append(replace(one, statistics=statistics))
-    return found
+    return noisy(draw, made, 1e-4, world.get("flicker", 0.0), PAUSE)
 
 
 def fixture_coverage(runs: int, seed: int, basis: str = "residual", **world: float) -> dict[str, float]:
@@ -172,7 +166,7 @@ def main() -> None:
         shares = scale_factor_coverage(runs, 31, **keys)  # type: ignore[arg-type]
         print(f"{name}: " + ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items()), flush=True)
     for other, keys in () if only else OTHER_BASES:
-        shares = scale_factor_coverage(runs, 33, basis=other, **keys)  # type: ignore[arg-type]
+        shares = scale_factor_coverage(runs, 33, basis=other, names=NAMES, **keys)  # type: ignore[arg-type]
         shown = ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items())
         print(f"{other}, flicker {keys['flicker']:g} deg/h: {shown}", flush=True)
     for name, world in FIXTURE.items():

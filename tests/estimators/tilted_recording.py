@@ -114,7 +114,10 @@ def plan_mounting(axes: Mapping[str, tuple[float, float | None]], arcsec: float 
     }
 
 
-def inputs(axes: Mapping[str, tuple[float, float | None]], arcsec: float, rate: float = 0.0) -> Inputs:
+def inputs(
+    axes: Mapping[str, tuple[float, float | None]], arcsec: float, rate: float = 0.0, flicker: float = 0.0
+) -> Inputs:
+    """arcsec: of each angle; rate: relative; flicker: bias instability of each output, deg/h."""
     held = {
         f"fixture angle {name}": InputQuantity(f"fixture angle {name}", angle * DEG, "rad", arcsec * HOUR)
         for name, (angle, _) in axes.items()
@@ -122,6 +125,9 @@ def inputs(axes: Mapping[str, tuple[float, float | None]], arcsec: float, rate: 
     }
     if rate:
         held["table rate"] = InputQuantity("table rate", 0.0, "1", rate)
+    if flicker:
+        for name in (f"bias instability gyro_{axis}" for axis in axes):
+            held[name] = InputQuantity(name, 0.0, "deg/s", flicker / 3600)
     return Inputs(held)
 
 

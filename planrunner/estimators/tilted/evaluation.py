@@ -47,8 +47,8 @@ class Conditions:
 class Group:
     """q repeats of n rates at one temperature. kelvin: measured, or planned, NaN where neither is known. spins: (q, n) rows of the
     segments; rest: (q, N), how each segment counts in the rest value of
-    a repeat, half for the zeros before and half for those after. outputs: F_j − F_r, (q, n, m). drift: end zero less start
-    zero, (q, m)."""
+    a repeat, half for the zeros before and half for those after; between: (q, N), how it counts in the end zero less the start
+    zero. outputs: F_j − F_r, (q, n, m). drift: end zero less start zero, (q, m)."""
 
     label: str
     kelvin: float
@@ -56,6 +56,7 @@ class Group:
     rates: Array
     spins: NDArray[np.int64]
     rest: Array
+    between: Array
     outputs: Array
     drift: Array
 
@@ -63,6 +64,15 @@ class Group:
     def full_scale(self) -> Array:
         """Largest output, (m,)."""
         return np.abs(self.outputs.mean(axis=0)).max(axis=0)
+
+    @property
+    def averages(self) -> Array:
+        """How each segment counts in the means over the repeats of each rate and, last, of the rest value, (n + 1, N)."""
+        q, n = self.spins.shape
+        weights = np.zeros((n + 1, self.rest.shape[1]))
+        weights[np.arange(n), self.spins] = 1 / q
+        weights[n] = self.rest.mean(axis=0)
+        return weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +114,9 @@ def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commande
     )
     rest = (before + after) / 2
     names, rates = tuple(one.name for one in series), commanded[spins[0]]
+    between = after - before
     return Group(
-        label, kelvin, names, rates, spins, rest, mean[spins] - (rest @ mean)[:, None], (after - before) @ mean
+        label, kelvin, names, rates, spins, rest, between, mean[spins] - (rest @ mean)[:, None], between @ mean
     )
 
 
@@ -159,6 +170,11 @@ def slope_weights(kelvin: Array) -> Array:
 def answers_of(groups: Sequence[Group], conditions: Conditions, worst: Worst) -> tuple[Array, ...]:
     """How the quantities of each group answer to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m, 5)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
+
+
+def answers_to_averages(answers: Array) -> Array:
+    """The same as answers to `Group.averages`, (n + 1, m, 5): the rest value is taken off every rate."""
+    return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 
 def _answers(group: Group, conditions: Conditions, rate: NDArray[np.int64], sign: Array) -> Array:

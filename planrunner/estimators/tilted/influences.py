@@ -14,8 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.table_effects import rate_part
-from planrunner.estimators.tilted.evaluation import QUANTITIES, Conditions, Findings, Group, K, Worst, evaluate
+from planrunner.estimators.tilted.evaluation import (
+    QUANTITIES,
+    Conditions,
+    Findings,
+    Group,
+    K,
+    Worst,
+    answers_to_averages,
+    evaluate,
+)
 from planrunner.estimators.tilted.fixture_gains import tilt_part
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.turning_rates import mean_rates
@@ -75,16 +85,20 @@ def influences(
     common: InputQuantity,
     basis: str,
     rounding: Mapping[str, Rounding] | None = None,
+    flicker: Sequence[Effect] = (),
+    drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
     """On `Findings.vector`. inputs: what bench and plan state with an uncertainty; common: relative error that all rates share;
-    rounding: by output."""
+    rounding: by output; flicker: declared, on the segments' means, where the basis takes it; drifts: by axis, half of
+    how far its zero moved."""
     found = [
         *_fixture(situation, inputs),
         *_table(situation, inputs, common),
         *_earth(situation, inputs),
         *_temperature(situation, inputs),
         *_resolution(situation, inputs, rounding or {}),
-        *_zero_drift(situation, basis),
+        *_flicker(situation, flicker, basis),
+        *_zero_drift(situation, basis, drifts or {}),
     ]
     return [item for item in found if item.quantity.standard_uncertainty > 0]
 
@@ -174,31 +188,43 @@ def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rou
             yield replace(acting, sensitivities=left.share * acting.sensitivities, in_scatter=left.in_scatter)
 
 
-def _zero_drift(situation: Situation, basis: str) -> Iterator[Influence]:
+def _flicker(situation: Situation, flicker: Sequence[Effect], basis: str) -> Iterator[Influence]:
+    """Through the means of all segments, at their times. On the basis `residual` the covariance holds it."""
+    if not flicker:
+        return
+    each = [
+        np.einsum("jap,jn,ab->apbn", answers_to_averages(answers), group.averages, np.eye(answers.shape[1]))
+        for group, answers in zip(situation.groups, situation.answers, strict=True)
+    ]
+    functionals = np.concatenate([one.reshape(-1, *one.shape[2:]) for one in each])
+    for effect in flicker:
+        yield effect.through(functionals, basis == "residual").through(situation.gradient)
+
+
+def _zero_drift(situation: Situation, basis: str, drifts: Mapping[int, float]) -> Iterator[Influence]:
     """How far the zero during the rates may have been from the mean of the zeros before and after: half of their difference either way.
 
-    Two courses act: an offset of all rates, and a steady change from one end of the series to the other. On the basis `repeats` only the
-    part of the drift that all repeats share is taken, since its changes are in their scatter.
+    Two courses act: an offset of all rates, and a steady change from one end of the series to the other. A steady change leaves residuals
+    about the line, so that on the basis `residual` the scatter holds it; an offset leaves none.
     """
-    for axis, output in enumerate(situation.conditions.axes.outputs):
-        drifts = [group.drift[:, axis] for group in situation.groups]
-        sizes = [abs(one.mean()) if basis == "repeats" else math.sqrt(np.mean(one**2)) for one in drifts]
-        half = math.sqrt(np.mean(np.square(sizes))) / 2
-        if half > 0:
-            text = situation.units[axis]
-            spread = half / math.sqrt(3)
-            quantity = InputQuantity(
-                f"zero drift {output}", 0.0, text, spread, distribution="rectangular", source="start and end zeros"
-            )
-            yield _by_courses(situation, quantity, axis, _drift_courses)
+    courses = _offset if basis == "residual" else _drift_courses
+    for axis, half in drifts.items():
+        text, spread = situation.units[axis], half / math.sqrt(3)
+        name = f"zero drift {situation.conditions.axes.outputs[axis]}"
+        quantity = InputQuantity(name, 0.0, text, spread, distribution="rectangular", source="start and end zeros")
+        yield _by_courses(situation, quantity, axis, courses)
 
 
 def _each_rate(n: int) -> dict[str, Array]:
     return {f"rate {row + 1}": one for row, one in enumerate(np.eye(n))}
 
 
+def _offset(n: int) -> dict[str, Array]:
+    return {"offset": np.ones(n)}
+
+
 def _drift_courses(n: int) -> dict[str, Array]:
-    return {"offset": np.ones(n), "steady change": np.linspace(-1, 1, n)}
+    return {**_offset(n), "steady change": np.linspace(-1, 1, n)}
 
 
 def _by_courses(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators.flicker import SPAN, planned_flicker
 from planrunner.estimators.full_scale import beyond_full_scale
 from planrunner.estimators.interface import Coefficient, Design, DesignBlock, DesignRequest, EstimationError, Remark
 from planrunner.estimators.planned import planned_blocks
@@ -167,7 +168,7 @@ def _earth_remarks(request: DesignRequest, axes: MountedAxes) -> Iterator[Remark
 def _predicted(
     request: DesignRequest, axes: MountedAxes, fixture: Any, complete: Sequence[RateSeries]
 ) -> tuple[Coefficient, ...]:
-    """From the noise that the sensor declares, and all that is stated of fixture, table and site; none without nominal scale factors."""
+    """From declared noise and flicker, and all that is stated of fixture, table and site; none without nominal scale factors."""
     planned = request.segments
     outputs = [request.sensor.output(name) for name in axes.outputs]
     units = [rate_and_output(request.parameters.rate_unit, output.unit) for output in outputs if output is not None]
@@ -213,7 +214,8 @@ def _predicted(
         fixture,
     )
     common = common_rate(request.name, request.parameters.rate_uncertainty)
-    for item in merged(influences(situation, request.setup.inputs, common, "repeats")):
+    flicker = planned_flicker(planned, axes.outputs, request.setup.inputs, SPAN.value)
+    for item in merged(influences(situation, request.setup.inputs, common, "repeats", flicker=flicker)):
         covariance = covariance + item.covariance
     return coefficients(found, items(found, groups, axes, units, reference), covariance, freedom)
 

@@ -196,7 +196,7 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
     axes, segments = situation.conditions.axes, situation.segments
     seconds = scheduled_seconds(segments, situation.seconds)
     notes = [
-        _basis_words(situation, scatter, parameters.uncertainty),
+        _basis_words(situation, scatter, parameters.uncertainty, acting),
         _earth_words(situation, parameters.earth_rate),
         time_note(seconds, len(axes.names), parameters.remounting.value),
         "Nonlinearity, response and offset are those of the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + K₋) of two half-lines "
@@ -212,14 +212,24 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
     return notes
 
 
-def _basis_words(situation: Situation, scatter: Scatter, basis: str) -> str:
+def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Sequence[Influence]) -> str:
+    word = "bias instability "
+    declared = [item.quantity.name.removeprefix(word) for item in acting if item.quantity.name.startswith(word)]
+    names = ", ".join(declared)
     if basis == "residual":
-        return (
-            "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats; the drift between the zeros "
-            "is in the budget beside them."
-        )
+        text = "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats"
+        if declared:
+            text += (
+                f". For {names} the residuals scale noise and declared flicker together, so that the budget lists flicker and does not add "
+                "it, nor the drift between the zeros, which is that flicker seen once. Any other drift is in the budget as an offset."
+            )
+            return text
+        return f"{text}; the drift between the zeros is in the budget beside them, as an offset."
     if basis == "within_segment":
-        return "Uncertainties rest on the noise within the segments; whatever changes from segment to segment is not in them."
+        text = "Uncertainties rest on the noise within the segments; what changes from segment to segment is in them only where stated."
+        if declared:
+            text += f" Flicker of {names} is in the budget as declared, in place of the drift between the zeros: that flicker seen once."
+        return text
     count = min(len(group.names) for group in situation.groups)
     text = f"Uncertainties rest on the scatter of {count} repeats at each temperature"
     if len(situation.groups) == 1:

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.observation_effects import Effect, explained
 from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.estimators.slope_units import rate_and_output
 from planrunner.estimators.tilted import planning as tilted_planning
@@ -36,7 +38,6 @@ from planrunner.estimators.tilted.results import (
 )
 from planrunner.estimators.tilted.scatter import (
     BASES,
-    Noise,
     gradient_of,
     noise_of_means,
     scatter_between_repeats,
@@ -44,6 +45,7 @@ from planrunner.estimators.tilted.scatter import (
     whole,
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
+from planrunner.estimators.tilted.zero_drift import half_drift, moved_further
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
@@ -135,12 +137,17 @@ class ScaleFactorTilted:
         observations = observe(kept, axes.outputs, request.sensor)
         situation = _situation(request, axes, fixture, kept, series, observations)
         groups, found = situation.groups, situation.found
-        noise = _noise(request, groups, observations)
+        # The scatter between repeats shows flicker by itself.
+        seen = parameters.uncertainty == "repeats"
+        flicker = () if seen else flicker_effects(observations, request.setup.inputs, SPAN.value)
+        sigma, freedom_of_sigma = _sigma(request, observations, flicker)
+        noise = noise_of_means(groups, sigma, observations.correlation, freedom_of_sigma)
+        further = moved_further(groups, sigma, flicker)
         within = scatter_of_means(groups, found, situation.answers, noise, "within_segment")
         scatter = (
             scatter_between_repeats(found)
             if parameters.uncertainty == "repeats"
-            else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty)
+            else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty, flicker)
         )
         covariance, freedom = whole(found, groups, scatter, situation.gradient)
         acting = influences(
@@ -149,6 +156,8 @@ class ScaleFactorTilted:
             common_rate(request.name, parameters.rate_uncertainty),
             parameters.uncertainty,
             _rounding(request, kept, axes),
+            flicker,
+            _half_drifts(groups, sigma, flicker, further, parameters.uncertainty),
         )
         units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
         shown = items(found, groups, axes, units, situation.reference)
@@ -166,7 +175,7 @@ class ScaleFactorTilted:
                 "reference_temperature": groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if fixture else "as stated",
             },
-            warnings=(*warnings, *_unseen_flicker(request, axes)),
+            warnings=(*warnings, *_further_than_declared(axes, further)),
             segments=tuple(one.label for one in kept),
             influences=shown_influences(shown, acting),
             extra={"by_temperature": held} if held else {},
@@ -204,20 +213,6 @@ def _situation(
         observations.units,
         fixture,
     )
-
-
-def _unseen_flicker(request: EstimateRequest, axes: MountedAxes) -> list[str]:
-    """A warning where the bench declares what the basis that was chosen cannot see."""
-    if request.parameters.uncertainty != "within_segment":
-        return []
-    inputs = request.setup.inputs
-    flickering = [name for name in axes.outputs if inputs.get(f"bias instability {name}")]
-    if not flickering:
-        return []
-    return [
-        f"A bias instability is declared for {', '.join(flickering)}, and the noise within the segments does not show how far it moves the "
-        "outputs between them: intervals on the basis `within_segment` hold the truth less often than 95 %; write `uncertainty: repeats`."
-    ]
 
 
 def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
@@ -325,17 +320,34 @@ def _reference(groups: Sequence[Group], parameters: ScaleFactorTiltedParameters)
     return int(np.nan_to_num(off, nan=math.inf).argmin())
 
 
-def _noise(request: EstimateRequest, groups: Sequence[Group], observations: Observations) -> Noise:
-    """Of the means over the repeats. An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""
-    known = [within_segment_noise(observations, k) for k in range(len(observations.channels))]
+def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequence[Effect]) -> tuple[Array, Array]:
+    """Noise of each segment's mean (N, m), without what flicker adds to the scatter within the segments, and its degrees of freedom (m,).
+    An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""
+    known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
             f"{request.name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to "
             "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
         )
     sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
-    freedom = np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
-    return noise_of_means(groups, sigma, observations.correlation, freedom)
+    return sigma, np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
+
+
+def _half_drifts(
+    groups: Sequence[Group], sigma: Array, flicker: Sequence[Effect], further: set[int], basis: str
+) -> dict[int, float]:
+    """By axis; without those whose zeros moved no further than their declared flicker lets them."""
+    declared = {axis for effect in flicker for axis in effect.changes} - further
+    axes = (axis for axis in range(sigma.shape[1]) if axis not in declared)
+    return {axis: half_drift(groups, axis, sigma[:, axis], basis == "repeats") for axis in axes}
+
+
+def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
+    return [
+        f"The zeros of {axes.outputs[axis]} moved further between before and after the rates than noise and the declared bias instability "
+        "let them (1 %): their drift is added to the budget as well; look for warming up, or declare a larger bias instability."
+        for axis in sorted(further)
+    ]
 
 
 def _rounding(request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes) -> dict[str, Rounding]:

@@ -1,7 +1,7 @@
 """What the data show of the uncertainty of tilted scale factors (type A), on the basis that the plan chooses.
 
 repeats          scatter of each quantity from repeat to repeat: sees all that is not the same in every repeat
-residual         scatter of the rates about the line, of the means over the repeats
+residual         scatter of the rates about the line, of the means over the repeats; where flicker is declared, with what it ties together
 within_segment   noise within the segments alone
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import variances_differ
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
@@ -21,11 +22,13 @@ from planrunner.estimators.tilted.evaluation import (
     Group,
     K,
     Worst,
+    answers_to_averages,
     slope_weights,
 )
 
 Array = NDArray[np.float64]
 
+RESOLVED = 1e-12  # of the variance of flicker, below which no noise is taken to be
 BASES = ("repeats", "residual", "within_segment")
 
 
@@ -78,33 +81,79 @@ def scatter_between_repeats(found: Findings) -> Scatter:
 
 def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> Noise:
     """sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m); freedom: (m,), of sigma."""
-    rates = tuple(np.sqrt(np.sum(sigma[group.spins] ** 2, axis=0)) / len(group.names) for group in groups)
-    rest = np.array([np.sqrt(group.rest.mean(axis=0) ** 2 @ sigma**2) for group in groups])
-    return Noise(rates, rest, correlation, freedom)
+    spread = [np.sqrt(group.averages**2 @ sigma**2) for group in groups]
+    return Noise(tuple(one[:-1] for one in spread), np.array([one[-1] for one in spread]), correlation, freedom)
 
 
 def scatter_of_means(
-    groups: Sequence[Group], found: Findings, answers: Sequence[Array], noise: Noise, basis: str
+    groups: Sequence[Group],
+    found: Findings,
+    answers: Sequence[Array],
+    noise: Noise,
+    basis: str,
+    flicker: Sequence[Effect] = (),
 ) -> Scatter:
-    """From the residuals of the means, or from the noise within the segments. answers: of each group, as `answers_of` gives them. Raises
-    `EstimationError` without residuals."""
+    """From the residuals of the means, or from the noise within the segments. answers: of each group, as `answers_of` gives them. flicker:
+    what of it is in the residuals. Raises `EstimationError` without residuals."""
     covariances, freedoms = [], []
     for k, group in enumerate(groups):
-        n = len(group.rates)
-        gains = answers[k]
-        sigma = noise.rates[k]
+        gains = answers_to_averages(answers[k])
+        sigma, slow = noise.rates[k], np.zeros((len(noise.rest[k]), len(gains), len(gains)))
         freedom = np.repeat(noise.degrees_of_freedom, len(QUANTITIES))
         if basis == "residual":
-            if n < 3:
+            if len(group.rates) < 3:
                 raise EstimationError("two rates leave no residual to take an uncertainty from: add rates, or repeats")
-            spread = np.sqrt(np.sum(found.residuals[k] ** 2, axis=0) / (n - 2))
-            sigma = np.broadcast_to(spread, sigma.shape)
-            freedom = np.full(len(freedom), float(n - 2))
-        rows = np.concatenate([gains * sigma[..., None], -gains.sum(axis=0)[None] * noise.rest[k][None, :, None]])
+            sigma, slow = _about_the_line(group, found.residuals[k], sigma, flicker)
+        rows = gains * np.vstack([sigma, noise.rest[k]])[..., None]
         covariance = np.einsum("nap,nbr,ab->apbr", rows, rows, noise.correlation)
+        for axis, own in enumerate(slow):
+            covariance[axis, :, axis] += gains[:, axis].T @ own @ gains[:, axis]
         covariances.append(covariance.reshape(len(freedom), -1))
+        if basis == "residual":
+            total, zeros = np.diag(covariances[k]), (rows[-1] ** 2).ravel()
+            freedom = _effective(total - zeros, len(group.rates) - 2.0, zeros, freedom)
         freedoms.append(freedom)
     return Scatter(np.array(covariances), np.array(freedoms), np.zeros(len(freedoms[0]), dtype=bool))
+
+
+def _about_the_line(group: Group, residuals: Array, noise: Array, flicker: Sequence[Effect]) -> tuple[Array, Array]:
+    """How the rates scatter, by their residuals (n, m): one standard uncertainty for all rates of an output, (n, m), and covariances of
+    flicker between `Group.averages`, (m, n + 1, n + 1).
+
+    Without declared flicker s² = Σν²/(n − 2). With it the rates scatter as noise and flicker together do, V = σ²·1 + C with σ² the mean
+    square of `noise` (n, m), and the residuals say by how much: both are multiplied by min over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), X
+    being 1 and the rates. For C = 0 that is the same.
+    """
+    n, m = residuals.shape
+    weights = group.averages
+    slow = np.zeros((m, n + 1, n + 1))
+    for effect in flicker:
+        for axis in effect.changes:
+            slow[axis] += weights @ effect.covariance(axis, axis) @ weights.T
+    spread = np.sqrt(np.sum(residuals**2, axis=0) / (n - 2))
+    matrix = np.column_stack([np.ones(n), group.rates / np.abs(group.rates).max()])
+    for axis in range(m):
+        tied = slow[axis, :n, :n]
+        if tied.any():
+            white = np.mean(noise[:, axis] ** 2) + RESOLVED * np.trace(tied)
+            factor = _squares_about(matrix, residuals[:, axis], white * np.eye(n) + tied) / (n - 2)
+            spread[axis], slow[axis] = np.sqrt(factor * white), factor * slow[axis]
+    return np.broadcast_to(spread, (n, m)), slow
+
+
+def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
+    """Welch–Satterthwaite (JCGM 100:2008, G.4.1) of the residuals' variance and that of the zeros' noise, which leaves no residual."""
+    known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
+    squares = one**2 / freedom_of_one + other**2 / known
+    return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
+
+
+def _squares_about(matrix: Array, values: Array, covariance: Array) -> float:
+    """min over β of (y − Xβ)ᵀV⁻¹(y − Xβ)."""
+    root = np.linalg.cholesky(covariance)
+    columns, wanted = np.linalg.solve(root, matrix), np.linalg.solve(root, values)
+    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return float(left @ left)
 
 
 def gradient_of(found: Findings, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
