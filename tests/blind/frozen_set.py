@@ -19,6 +19,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 PLAN = "plans/imu_recorded_over_temperature.yaml"
 PLACES = 10  # of the ranked list of places
+LEAST = 1e-6  # probability of a hypothesis that is kept
 
 
 class NotFrozenError(ValueError):
@@ -47,8 +48,10 @@ def diagnosed(recording: Path, segments: Path) -> dict[str, Any]:
 
 
 def shortened(answer: dict[str, Any]) -> dict[str, Any]:
-    """Without the long arrays."""
-    short = {name: value for name, value in answer.items() if name != "pictures"}
+    """Without the long arrays, and the hundreds of hypotheses that are as good as impossible."""
+    short = {name: value for name, value in answer.items() if name not in ("pictures", "priors")}
+    if "posterior" in short:
+        short["posterior"] = {name: p for name, p in short["posterior"].items() if p >= LEAST}
     if "where" in short:
         short["where"] = short["where"][:PLACES]
     if short.get("next"):
@@ -71,9 +74,9 @@ def answer_all(
         cases[f"{folder.name}/{recording.parent.name}"] = shortened(by(recording, segments))
         left = (time.monotonic() - begun) / done * (len(recordings) - done)
         print(f"{done} of {len(recordings)} answered, about {left:.0f} s left", file=sys.stderr, flush=True)
-    text = json.dumps({"commit": made_by, "cases": cases}, indent=1)
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(answer)}" for name, answer in cases.items())
     answers.parent.mkdir(parents=True, exist_ok=True)
-    answers.write_text(text + "\n", encoding="utf-8")
+    answers.write_text(f'{{"commit": {json.dumps(made_by)}, "cases": {{\n{lines}\n}}}}\n', encoding="utf-8")
     return len(cases)
 
 

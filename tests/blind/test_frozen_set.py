@@ -23,7 +23,12 @@ def answer(recording: Path, segments: Path) -> dict[str, Any]:
     assert recording.is_file() and segments.is_file()
     where = [{"channel": "gyro_x", "share": 1 / (n + 1)} for n in range(40)]
     following = {"plan": None, "expected": 0.97, "text": "planrunner: 1\n"}
-    return {"posterior": {"none": 1.0}, "where": where, "next": following, "pictures": {"heat": [0.0] * 1000}}
+    return {
+        "posterior": {"none": 1.0, "gyro_ripple": 1e-9},
+        "where": where,
+        "next": following,
+        "pictures": {"heat": [0.0] * 1000},
+    }
 
 
 def test_answers_are_short_and_name_their_commit(tmp_path: Path) -> None:
@@ -34,6 +39,7 @@ def test_answers_are_short_and_name_their_commit(tmp_path: Path) -> None:
     assert list(found["cases"]) == ["round-9/case-01", "round-9/case-02"]
     one = found["cases"]["round-9/case-01"]
     assert one.keys() == {"posterior", "where", "next"}
+    assert one["posterior"] == {"none": 1.0}
     assert len(one["where"]) == PLACES
     assert one["next"] == {"plan": None, "expected": 0.97}
 
