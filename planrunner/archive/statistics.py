@@ -10,7 +10,7 @@ and Analysis", 5th ed., section 9.5.3), which accounts for noise that is correla
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,24 +26,6 @@ UNSHARED = 8_192
 """BLAS shares the inner product of more than 10 000 numbers out to threads."""
 LARGEST = 1e100
 """A larger sample is no measurement: its square could not be told from infinity."""
-
-
-def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
-    """The same samples as (time (n,), values (k, n)), every piece but the last of exactly `rows` rows."""
-    time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
-    for block in blocks:
-        taken, count = 0, len(block.time)
-        while taken < count:
-            step = min(rows - filled, count - taken)
-            time[filled : filled + step] = block.time[taken : taken + step]
-            for row, name in enumerate(channels):
-                values[row, filled : filled + step] = block.channels[name][taken : taken + step]
-            filled, taken = filled + step, taken + step
-            if filled == rows:
-                yield time, values
-                time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
-    if filled:
-        yield time[:filled], values[:, :filled]
 
 
 def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Statistics:

@@ -9,7 +9,7 @@ are replaced by their neighbours. What is lost are frequencies above half a bin'
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.archive.statistics import rechunk
 from planrunner.gap.lattice import levels_of, settled
 from planrunner.gap.motion import period_of, turned_by
 from planrunner.instruments.interfaces import Block
@@ -200,3 +199,21 @@ def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.in
             bad = replaced[channel]
             out[channel, bad] = np.interp(np.flatnonzero(bad), np.flatnonzero(~bad), values[channel, ~bad])
     return out, replaced.sum(axis=1)
+
+
+def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
+    """The same samples as (time (n,), values (k, n)), every piece but the last of exactly `rows` rows."""
+    time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
+    for block in blocks:
+        taken, count = 0, len(block.time)
+        while taken < count:
+            step = min(rows - filled, count - taken)
+            time[filled : filled + step] = block.time[taken : taken + step]
+            for row, name in enumerate(channels):
+                values[row, filled : filled + step] = block.channels[name][taken : taken + step]
+            filled, taken = filled + step, taken + step
+            if filled == rows:
+                yield time, values
+                time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
+    if filled:
+        yield time[:filled], values[:, :filled]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planrunner.archive import statistics as one_pass
-from planrunner.archive.statistics import BATCHES, CHUNK, rechunk, statistics_of
+from planrunner.archive.statistics import BATCHES, CHUNK, statistics_of
 from planrunner.instruments.interfaces import Block
 
 NAMES = ("x", "y", "z")
@@ -144,10 +144,3 @@ def test_lost_blocks_leave_their_batches_empty() -> None:
     got = statistics_of(blocks_of(np.arange(3200.0), values, [7, 600, 700, 1450, 2000]), NAMES[:2], 3200)
     assert (got.count, got.rejected, got.batches, got.start, got.largest_gap) == (2193, 1007, BATCHES - 10, 7.0, 1001.0)
     np.testing.assert_allclose(got.standard_error, by_numpy(values, 3200), rtol=1e-12)
-
-
-def test_rechunk_gives_pieces_of_one_size() -> None:
-    time = np.arange(25.0)
-    pieces = list(rechunk(blocks_of(time, np.stack([time, -time]), [3, 4, 19]), ["y", "x"], 10))
-    assert [len(piece[0]) for piece in pieces] == [10, 10, 5]
-    np.testing.assert_array_equal(np.concatenate([piece[1] for piece in pieces], axis=1), np.stack([-time, time]))

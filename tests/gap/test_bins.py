@@ -185,6 +185,17 @@ def test_poses_in_unknown_orientations_are_binned(monkeypatch: pytest.MonkeyPatc
     assert levels[1] == pytest.approx(levels[0], rel=0.01)
 
 
+def test_samples_come_in_pieces_of_one_size_however_they_were_cut() -> None:
+    time = np.arange(25.0)
+    blocks = [
+        Block(time[low:high], {"x": time[low:high], "y": -time[low:high]})
+        for low, high in ((0, 3), (3, 4), (4, 19), (19, 25))
+    ]
+    pieces = list(bins.rechunk(blocks, ["y", "x"], 10))
+    assert [len(piece[0]) for piece in pieces] == [10, 10, 5]
+    np.testing.assert_array_equal(np.concatenate([piece[1] for piece in pieces], axis=1), np.stack([-time, time]))
+
+
 def test_bins_keep_to_the_budget_unless_motion_is_too_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     time = np.arange(40_000) / 100
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,28 +30,26 @@ segments:
 """
 
 
-def means(plan: Path, bench: str, runs: Path) -> np.ndarray:
-    """Mean outputs of each segment, shape (3, 2), pulse/s."""
+def tables(plan: Path, bench: str, runs: Path) -> list[Any]:
+    """What a run recorded, segment by segment."""
     import pyarrow.parquet as parquet
 
     command = [sys.executable, "-m", "planrunner", "run", str(plan), "--bench", bench, "--runs", str(runs), "--quiet"]
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
-    files = sorted(next(runs.iterdir()).glob("segments/*.parquet"))
-    tables = [parquet.read_table(file) for file in files]
-    for table in tables:
+    return [parquet.read_table(file) for file in sorted(next(runs.iterdir()).glob("segments/*.parquet"))]
+
+
+def means(plan: Path, bench: str, runs: Path) -> np.ndarray:
+    """Mean outputs of each segment, shape (3, 2), pulse/s."""
+    recorded = tables(plan, bench, runs)
+    for table in recorded:
         time = table["time"].to_numpy()
         assert time[-1] - time[0] == pytest.approx(30.0, abs=0.1)
         assert np.all(np.diff(time) > 0)
     return np.array(
-        [[float(np.mean(table[name].to_numpy())) for name in ("torquer_x", "torquer_y")] for table in tables]
+        [[float(np.mean(table[name].to_numpy())) for name in ("torquer_x", "torquer_y")] for table in recorded]
     )
 
 
@@ -69,20 +68,7 @@ segments:
 
 def turned(plan: Path, bench: str, runs: Path) -> tuple[float, float]:
     """What the gyro was turned by in the first turn and in the second [deg], by its nominal scale factor, which is 0.6 % off."""
-    import pyarrow.parquet as parquet
-
-    command = [sys.executable, "-m", "planrunner", "run", str(plan), "--bench", bench, "--runs", str(runs), "--quiet"]
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    (file,) = next(runs.iterdir()).glob("segments/*.parquet")
-    table = parquet.read_table(file)
+    (table,) = tables(plan, bench, runs)
     time, pulses = table["time"].to_numpy(), table["torquer_y"].to_numpy()
     step = float(np.median(np.diff(time)))
     middle = time[0] + 42.0  # of the second stop

@@ -130,7 +130,7 @@ class TemperatureModel:
         else:
             found = from_estimates(request.uses, parameters.coefficients)
         models = [_model(points, parameters) for points in found]
-        coefficients, covariance = _coefficients(models)
+        coefficients, covariance, slopes = _coefficients(models)
         return Estimate(
             request.name,
             "temperature_model",
@@ -150,7 +150,7 @@ class TemperatureModel:
             tuple(warning for one in models for warning in _warnings(one)),
             tuple(recorded.label for recorded in request.segments),
             {"curves": {one.points.name: _plain(one) for one in models}},
-            _influences(request, models, len(coefficients)),
+            _influences(request, slopes),
         )
 
 
@@ -198,10 +198,12 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
     return Modelled(points, fit)
 
 
-def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
-    """All curves' coefficients and what ramps say beside them, with their covariance; curves are taken for independent of each other."""
+def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array, Array]:
+    """All curves' coefficients and what ramps say beside them, with their covariance, curves taken for independent of each other, and by
+    how much each grows per kelvin by which all temperatures are really higher."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
+    slopes: list[Array] = []
     for one in models:
         made, name, text = one.fit.curve, one.points.name, one.points.unit
         spread = np.sqrt(np.diag(one.fit.covariance))
@@ -217,26 +219,23 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
                 )
             rows.append(Coefficient(label, float(value), own, float(u), one.fit.degrees_of_freedom, words))
         blocks.append(one.fit.covariance)
+        slopes.append(one.fit.slopes())
         if (loop := hysteresis(one.points)) is not None:
             largest, u, celsius = loop
             words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
             rows.append(Coefficient(f"hysteresis_{name}", largest, text, u, description=words))
             blocks.append(np.array([[u**2]]))
-    return tuple(rows), independent(blocks)
+            slopes.append(np.zeros(1))
+    return tuple(rows), independent(blocks), np.concatenate(slopes)
 
 
-def _influences(request: EstimateRequest, models: Sequence[Modelled], count: int) -> tuple[Influence, ...]:
-    """On all coefficients: a chamber that is warmer than it says gives every curve as it is at another temperature. The sensor's own
-    thermometer is not the chamber's."""
+def _influences(request: EstimateRequest, slopes: Array) -> tuple[Influence, ...]:
+    """On coefficients with these slopes over temperature (q,): a chamber that is warmer than it says gives every curve as it is at another
+    temperature. The sensor's own thermometer is not the chamber's."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
-    sensitivities, start = np.zeros((count, 1)), 0
-    for one in models:
-        slopes = one.fit.slopes()
-        sensitivities[start : start + len(slopes), 0] = slopes
-        start += len(slopes) + (hysteresis(one.points) is not None)
-    return (Influence(stated, sensitivities),)
+    return (Influence(stated, slopes[:, None]),)
 
 
 def _per_kelvin(text: str, power: int) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import variances_differ
@@ -28,7 +29,7 @@ from planrunner.estimators.tilted.evaluation import (
 
 Array = NDArray[np.float64]
 
-RESOLVED = 1e-12  # of the variance of flicker, below which no noise is taken to be
+_RESOLVED = 1e-12  # of the variance of flicker, below which no noise is taken to be
 BASES = ("repeats", "residual", "within_segment")
 
 
@@ -135,8 +136,8 @@ def _about_the_line(group: Group, residuals: Array, noise: Array, flicker: Seque
     for axis in range(m):
         tied = slow[axis, :n, :n]
         if tied.any():
-            white = np.mean(noise[:, axis] ** 2) + RESOLVED * np.trace(tied)
-            factor = _squares_about(matrix, residuals[:, axis], white * np.eye(n) + tied) / (n - 2)
+            white = np.mean(noise[:, axis] ** 2) + _RESOLVED * np.trace(tied)
+            factor = least_squares.fit(matrix, residuals[:, axis], covariance=white * np.eye(n) + tied).variance_factor
             spread[axis], slow[axis] = np.sqrt(factor * white), factor * slow[axis]
     return np.broadcast_to(spread, (n, m)), slow
 
@@ -146,14 +147,6 @@ def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
-
-
-def _squares_about(matrix: Array, values: Array, covariance: Array) -> float:
-    """min over β of (y − Xβ)ᵀV⁻¹(y − Xβ)."""
-    root = np.linalg.cholesky(covariance)
-    columns, wanted = np.linalg.solve(root, matrix), np.linalg.solve(root, values)
-    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
-    return float(left @ left)
 
 
 def gradient_of(found: Findings, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
