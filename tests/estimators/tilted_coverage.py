@@ -1,8 +1,9 @@
 """Do the 95 % intervals of tilted scale factors, temperature coefficients and fixture angles hold the truth 95 % of the time?
 
-`python tests/estimators/tilted_coverage.py [runs [fixture]]` prints the figures of docs/scale-factor-in-one-mounting.md. Recordings come
-from hand formulas (`tilted_recording.py`), noise is drawn here: white noise and flicker of each mean, scale factors that change from repeat
-to repeat, fixture angles off by their stated uncertainty, table rates off by theirs, and the fixture skewed at each orientation.
+`python tests/estimators/tilted_coverage.py [runs [part of a row's name]]` prints the figures of
+docs/scale-factor-in-one-mounting.md. Recordings come from hand formulas (`tilted_recording.py`), noise is drawn here: white noise
+and flicker of each mean, scale factors that change from repeat to repeat, fixture angles off by their stated uncertainty, table rates
+off by theirs, and the fixture skewed at each orientation.
 """
 
 from __future__ import annotations
@@ -161,21 +162,22 @@ def main() -> None:
     print(f"{runs} runs each; share of the 95 % intervals that hold the truth, in %", flush=True)
     only = sys.argv[2] if len(sys.argv) > 2 else ""
     for name, keys in SCENARIOS.items():
-        if only:
-            continue
-        shares = scale_factor_coverage(runs, 31, **keys)  # type: ignore[arg-type]
-        print(f"{name}: " + ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items()), flush=True)
-    for other, keys in () if only else OTHER_BASES:
-        shares = scale_factor_coverage(runs, 33, basis=other, names=NAMES, **keys)  # type: ignore[arg-type]
-        shown = ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items())
-        print(f"{other}, flicker {keys['flicker']:g} deg/h: {shown}", flush=True)
+        if only in f"repeats, {name}":
+            told(f"repeats, {name}", scale_factor_coverage(runs, 31, **keys))  # type: ignore[arg-type]
+    for other, keys in OTHER_BASES:
+        name = f"{other}, flicker {keys['flicker']:g} deg/h"
+        if only in name:
+            told(name, scale_factor_coverage(runs, 33, basis=other, names=NAMES, **keys))  # type: ignore[arg-type]
     for name, world in FIXTURE.items():
-        if only not in f"fixture, {name}":
-            continue
         for basis in BASES:
-            shares = fixture_coverage(runs, 32, basis, **world)
-            shown = ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items())
-            print(f"fixture, {name}, {basis}: {shown}", flush=True)
+            label = f"fixture, {name}, {basis}"
+            if only in label:
+                told(label, fixture_coverage(runs, 32, basis, **world))
+
+
+def told(name: str, shares: Mapping[str, float]) -> None:
+    """Print one row of figures."""
+    print(f"{name}: " + ", ".join(f"{what} {100 * share:.1f}" for what, share in shares.items()), flush=True)
 
 
 if __name__ == "__main__":
