@@ -1,4 +1,5 @@
-"""`python -m tests.blind make|answer|score FOLDER`: the blind campaign; `ceiling`: what nobody could surpass in it."""
+"""`python -m tests.blind make|answer|score FOLDER`: the blind campaign; `ceiling`: what nobody could surpass in it;
+`curve`: its calibration as a drawing."""
 
 from __future__ import annotations
 
@@ -24,6 +25,9 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     score = commands.add_parser("score", help="verify the commitments and score all answers")
     score.add_argument("--json", type=Path, help="write the figures to this file")
+    curve = commands.add_parser("curve", help="draw the calibration curve of a score")
+    curve.add_argument("score", type=Path, help="what `score --json` wrote")
+    curve.add_argument("file", type=Path, help="the drawing, an SVG")
     ceiling = commands.add_parser("ceiling", help="what an answerer reaches that knows all but the draw")
     ceiling.add_argument("count", type=int)
     ceiling.add_argument("--seed", type=int, required=True)
@@ -53,6 +57,10 @@ def main(argv: list[str] | None = None) -> int:
             from tests.blind.ceiling import told
 
             print(told(given.count, given.seed), end="")
+        elif given.command == "curve":
+            from tests.blind.curve import drawn
+
+            drawn(given.score, given.file)
         else:
             from tests.blind import report
 

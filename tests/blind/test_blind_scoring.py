@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.blind.__main__ import main
+from tests.blind.curve import curve
 from tests.blind.report import table
 from tests.blind.scoring import Rate, Scored, calibration, closure_against, closure_held_out, plain, rate, score
 
@@ -187,3 +191,20 @@ def test_closures_are_held_to_the_truth_of_held_out_segments() -> None:
     assert (found["interval holds the truth"].hits, found["interval holds the truth"].n) == (1, 2)
     assert (found["not resolvable"].hits, found["not resolvable"].n) == (1, 3)
     assert found["said less true"]["largest"] == pytest.approx(0.25)
+
+
+def test_the_curve_stands_where_the_bins_are(tmp_path: Path) -> None:
+    bins = [{"confidence": 0.35, "right": 0.5, "n": 4}, {"confidence": 0.95, "right": 1.0, "n": 40}]
+    figures = {"planrunner": {"calibration": {"ece": 0.05, "chance": 0.4, "bins": bins}}}
+    over, below = curve(figures).axes
+    (points,) = over.containers
+    assert points.lines[0].get_ydata().tolist() == [0.5, 1.0]
+    assert points.lines[0].get_xdata() == pytest.approx([0.35, 0.95], abs=0.01)
+    # Wilson by hand: 2 of 4 gives 0.15 to 0.85, 40 of 40 gives 0.912 to 1.
+    ((low, high), (least, most)) = (segment[:, 1] for segment in points.lines[2][0].get_segments())
+    assert (low, high, least, most) == pytest.approx((0.150, 0.850, 0.912, 1.0), abs=1e-3)
+    assert [bar.get_height() for bar in below.patches] == [4, 40]
+    (tmp_path / "score.json").write_text(json.dumps({"answers": figures}), encoding="utf-8")
+    for name in ("a.svg", "b.svg"):
+        assert main(["curve", str(tmp_path / "score.json"), str(tmp_path / name)]) == 0
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
