@@ -19,7 +19,7 @@ from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_m
 from planrunner.instruments.sensors.samples import Array, FrameLayout, Samples, Status, Whole
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import ZERO_SUM8
-from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, Field
+from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, Field, alike
 from planrunner.instruments.wire.framing import XBUS, Framer, Frames, Framing
 from planrunner.instruments.wire.host_clock import Counter
 from planrunner.instruments.wire.serial_stream import SerialStream
@@ -167,16 +167,15 @@ class MtData2:
         while left.size:
             first, length = int(frames.starts[left[0]]), int(frames.lengths[left[0]])
             heads, layout = self._shape(frames.data[first : first + length].tobytes())
-            alike = frames.lengths[left] == length
-            places = frames.starts[left[alike], None] + heads
-            alike[alike] = np.all(frames.data[places] == frames.data[first + heads], axis=1)
+            same = frames.lengths[left] == length
+            same[same] = alike(frames.of(left[same]), heads)
             if layout is None:
-                refused += int(np.count_nonzero(alike))
+                refused += int(np.count_nonzero(same))
             else:
                 # In place of times the frames' numbers, by which the shapes are put in order again.
-                chosen = replace(frames.of(left[alike]), received=left[alike].astype(float))
+                chosen = replace(frames.of(left[same]), received=left[same].astype(float))
                 parts.append(layout.decode(chosen))
-            left = left[~alike]
+            left = left[~same]
         return self._joined(parts, refused, frames.received)
 
     def _joined(self, parts: list[Samples], refused: int, received: Array) -> Samples:

@@ -43,3 +43,11 @@ def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
         frames.data, frames.starts, item.offset, item.width, item.kind == SIGNED, item.little
     )
     return found
+
+
+def alike(frames: Frames, places: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether each frame has at `places` [bytes from its start] what the first one has there; all are long enough for that."""
+    from planrunner.instruments.wire import kernels
+
+    found: NDArray[np.bool_] = kernels.alike(frames.data, frames.starts, places)
+    return found

@@ -206,6 +206,18 @@ def find(data, sync, trailer, shape, check, kind, width, tables, initial, reflec
     return starts[:count], lengths[:count], place, expected, corrupt, skipped
 
 
+@compiled()
+def alike(data, starts, places):  # type: ignore[no-untyped-def]
+    """Whether each frame has at `places` the bytes that the first one has there."""
+    found = np.ones(starts.size, np.bool_)
+    for frame in range(starts.size):
+        for item in range(places.size):
+            if data[np.uintp(starts[frame] + places[item])] != data[np.uintp(starts[0] + places[item])]:
+                found[frame] = False
+                break
+    return found
+
+
 # An unsigned index spares numba the question whether it counts from the end: twice as fast.
 @compiled()
 def _bits(data, place, width, little):  # type: ignore[no-untyped-def]
