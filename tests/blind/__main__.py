@@ -33,6 +33,8 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     ceiling.add_argument("--seed", type=int, required=True)
     for command in (make, answer, score):
         command.add_argument("folder", type=Path)
+    for command in (answer, score):
+        command.add_argument("--first", type=int, metavar="N", help="only the first N cases (default: all)")
     for command in (make, answer):
         command.add_argument(
             "--jobs", type=int, default=1, help="processes of a Dask cluster on this machine (default: 1, without one)"
@@ -52,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
             campaign.make_all(given.folder, given.count, given.seed, given.jobs, given.scheduler, _tell)
         elif given.command == "answer":
             for name in given.by or ["planrunner"]:
-                campaign.answer_all(given.folder, name, given.jobs, given.scheduler, _tell)
+                campaign.answer_all(given.folder, name, given.jobs, given.scheduler, _tell, given.first)
         elif given.command == "ceiling":
             from tests.blind.ceiling import told
 
@@ -64,7 +66,7 @@ def main(argv: list[str] | None = None) -> int:
         else:
             from tests.blind import report
 
-            print(report.scored(given.folder, given.json), end="")
+            print(report.scored(given.folder, given.json, given.first), end="")
     except (BrokenSealError, ValueError, OSError) as error:
         _tell(f"tests.blind: {error}")
         return 2

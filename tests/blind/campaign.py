@@ -128,11 +128,16 @@ def make_all(
 
 
 def answer_all(
-    folder: Path, name: str, jobs: int = 1, scheduler: str | None = None, tell: Callable = lambda _: None
+    folder: Path,
+    name: str,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    tell: Callable = lambda _: None,
+    first: int | None = None,
 ) -> None:
-    """Has every case answered that `name` has not answered yet."""
+    """Has every case answered that `name` has not answered yet, or of the first so many cases."""
     label = name.replace(":", ".")
-    cases = store.made(folder)
+    cases = store.made(folder)[:first]
     wanted = [
         (json.loads((folder / "cases" / case / "case.json").read_text(encoding="utf-8"))["setup"], case)
         for case in cases

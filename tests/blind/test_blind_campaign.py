@@ -199,3 +199,14 @@ def test_score_is_a_table_and_a_file(made: Path, tmp_path: Path, capsys: pytest.
     assert "false alarm: all" in capsys.readouterr().out
     figures = json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))
     assert figures["answers"][NOTHING.replace(":", ".")]["false alarm"]["all"]["hits"] == 0
+
+
+def test_the_first_cases_alone_are_answered_and_scored(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    some = tmp_path / "some"
+    shutil.copytree(made, some, ignore=shutil.ignore_patterns("answers"))
+    assert main(["answer", str(some), "--by", NOTHING, "--first", "4"]) == 0
+    assert list(folder.answers(some, NOTHING.replace(":", "."))) == [f"case-{k:05d}" for k in range(4)]
+    assert main(["score", str(some), "--first", "3"]) == 0
+    assert capsys.readouterr().out.startswith("3 cases, commitments verified")
