@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.tilted.evaluation import Group
 from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
-from planrunner.estimators.tilted.zero_drift import half_drift
+from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.uncertainty.influences import BudgetLine, InputQuantity, Inputs
 
@@ -180,3 +181,29 @@ def test_the_noise_of_the_zeros_is_no_drift() -> None:
     assert half_drift([group], 0, sigma, shared=False) == pytest.approx(math.sqrt(3) / 2)
     assert half_drift([group], 0, 3 * sigma, shared=False) == 0
     assert half_drift([group], 0, sigma, shared=True) == pytest.approx(0.5)  # |(3 − 1)/2|/2
+
+
+def zeros(drift: Sequence[float]) -> Group:
+    """A group of repeats whose zeros moved by so much, each zero of one segment."""
+    q, empty = len(drift), np.empty(0)
+    between = np.kron(np.eye(q), [-1.0, 1.0])
+    moved = np.array(drift)[:, None]
+    return Group("", 293.15, ("",) * q, empty, np.empty((q, 0), dtype=np.int64), between, between, empty, moved)
+
+
+def test_a_drift_within_the_noise_of_the_zeros_is_not_added() -> None:
+    """χ² of two drifts, each of variance 2σ²: 1 % lies at −2·ln 0.01 = 9.21."""
+    sigma, square = np.ones((4, 1)), -2 * math.log(0.01)
+    for size, expected in ((0.99, set()), (1.01, {0})):
+        each = math.sqrt(square * size)  # Σd²/(2σ²) = 2·each²/2
+        assert moved_further([zeros([each, -each])], sigma, ()) == expected
+    assert moved_further([zeros([1e-12, 0.0])], np.zeros((4, 1)), ()) == {0}
+    assert moved_further([zeros([0.0, 0.0])], np.zeros((4, 1)), ()) == set()
+
+
+def test_repeats_show_whether_the_zeros_moved_alike() -> None:
+    """F of the mean drifts: (3·4² + 3·1²)/2 over a scatter of 1 with 4 degrees of freedom is 25.5, beyond 18.0 (F 2, 4 at 1 %)."""
+    assert moved_alike([zeros([3.0, 4.0, 5.0]), zeros([0.0, 1.0, 2.0])]) == {0}
+    assert moved_alike([zeros([2.0, 3.0, 4.0]), zeros([0.0, 1.0, 2.0])]) == set()  # 15
+    assert moved_alike([zeros([1.0, 1.0])]) == {0}
+    assert moved_alike([zeros([0.0, 0.0])]) == set()

@@ -95,7 +95,7 @@ def scale_factor_coverage(
     rate: float = 0.0,
     basis: str = "repeats",
     spread: float = SPREAD,
-    names: Sequence[str] = NAMES[:3],
+    names: Sequence[str] = NAMES,
 ) -> dict[str, float]:
     """Share of runs whose interval holds the truth: K at 20 and at −40 degC, and the temperature coefficient, of the axis x.
 

@@ -45,7 +45,7 @@ from planrunner.estimators.tilted.scatter import (
     whole,
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
-from planrunner.estimators.tilted.zero_drift import half_drift, moved_further
+from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
@@ -142,13 +142,14 @@ class ScaleFactorTilted:
         flicker = () if seen else flicker_effects(observations, request.setup.inputs, SPAN.value)
         sigma, freedom_of_sigma = _sigma(request, observations, flicker)
         noise = noise_of_means(groups, sigma, observations.correlation, freedom_of_sigma)
-        further = moved_further(groups, sigma, flicker)
         within = scatter_of_means(groups, found, situation.answers, noise, "within_segment")
         scatter = (
             scatter_between_repeats(found)
-            if parameters.uncertainty == "repeats"
+            if seen
             else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty, flicker)
         )
+        further = moved_alike(groups) if seen else moved_further(groups, sigma, flicker)
+        declared = {axis for effect in flicker for axis in effect.changes}
         covariance, freedom = whole(found, groups, scatter, situation.gradient)
         acting = influences(
             situation,
@@ -157,7 +158,7 @@ class ScaleFactorTilted:
             parameters.uncertainty,
             _rounding(request, kept, axes),
             flicker,
-            _half_drifts(groups, sigma, flicker, further, parameters.uncertainty),
+            {axis: half_drift(groups, axis, sigma[:, axis], seen) for axis in further},
         )
         units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
         shown = items(found, groups, axes, units, situation.reference)
@@ -175,7 +176,7 @@ class ScaleFactorTilted:
                 "reference_temperature": groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if fixture else "as stated",
             },
-            warnings=(*warnings, *_further_than_declared(axes, further)),
+            warnings=(*warnings, *_further_than_declared(axes, further & declared)),
             segments=tuple(one.label for one in kept),
             influences=shown_influences(shown, acting),
             extra={"by_temperature": held} if held else {},
@@ -331,15 +332,6 @@ def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequen
         )
     sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
     return sigma, np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
-
-
-def _half_drifts(
-    groups: Sequence[Group], sigma: Array, flicker: Sequence[Effect], further: set[int], basis: str
-) -> dict[int, float]:
-    """By axis; without those whose zeros moved no further than their declared flicker lets them."""
-    declared = {axis for effect in flicker for axis in effect.changes} - further
-    axes = (axis for axis in range(sigma.shape[1]) if axis not in declared)
-    return {axis: half_drift(groups, axis, sigma[:, axis], basis == "repeats") for axis in axes}
 
 
 def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:

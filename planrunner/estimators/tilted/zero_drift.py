@@ -1,7 +1,8 @@
-"""How far the zero moved from before the rates to after them, and what of that is not accounted for otherwise.
+"""How far the zero moved from before the rates to after them, where that is more than what is accounted for otherwise.
 
-The zeros have noise, which the data's part of an uncertainty holds. Where flicker is declared, a drift of the zeros is that flicker, seen
-once in each series; it counts by itself only where it is larger than noise and flicker make it.
+The zeros have noise, which the data's part of an uncertainty holds; so have zeros with declared flicker, whose drift is that flicker, seen
+once in each series. A drift counts by itself only where it is larger than these make it, or every interval would be widened by noise
+that is in it already.
 """
 
 from __future__ import annotations
@@ -33,20 +34,31 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 
 
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Effect]) -> set[int]:
-    """Axes with declared flicker whose zeros moved further than noise and flicker let them: χ² of all drifts, at 1 %.
+    """Axes whose zeros moved further than noise and declared flicker let them: χ² of all drifts, at 1 %.
 
-    sigma: (N, m), standard uncertainty of each segment's mean from noise.
+    sigma: (N, m), standard uncertainty of each segment's mean from noise; where noise and flicker are zero, any drift is further.
     """
-    if not flicker:
-        return set()
     from scipy.special import chdtrc
 
     weights = np.vstack([group.between for group in groups])
     found = set()
-    for axis in {axis for effect in flicker for axis in effect.changes}:
+    for axis in range(sigma.shape[1]):
         drift = np.concatenate([group.drift[:, axis] for group in groups])
-        covariance = np.diag(sigma[:, axis] ** 2) + sum(effect.covariance(axis, axis) for effect in flicker)
+        slow = [effect.covariance(axis, axis) for effect in flicker if axis in effect.changes]
+        covariance = np.diag(sigma[:, axis] ** 2) + sum(slow)
         squares = float(drift @ np.linalg.pinv(weights @ covariance @ weights.T, hermitian=True) @ drift)
-        if chdtrc(len(drift), squares) < SIGNIFICANCE:
+        if drift.any() and (not covariance.any() or chdtrc(len(drift), squares) < SIGNIFICANCE):
             found.add(axis)
     return found
+
+
+def moved_alike(groups: Sequence[Group]) -> set[int]:
+    """Axes whose zeros moved alike in all repeats, further than their scatter from repeat to repeat explains: F of the mean drifts at the
+    temperatures by that scatter, at 1 %. Every group has two repeats or more."""
+    from scipy.special import fdtrc
+
+    freedom = sum(len(group.drift) - 1 for group in groups)
+    scatter = sum(((group.drift - group.drift.mean(axis=0)) ** 2).sum(axis=0) for group in groups) / freedom
+    means = sum(len(group.drift) * group.drift.mean(axis=0) ** 2 for group in groups) / len(groups)
+    ratio = np.divide(means, scatter, out=np.where(means > 0, np.inf, 0.0), where=scatter > 0)
+    return {int(axis) for axis in np.flatnonzero(fdtrc(len(groups), freedom, ratio) < SIGNIFICANCE)}
