@@ -31,6 +31,7 @@ LEADING = 5  # effects that pairs are built on
 SPIKE = 6.0  # σ beyond its neighbours, from where a sample is an outlier
 CERTAIN = 1e9  # log Bayes factor of what is seen and not inferred: a coarser lattice
 REFITS = 2  # of the device, with the best amplitude of such an effect taken off
+FINE = 1.08  # ratio of neighbouring amplitudes where an effect is scanned on the device as fitted
 BY_DEVICE = ("gyro_dead_zone", "gyro_saturation")  # where these act depends on the device's own bias and scale factors
 
 
@@ -147,7 +148,7 @@ class Opinion:
         if found is None:
             return -np.inf
         self.best[effect] = self._joined(effect, found), found.gain / 2
-        return cell_evidence(found.energies, found.products, CELL)
+        return cell_evidence(found.energies, found.products, FINE)
 
     def _scan(self, effect: str, rate: Array) -> Scan | None:
         """The effect at all amplitudes at which it can be seen, on an output without noise."""
@@ -157,15 +158,15 @@ class Opinion:
         while amplitude > 1e-7 * top:
             stop = limit(rate, amplitude)
             acted = lock_in(rate, amplitude) if effect == "gyro_dead_zone" else np.clip(rate, -stop, stop)
-            cleared, energy = self._cleared(acted - rate)
+            energy = self._cleared(acted - rate)[1]
             if energy < WEAK:
                 break
             if energy < STRONG:
                 energies.append(energy)
-                products.append(float(np.sum(cleared * self.residual[:, :3])))
+                products.append(float(np.sum((acted - rate) * self.residual[:, :3]) / self.weighed.solved[0][0]))
                 differences.append(acted - rate)
                 amplitudes.append(amplitude)
-            amplitude /= CELL
+            amplitude /= FINE
         return Scan(np.array(energies), np.array(products), differences, amplitudes) if energies else None
 
     def _cleared(self, difference: Array) -> tuple[Array, float]:
