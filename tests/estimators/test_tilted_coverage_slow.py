@@ -6,7 +6,6 @@ import pytest
 from tilted_coverage import (
     BASES,
     FIXTURE,
-    NAMES,
     OTHER_BASES,
     SCENARIOS,
     fixture_coverage,
@@ -28,7 +27,7 @@ def joint_tolerance(intervals: int) -> tuple[int, int]:
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_intervals_of_scale_factors_hold_the_truth(name: str) -> None:
     shares = scale_factor_coverage(RUNS, 41, **SCENARIOS[name])  # type: ignore[arg-type]
-    low, high = joint_tolerance(3 * len(SCENARIOS))
+    low, high = joint_tolerance(len(SCENARIOS) * len(shares))
     for what, share in shares.items():
         print(f"{name}: {what} {share:.4f}")
         assert low <= round(share * RUNS) <= high, (name, what, share)
@@ -49,10 +48,9 @@ def test_intervals_of_fixture_angles_hold_the_truth(name: str, basis: str) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(("basis", "keys"), OTHER_BASES)
 def test_intervals_on_the_other_bases_hold_the_truth(basis: str, keys: dict[str, float]) -> None:
-    """White noise and declared flicker. Where nothing is declared, what the zeros seem to have moved widens the offset's interval."""
-    shares = scale_factor_coverage(RUNS, 44, basis=basis, names=NAMES, **keys)  # type: ignore[arg-type]
+    """White noise and declared flicker."""
+    shares = scale_factor_coverage(RUNS, 44, basis=basis, **keys)  # type: ignore[arg-type]
     low, high = joint_tolerance(len(OTHER_BASES) * len(shares))
     for what, share in shares.items():
         print(f"{basis}, {keys}: {what} {share:.4f}")
-        assert low <= round(share * RUNS), (basis, keys, what, share)
-        assert round(share * RUNS) <= high or (what == "F0_x" and not keys["flicker"]), (basis, keys, what, share)
+        assert low <= round(share * RUNS) <= high, (basis, keys, what, share)

@@ -132,6 +132,31 @@ def test_residuals_scale_noise_and_flicker_together() -> None:
         assert line(found, name, "zero drift gyro_x") is None
 
 
+def test_what_flicker_gives_all_repeats_alike_is_added_to_their_scatter() -> None:
+    """Variance of the mean of repeats less what their scatter s²/q shows of it in the mean, where that is positive."""
+    repeats, added = 3, {1: 4e-5, 9: -6e-5, 12: 2e-5, 17: 3e-5}
+    n = len(RATES) + 2
+    covariance = B**2 * kernel(repeats * n)
+    without, with_it = (
+        estimate(recording(repeats, added), AXIS, stated, earth_rate="averaged", uncertainty="repeats")
+        for stated in (None, DECLARED)
+    )
+    seen = {}
+    for name, own in weights(repeats).items():
+        each = np.zeros((repeats, repeats * n))
+        for k in range(repeats):
+            each[k, k * n : (k + 1) * n] = repeats * own[k * n : (k + 1) * n]
+        between = each - each.mean(axis=0)
+        scatter = np.trace(between @ covariance @ between.T) / (repeats - 1)
+        seen[name] = own @ covariance @ own - scatter / repeats
+        before, after = without[name], with_it[name]
+        variance = after.standard_uncertainty**2 - before.standard_uncertainty**2
+        assert variance == pytest.approx(max(seen[name], 0.0), rel=1e-2, abs=1e-4 * before.standard_uncertainty**2)
+        freedom = before.degrees_of_freedom * (after.standard_uncertainty / before.standard_uncertainty) ** 4
+        assert after.degrees_of_freedom == pytest.approx(freedom, rel=1e-6)
+    assert seen["F0_x"] > 0.1 * without["F0_x"].standard_uncertainty ** 2
+
+
 def test_flicker_that_is_nothing_leaves_the_residuals_as_they_are() -> None:
     recorded = recording(2, {3: 5e-5, 9: -6e-5, 12: 2e-5})
     little = Inputs({NAME: InputQuantity(NAME, 0.0, "deg/s", 1e-9)})

@@ -95,14 +95,12 @@ def scale_factor_coverage(
     rate: float = 0.0,
     basis: str = "repeats",
     spread: float = SPREAD,
-    names: Sequence[str] = NAMES,
 ) -> dict[str, float]:
-    """Share of runs whose interval holds the truth: K at 20 and at −40 degC, and the temperature coefficient, of the axis x.
+    """Share of runs whose interval holds the truth: K at 20 and at −40 degC, temperature coefficient and offset, of the axis x.
 
-    flicker: deg/h, declared as it is; arcsec: of the fixture; rate: relative; spread: of K from repeat to repeat, relative; names: of the
-    results, of which F0 is the offset at 20 degC."""
+    flicker: deg/h, declared as it is; arcsec: of the fixture; rate: relative; spread: of K from repeat to repeat, relative."""
     rng = np.random.default_rng(seed)
-    hits = dict.fromkeys(names, 0)
+    hits = dict.fromkeys(NAMES, 0)
     stated, noise = inputs(AXES, arcsec, rate, flicker), WHITE / math.sqrt(DWELL)
     # The slope of K over temperature by K at 20 degC; K is linear here, so that the line's slope is the truth.
     truth = {"K_x": GYROS["x"].K, "K_x_-40degC": GYROS["x"].K * (1 - 60 * GYROS["x"].slope)}
@@ -167,7 +165,7 @@ def main() -> None:
     for other, keys in OTHER_BASES:
         name = f"{other}, flicker {keys['flicker']:g} deg/h"
         if only in name:
-            told(name, scale_factor_coverage(runs, 33, basis=other, names=NAMES, **keys))  # type: ignore[arg-type]
+            told(name, scale_factor_coverage(runs, 33, basis=other, **keys))  # type: ignore[arg-type]
     for name, world in FIXTURE.items():
         for basis in BASES:
             label = f"fixture, {name}, {basis}"

@@ -224,7 +224,7 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
                 "it, nor the drift between the zeros, which is that flicker seen once. Any other drift is in the budget as an offset."
             )
             return text
-        return f"{text}; the drift between the zeros is in the budget beside them, as an offset."
+        return f"{text}; a drift between the zeros that is more than their noise (1 %) is in the budget beside them, as an offset."
     if basis == "within_segment":
         text = "Uncertainties rest on the noise within the segments; what changes from segment to segment is in them only where stated."
         if declared:

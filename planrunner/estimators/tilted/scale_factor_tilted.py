@@ -137,14 +137,15 @@ class ScaleFactorTilted:
         observations = observe(kept, axes.outputs, request.sensor)
         situation = _situation(request, axes, fixture, kept, series, observations)
         groups, found = situation.groups, situation.found
-        # The scatter between repeats shows flicker by itself.
+        # The scatter between repeats shows flicker by itself, but for what all of them share.
         seen = parameters.uncertainty == "repeats"
-        flicker = () if seen else flicker_effects(observations, request.setup.inputs, SPAN.value)
+        stated = flicker_effects(observations, request.setup.inputs, SPAN.value)
+        flicker = () if seen else stated
         sigma, freedom_of_sigma = _sigma(request, observations, flicker)
         noise = noise_of_means(groups, sigma, observations.correlation, freedom_of_sigma)
         within = scatter_of_means(groups, found, situation.answers, noise, "within_segment")
         scatter = (
-            scatter_between_repeats(found)
+            scatter_between_repeats(found, groups, situation.answers, stated)
             if seen
             else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty, flicker)
         )

@@ -54,9 +54,12 @@ class Scatter:
     pooled: NDArray[np.bool_]
 
 
-def scatter_between_repeats(found: Findings) -> Scatter:
+def scatter_between_repeats(
+    found: Findings, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[Effect] = ()
+) -> Scatter:
     """From the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's test finds that it differs between them;
-    the correlations between quantities come from the repeats of all temperatures."""
+    the correlations between quantities come from the repeats of all temperatures. What declared flicker makes repeats have in common,
+    which their scatter cannot show, is added. answers: of each group, as `answers_of` gives them."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
@@ -77,7 +80,27 @@ def scatter_between_repeats(found: Findings) -> Scatter:
     correlation = _correlation(deviations.T @ deviations)
     covariance = np.array([correlation * np.outer(own, own) / len(one) for own, one in zip(size, repeats, strict=True)])
     freedom = np.where(same, degrees.sum(), degrees[:, None]).astype(float)
-    return Scatter(covariance, freedom, same)
+    shared = np.array([_in_common(group, own, flicker) for group, own in zip(groups, answers, strict=True)])
+    seen = np.diagonal(covariance, axis1=1, axis2=2)
+    larger = 1 + np.divide(shared, seen, out=np.zeros_like(seen), where=seen > 0)
+    covariance = covariance * np.sqrt(larger[:, :, None] * larger[:, None, :])
+    return Scatter(covariance, freedom * larger**2, same)
+
+
+def _in_common(group: Group, answers: Array, flicker: Sequence[Effect]) -> Array:
+    """Variances (5·m,) of the means over the repeats by what flicker gives different repeats in common: the mean of fᵣᵀCfₛ over r ≠ s, f
+    being how a repeat's quantities follow from the segments; zero where it sets them apart."""
+    gains, q = answers_to_averages(answers), len(group.spins)
+    found = np.zeros(gains.shape[1:])
+    for effect in flicker:
+        for axis in effect.changes:
+            covariance, own = effect.covariance(axis, axis), 0.0
+            for spins, rest in zip(group.spins, group.rest, strict=True):
+                each = np.vstack([np.eye(len(rest))[spins], rest])
+                own = own + each @ covariance @ each.T
+            tied = (q**2 * group.averages @ covariance @ group.averages.T - own) / (q * (q - 1))
+            found[axis] += np.einsum("np,nk,kp->p", gains[:, axis], tied, gains[:, axis])
+    return np.maximum(found, 0.0).ravel()
 
 
 def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> Noise:
