@@ -180,7 +180,7 @@ def _label(name: str, kind: str, faults: list[Fault], work: Work, factors: Array
             difference = work.difference(fault)
             share = kept_share(work.around, difference)
             absorbed = share < GONE
-            if kind != "unknown" and not absorbed:
+            if not absorbed:
                 members = work.around.inseparable(fault.effect, difference, energy)
         entries.append(
             {

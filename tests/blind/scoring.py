@@ -3,7 +3,8 @@
 An answer is right at class level when what it names is the truth or a member of the class that the generator found inseparable
 from it under that plan; an "indistinguishable" answer is right when its class holds the truth. Where the true white noise is larger than
 declared, `gyro_noise_excess` is true as well and is neither asked for nor held against an answer (`also_true`). Effects that the nominal
-parameters absorb whole count as none.
+parameters absorb whole count as none. An effect off the catalogue that one of the catalogue looks like under that plan is rightly called
+either, and does not count among those to be recognised.
 """
 
 from __future__ import annotations
@@ -80,6 +81,11 @@ class Scored:
         """Per true effect the names that count as it."""
         return [{*entry["class"], entry["effect"]} for entry in self.label["entries"] if not entry["absorbed"]]
 
+    @property
+    def lookalikes(self) -> set[str]:
+        """Effects of the catalogue that cannot be told from the one off it under that plan."""
+        return self.classes[0] - set(self.label["effects"]) if self.kind == UNKNOWN else set()
+
     def _stripped(self, names: Iterable[str]) -> set[str]:
         true = {entry["effect"] for entry in self.label["entries"]}
         return {name for name in names if name not in self.label["also_true"] or name in true}
@@ -88,7 +94,7 @@ class Scored:
         """Whether a set of names, {"unknown"} included, is the truth at class level."""
         named = self._stripped(names)
         if self.kind == "unknown":
-            return named == {UNKNOWN}
+            return named == {UNKNOWN} or (len(named) == 1 and named <= self.lookalikes)
         if len(named) != len(self.classes):
             return False
         if len(named) == 2:
@@ -204,6 +210,7 @@ def score(
     pairs = [c for c in cases if c.kind == "pair"]
     none = [c for c in cases if c.kind == "none"]
     foreign = [c for c in cases if c.kind == UNKNOWN]
+    apart = [c for c in foreign if not c.lookalikes]
     own = singles + pairs
     wrong = [c for c in none if max(abs(np.log(f)) for f in c.label["noise_factors"]) > 0]
     figures = {
@@ -222,8 +229,10 @@ def score(
             "noise declared wrongly": rate(not c.says_none for c in wrong),
         },
         "unknown": {
-            "recognised, >= 144": rate(c.right for c in foreign if c.weakest >= STRONG),
-            "recognised, >= 900": rate(c.right for c in foreign if c.weakest >= 900),
+            "recognised, >= 144": rate(c.right for c in apart if c.weakest >= STRONG),
+            "recognised, >= 900": rate(c.right for c in apart if c.weakest >= 900),
+            "of the look-alikes, >= 144": rate(c.right for c in foreign if c.lookalikes and c.weakest >= STRONG),
+            "called unknown, with the look-alikes, >= 144": rate(c.exact for c in foreign if c.weakest >= STRONG),
             "catalogue called unknown": rate(c.announced == [UNKNOWN] for c in own),
         },
         "place, >= 144": rate(

@@ -11,7 +11,7 @@ import pytest
 from tests.blind import generator
 from tests.blind.device import SENSORS, Sensor, Triad, clean_output, fault, ideal
 from tests.blind.effects import CATALOGUE, FOREIGN
-from tests.blind.motion import Schedule, Site
+from tests.blind.motion import Fault, Schedule, Site
 from tests.blind.noise import Metric, flicker_basis, noise
 from tests.blind.plans import PLANS, X_UP, Segment, read_segments, write_segments
 from tests.blind.signatures import change, excess_energy, excess_ratio
@@ -152,3 +152,14 @@ def test_labels_say_what_was_done() -> None:
             assert sum(entry["channels"]) == pytest.approx(1, abs=1e-4) or entry["absorbed"]
         assert list(case.columns)[:3] == ["time_s", "table_angle_deg", "temperature_degC"]
         assert all(np.isfinite(column).all() for column in case.columns.values())
+
+
+def test_a_resonance_seen_at_one_rate_looks_like_an_asymmetry() -> None:
+    """Turning at one rate either way shows a function of |rate| at one place, as a scale factor of two senses does; at six rates not."""
+    resonance = Fault("rate_resonance", np.array([1e-3, -2e-3, 1.5e-3]), (55.0,))
+    found = {}
+    for plan in ("poor", "rates"):
+        around = generator.signatures(plan, "fog")
+        difference = change(around.schedule, around.sensor, ideal(around.sensor), [resonance])
+        found[plan] = around.inseparable("rate_resonance", difference, 1e4)
+    assert "gyro_scale_asymmetry" in found["poor"] and found["rates"] == ["rate_resonance"]

@@ -50,6 +50,7 @@ BOTH = label(
     "pair", ("table_tilt", 200.0, ["table_tilt"]), ("gyro_warm_up", 150.0, ["gyro_warm_up", "gyro_bias_random_walk"])
 )
 FOREIGN = label("unknown", ("emi_bursts", 950.0, ["emi_bursts"]))
+ALIKE = label("unknown", ("rate_resonance", 950.0, ["gyro_scale_asymmetry", "rate_resonance"]))
 NONE = label("none")
 
 
@@ -71,6 +72,10 @@ NONE = label("none")
         (BOTH, answer("effect", "table_tilt"), False, False),
         (FOREIGN, answer("unknown"), True, True),
         (FOREIGN, answer("effect", "emi_bursts"), False, False),
+        (ALIKE, answer("unknown"), True, True),
+        (ALIKE, answer("effect", "gyro_scale_asymmetry"), True, False),
+        (ALIKE, answer("effect", "rate_resonance"), False, False),
+        (ALIKE, answer("pair", "gyro_scale_asymmetry", "table_tilt"), False, False),
         (NONE, answer("none"), True, True),
         (NONE, answer("unknown"), False, False),
     ],
@@ -208,3 +213,11 @@ def test_the_curve_stands_where_the_bins_are(tmp_path: Path) -> None:
     for name in ("a.svg", "b.svg"):
         assert main(["curve", str(tmp_path / "score.json"), str(tmp_path / name)]) == 0
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_look_alikes_are_counted_apart() -> None:
+    labels = {"a": FOREIGN, "b": ALIKE}
+    figures = score(labels, {"a": answer("unknown"), "b": answer("effect", "gyro_scale_asymmetry")}, FACTORS)["unknown"]
+    assert figures["recognised, >= 900"] == Rate(1, 1)
+    assert figures["of the look-alikes, >= 144"] == Rate(1, 1)
+    assert figures["called unknown, with the look-alikes, >= 144"] == Rate(1, 2)
