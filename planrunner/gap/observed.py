@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.gap.bins import SQUARED, Averaged, Bins, averaged, bins_of, sizes
 from planrunner.gap.motion import fading, motion_at
+from planrunner.gap.temperature import REFERENCE_TEMPERATURE, changes, settled, temperature_of
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.findings import closest
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
-from planrunner.plan.units import ZERO_CELSIUS, unit
+from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
-REFERENCE_TEMPERATURE = 25.0  # degC
-_SMOOTHING = 4  # coefficients of the polynomial by which a segment's temperature is smoothed
-_CHANGED = 1.0  # K between mean temperatures of consecutive segments: less is no change
 
 
 class ObservationError(Exception):
@@ -234,7 +232,8 @@ def observed(
         _part(item, channels, angle_channel, temperature_channel, power_on, None if size is None else int(size[index]))
         for index, item in enumerate(recording)
     ]
-    parts = [part for part, _ in made]
+    parts = [part for part, *_ in made]
+    settled(recording, parts, [uncertainty for *_, uncertainty in made])
     means = [float(np.mean(part["temperature"])) for part in parts]
     stacked = {name: np.concatenate([part[name] for part in parts]) for name in _PER_SAMPLE}
     return Observed(
@@ -246,8 +245,8 @@ def observed(
         np.concatenate(([0], np.cumsum([len(part["time"]) for part in parts]))).astype(np.int64),
         last_change=changes(recording, means),
         magnetic=None if magnetic is None else np.asarray(magnetic, dtype=float),
-        rejected=sum(rows.rejected for _, rows in made),
-        bins=None if size is None else bins_of(size, [rows for _, rows in made]),
+        rejected=sum(rows.rejected for _, rows, _ in made),
+        bins=None if size is None else bins_of(size, [rows for _, rows, _ in made]),
         **stacked,
     )
 
@@ -294,8 +293,9 @@ def _part(
     thermometer: str | None,
     power_on: float,
     size: int | None,
-) -> tuple[dict[str, Array], Averaged]:
-    """One segment's samples, or means over `size` of them, rows with a NaN left out; and what they were made of."""
+) -> tuple[dict[str, Array], Averaged, float]:
+    """One segment's samples, or means over `size` of them, rows with a NaN left out; what they were made of; and the uncertainty of its
+    temperature, NaN where it changes."""
     if item.segment.attitude is None:
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
     if not isinstance(item.segment.motion, Rest | Spin | Rock):
@@ -306,10 +306,11 @@ def _part(
     left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
     part = motion_at(motion, time - rows.begin, _in_si(item, angle, table) if angle is not None else None, left)
     warm = _in_si(item, thermometer, table) if thermometer is not None else None
-    part["temperature"], part["temperature_rate"] = temperature_of(item, time, warm)
+    temperature = temperature_of(item, time, warm)
+    part["temperature"], part["temperature_rate"] = temperature.celsius, temperature.rate
     part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
     part["time"] = time - power_on
-    return part, rows
+    return part, rows, temperature.uncertainty
 
 
 def rows_of(
@@ -363,36 +364,3 @@ def _averaged(
 def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Array:
     scale = unit(item.units[name])
     return np.asarray(table[name] * scale.factor + scale.offset)
-
-
-def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> tuple[Array, Array]:
-    """Temperature [degC] and its rate [K/s]: the thermometer smoothed by a cubic, else what was planned."""
-    if kelvin is None:
-        planned = item.segment.temperature
-        celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
-        target = celsius if item.segment.ramp_to is None else item.segment.ramp_to - ZERO_CELSIUS
-        span = max(float(time[-1] - time[0]), 1e-9)
-        return celsius + (target - celsius) * (time - time[0]) / span, np.full(len(time), (target - celsius) / span)
-    return smoothed(time, kelvin - ZERO_CELSIUS)
-
-
-def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
-    """A cubic through a segment's values, (n,), and its derivative: a thermometer's noise must not become a stimulus."""
-    middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
-    order = min(_SMOOTHING, len(time)) - 1
-    series = np.polynomial.chebyshev.Chebyshev.fit((time - middle) / half, values, order, domain=[-1, 1])
-    scaled = (time - middle) / half
-    return np.asarray(series(scaled)), np.asarray(series.deriv()(scaled)) / half
-
-
-def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
-    """Sign of the last change of temperature in every segment, (S,): from setpoints where they are planned, else from means."""
-    signs, last, before = [], 0.0, None
-    for item, mean in zip(recording, means, strict=True):
-        now = item.segment.ramp_to if item.segment.ramp_to is not None else item.segment.temperature
-        now = mean + ZERO_CELSIUS if now is None else now
-        if before is not None and abs(now - before) > _CHANGED:
-            last = float(np.sign(now - before))
-        before = now
-        signs.append(last)
-    return np.array(signs)

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.designs_weighed import Eigen, Left, eigen
 from planrunner.gap.evidence import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
-from planrunner.gap.patterns import WAVEFORM, WHOLE, Rows, designs, factors, sorts, waves
+from planrunner.gap.patterns import CHANGING, PERIODIC, WAVEFORM, WHOLE, Rows, designs, factors, sorts, waves
 from planrunner.gap.spectrum import BANDS
 from planrunner.gap.weighing import ChannelWeights
 from planrunner.plan.schedule import Rest, Spin
 
 Array = NDArray[np.float64]
 PLAIN = 8.0  # nats of one sort from which on the others are weighed on what it leaves
+SPANNING = (PERIODIC, CHANGING)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 
 
@@ -91,14 +92,19 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array])
 
 
 def _sort(name: str) -> str:
+    """Of a pattern; "" for one that lives in the coefficients of more than one sort."""
     word = name.split()[0]
+    if name in SPANNING:
+        return ""
     return word if word in WHOLE or word in ("noise", "a") else "means"
 
 
 def _by_sort(found: dict[str, Array]) -> dict[str, float]:
+    """Their evidence by sort, without patterns that span sorts: what these explain would count twice."""
     sorts: dict[str, list[float]] = {}
     for name, value in found.items():
-        sorts.setdefault(_sort(name), []).append(float(log_mean_exp(value, 0)))
+        if sort := _sort(name):
+            sorts.setdefault(sort, []).append(float(log_mean_exp(value, 0)))
     return {sort: float(log_mean_exp(np.array(values), 0)) for sort, values in sorts.items()}
 
 
@@ -131,7 +137,8 @@ class _Patterns:
                     found[name] = _by_scope(spectra, self.scopes)
         if among is None or "means" in among:
             found["one odd segment"] = [_one_segment(self.means, channels)]
-            found["offset periodic in time"] = _periodic(*self.waves, self.scopes, channels)
+        if among is None:
+            found[PERIODIC] = _periodic(*self.waves, self.scopes, channels)
         return {name: np.array(each) for name, each in found.items()}
 
     def _eigen(self, name: str, left: Left, design: Array | Rows) -> Eigen:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.observed import Observed
+from planrunner.gap.temperature import CHANGED
 from planrunner.gap.weighing import lasting
 from planrunner.plan.schedule import Rest, Rock, Spin
 
@@ -27,6 +28,9 @@ WHOLE = {
     **{f"{h}": f"{h} per turn, per segment" for h in (1, 2, 3)},
 }
 """Sorts of patterns by the coefficients that they live in, each with the design that holds all of these."""
+PERIODIC = "offset periodic in time"
+CHANGING = "offset and transient while the temperature changes"
+"""Patterns that live in the means and within the segments alike."""
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
 WAVEFORM = 4  # harmonics of a bias that repeats itself
@@ -73,6 +77,8 @@ def designs(weighing: Weighing) -> Iterator[Design]:
         yield WHOLE[f"{h}"], [rows[f"{h}"]] * everywhere
         yield f"{h} per turn, alike", [_alike(weighing, rows[f"{h}"])] * everywhere
     yield WHOLE["rocking"], [rows["rocking"]] * everywhere
+    slow = (spectrum.harmonic == 0) & _changing(observed)[spectrum.segment]
+    yield CHANGING, [slow] * everywhere
 
 
 def sorts(weighing: Weighing) -> dict[str, Rows]:
@@ -214,6 +220,13 @@ def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Ar
         return np.zeros((len(values), 0))
     orders = np.arange(1, min(most, len(np.unique(np.round(values / span, 6)))) + 1)
     return np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
+
+
+def _changing(observed: Observed) -> Rows:
+    """Segments (S,) within which the temperature changes."""
+    spans = np.maximum.reduceat(observed.temperature, observed.bounds[:-1])
+    spans -= np.minimum.reduceat(observed.temperature, observed.bounds[:-1])
+    return np.asarray(spans > CHANGED)
 
 
 def _monomials(direction: Array) -> Array:

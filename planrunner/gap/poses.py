@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.gap.bins import bins_of, seen_along, sizes
-from planrunner.gap.observed import Channel, ObservationError, Observed, channels_of, rows_of, temperature_of
+from planrunner.gap.observed import Channel, ObservationError, Observed, channels_of, rows_of
+from planrunner.gap.temperature import temperature_of
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest
@@ -92,8 +93,8 @@ def poses(
         np.zeros(count),
         np.zeros(count),
         np.zeros(count),
-        np.concatenate([part[0] for part in warm]),
-        np.concatenate([part[1] for part in warm]),
+        np.concatenate([part.celsius for part in warm]),
+        np.concatenate([part.rate for part in warm]),
         np.zeros(len(recording)),
         np.concatenate([part @ weight for part, weight in zip(samples, along, strict=True)])[:, None],
         rejected=sum(part.rejected for part in rows),

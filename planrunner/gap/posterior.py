@@ -28,13 +28,14 @@ class Posterior:
     """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none. pairs: the
     weighed variant
     of pairs of two deterministic effects. kinds: log evidence, relative to none, of what
-    "unknown" could be. by_channel: log BF (K,) of each of those in one channel alone."""
+    "unknown" could be. by_channel: log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise's level."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
     pairs: dict[str, Weighed] = field(repr=False)
     kinds: dict[str, float]
     by_channel: dict[str, Array] = field(repr=False)
+    levels: frozenset[str] = frozenset()
 
 
 def pair_key(first: str, second: str) -> str:
@@ -63,7 +64,7 @@ def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[C
     kinds = competitors(weighing)
     found["unknown"] = weighing.evidence(unknown(kinds)) + levels["declared"] - start
     plainly = {name: weighing.evidence(value) + levels["declared"] - start for name, value in kinds.log_bayes.items()}
-    return Posterior(_normalised(found), found, weighed, plainly, kinds.by_channel)
+    return Posterior(_normalised(found), found, weighed, plainly, kinds.by_channel, frozenset(acting.values()))
 
 
 def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from planrunner.gap.motion import motion_at
-from planrunner.gap.observed import REFERENCE_TEMPERATURE, Channel, Observed
+from planrunner.gap.observed import Channel, Observed
+from planrunner.gap.temperature import REFERENCE_TEMPERATURE
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin

@@ -116,13 +116,16 @@ def _rival_pairs(
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
     """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ, unless it
-    does so in channels on which the first does not act; terms of a nominal model are exact and leave no residue."""
+    does so in channels on which the first does not act, or raises the level of the noise, which is measured where no form shows; terms of a
+    nominal model are exact and leave no residue."""
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
     if not first or first in NOMINAL_TERMS:
         return pair, None
     both = 2 * found.log_evidence[pair]
     other = next(name for name in pair.split("+") if name != first)
+    if other in found.levels:
+        return first, None
     alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
     small = alone > STRONG and alone > (1 - RESIDUE) * both
     if small and pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE:

@@ -11,7 +11,8 @@ import pytest
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.gap.motion import motion_at
-from planrunner.gap.observed import ObservationError, observed, smoothed
+from planrunner.gap.observed import ObservationError, observed
+from planrunner.gap.temperature import settled, smoothed
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
@@ -89,6 +90,30 @@ def test_rocking_follows_the_encoder_that_was_late_and_wraps() -> None:
 def test_temperature_is_smoothed() -> None:
     time = np.arange(0, 60, 0.1)
     noisy = 20 + 5 * np.exp(-time / 90) + np.random.default_rng(1).normal(0, 0.02, len(time))
-    value, rate = smoothed(time, noisy)
-    assert value == pytest.approx(20 + 5 * np.exp(-time / 90), abs=0.01)
-    assert rate == pytest.approx(-5 / 90 * np.exp(-time / 90), abs=2e-3)
+    found = smoothed(time, noisy)
+    assert found.celsius == pytest.approx(20 + 5 * np.exp(-time / 90), abs=0.01)
+    assert found.rate == pytest.approx(-5 / 90 * np.exp(-time / 90), abs=2e-3)
+    assert np.isnan(found.uncertainty)
+
+
+def test_a_long_approach_to_a_setpoint_is_followed_and_a_steady_temperature_is_one() -> None:
+    time = np.arange(0, 600, 0.1)
+    noise = np.random.default_rng(1).normal(0, 0.02, len(time))
+    found = smoothed(time, 20 + 25 * np.exp(-time / 90) + noise)
+    assert found.celsius == pytest.approx(20 + 25 * np.exp(-time / 90), abs=0.01)
+    still = smoothed(time, 20 + noise)
+    assert np.ptp(still.celsius) == 0 and not still.rate.any()
+    assert still.celsius[0] == pytest.approx(20 + noise.mean())
+    assert still.uncertainty == pytest.approx(0.02 / np.sqrt(len(time)), rel=0.15)
+    exact = smoothed(time, np.full(len(time), 20.0))
+    assert exact.celsius == pytest.approx(20.0) and exact.uncertainty == pytest.approx(0.0, abs=1e-12)
+
+
+def test_segments_of_one_setpoint_share_a_temperature_that_the_thermometer_does_not_tell_apart() -> None:
+    recording = [_segment(index, Rest()) for index in range(3)]
+    known = [1e-3, 1e-3, 2e-3]
+    for last, expected in ((30.002, (30.001 + 30.003 + 30.002 / 4) / 2.25), (30.02, None)):
+        parts = [{"temperature": np.full(5, value)} for value in (30.001, 30.003, last)]
+        settled(recording, parts, known)
+        found = [float(part["temperature"][0]) for part in parts]
+        assert found == pytest.approx([30.001, 30.003, last] if expected is None else [expected] * 3)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.observed import Observed
 from planrunner.gap.open_set import Kinds, competitors
+from planrunner.gap.patterns import CHANGING, PERIODIC
 from tests.gap.turntable import record
 
 Array = np.ndarray
@@ -37,6 +40,37 @@ def test_no_evidence_is_more_than_half_the_energy(rocked: tuple[Weighing, Kinds]
 def test_the_strongest_sort_is_counted_whole(rocked: tuple[Weighing, Kinds]) -> None:
     _, kinds = rocked
     assert kinds.several[0] > kinds.log_bayes["rocking waveform"][0] - 10
+
+
+def test_a_bias_that_swings_within_the_segments_is_not_counted_twice() -> None:
+    """A period of 30 s, segments of 20 s: a sine explains means and transients, and is one pattern."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 1e-4 * np.sin(2 * np.pi * observed.time / 30)[:, None] * np.ones(3), 0.0
+
+    weighing = Weighing(record(seed=42, fault=fault))
+    kinds = competitors(weighing)
+    most = sum(float(each[0].residual @ each[0].residual) for each in weighing.weights) / 2
+    assert kinds.log_bayes[PERIODIC][0] + kinds.log_bayes["transient per segment"][0] > most
+    assert kinds.several[0] < most
+
+
+def test_what_shows_only_while_the_temperature_changes_is_one_pattern() -> None:
+    """A bias of one gyro that fades within each of three segments, in which the chamber moves."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        since = observed.time - observed.time[observed.bounds[:-1]][observed.owner]
+        sign = np.array([[1.0, -1.0, 0.7][k - 3] if 3 <= k < 6 else 0.0 for k in range(len(observed))])
+        return np.outer(sign[observed.owner] * np.exp(-since / 15), [2e-4, 0.0, 0.0]), 0.0
+
+    plain = record(seed=43, fault=fault)
+    moving = (plain.owner >= 3) & (plain.owner < 6)
+    since = plain.time - plain.time[plain.bounds[:-1]][plain.owner]
+    found = competitors(Weighing(replace(plain, temperature=plain.temperature + np.where(moving, since, 0.0))))
+    others = {name: value[0] for name, value in found.log_bayes.items() if name != CHANGING}
+    assert found.log_bayes[CHANGING][0] > max(others.values()) + 20
+    assert found.log_bayes[CHANGING][0] > found.several[0] + 20
+    assert CHANGING not in competitors(Weighing(plain)).log_bayes
 
 
 SORTS = ("rocking waveform", "offset per segment", "transient per segment")

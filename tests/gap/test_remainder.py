@@ -88,3 +88,13 @@ def test_a_weak_effect_where_the_strong_one_does_not_act_is_no_residue() -> None
 
     said = diagnose(record(seed=12, fault=fault)).verdict
     assert (said.kind, said.effects, said.residue) == ("pair", ("accel_bias_temperature", "gyro_scale_asymmetry"), None)
+
+
+def test_more_noise_than_declared_is_no_residue_of_form() -> None:
+    """2.4 % of what a lever arm and it explain together: noise is measured where no form shows."""
+    evidence = {"none": 0.0, "lever_arm": 2000.0, "gyro_noise_excess+lever_arm": 2050.0}
+    probability = {"gyro_noise_excess+lever_arm": 1.0, "lever_arm": 0.0, "none": 0.0}
+    for levels, kind in ((frozenset({"gyro_noise_excess"}), "pair"), (frozenset(), "effect")):
+        found = Posterior(probability, evidence, {}, {}, {}, levels)
+        said = verdict(None, found, [_Effect("lever_arm", 2000.0)])  # type: ignore[arg-type]
+        assert said.kind == kind
