@@ -13,8 +13,8 @@ from collections.abc import Collection, Mapping
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 STRONG = 2500.0  # twice the log evidence of an effect at 50 σ, above which its idealised form shows
-RESIDUE = 0.05  # share of the explained energy below which the rest is residue of an effect's form
-FORM = 0.01  # the same, of what "something else" explains beyond an effect that no nominal model holds
+RESIDUE = 0.05  # share of the explained energy below which the rest may be residue of an effect's form
+FORM = 0.01  # the same, below which it is taken for that: of a second effect, or of what "something else" explains beyond one
 ALIKE = 4.0  # nats of evidence between hypotheses that may be two names for one thing
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from planrunner.gap.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.confusability import ALIKE, DISCRIMINABLE, beside, energy, fitted, reproduced
 from planrunner.gap.posterior import Posterior, pair_key
-from planrunner.gap.remainder import RESIDUE, STRONG, as_probable, leading
+from planrunner.gap.remainder import FORM, RESIDUE, STRONG, as_probable, leading
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 
 NAMEABLE = 0.05  # the probability of none above which no effect is named
@@ -25,7 +25,8 @@ SOMETHING_ELSE = (
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: what cannot be told from them, themselves
-    included; pairs as 'a+b'. residue: an effect, or "unknown", that only takes up what the named one's idealised form leaves."""
+    included; pairs as 'a+b'. residue: an effect, or "unknown", that takes up no more than the named one's idealised form may leave;
+    one of a named pair that may be no more than that."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -49,11 +50,13 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
     likely = probability if remainder is None else as_probable(found.log_evidence, top)
     if "+" not in top:
         return _named("effect", (top,), _rivals(likely, by_id, top), remainder)
-    first, residue = _residue(found, by_id, top)
-    if residue is None:
-        return _named("pair", tuple(top.split("+")), _rival_pairs(likely, found.pairs, by_id, top), remainder)
+    named, residue = _residue(found, by_id, top)
+    if named == top:
+        return _named(
+            "pair", tuple(top.split("+")), _rival_pairs(likely, found.pairs, by_id, top), remainder or residue
+        )
     beside = {name: likely.get(pair_key(name, residue), 0.0) for name in by_id if name != residue}
-    return _named("effect", (first,), _rivals(beside, by_id, first), remainder or residue)
+    return _named("effect", (named,), _rivals(beside, by_id, named), remainder or residue)
 
 
 def _named(kind: str, effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None) -> Verdict:
@@ -115,9 +118,9 @@ def _rival_pairs(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
-    """The leading effect of a pair, and the other where it explains less than `RESIDUE` of what both explain at more than 50 σ, unless it
-    does so in channels on which the first does not act, or raises the level of the noise, which is measured where no form shows; terms of a
-    nominal model are exact and leave no residue."""
+    """What is to be named of a pair, and what of it may be residue of form: the weaker effect, where at more than 50 σ it explains less
+    than `RESIDUE` of what both do. Less than `FORM` is not named. It is none if it acts on channels on which the first does not, or raises
+    the level of the noise, which is measured where no form shows; terms of a nominal model are exact and leave none."""
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
     if not first or first in NOMINAL_TERMS:
@@ -125,9 +128,9 @@ def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tup
     both = 2 * found.log_evidence[pair]
     other = next(name for name in pair.split("+") if name != first)
     if other in found.levels:
-        return first, None
+        return pair, None
     alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
     small = alone > STRONG and alone > (1 - RESIDUE) * both
-    if small and pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE:
-        return first, None
-    return (first, other) if small else (first, None)
+    if not small or (pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE):
+        return pair, None
+    return (first if alone > (1 - FORM) * both else pair), other

@@ -77,7 +77,9 @@ def verdict(found: Data) -> str:
         return f"A gap by something that the catalogue does not hold ({probability(posterior['unknown'])})."
     names = list(said["class"] or effects) if kind == "indistinguishable" else ["+".join(sorted(effects))]
     residue = said.get("form_residue")
-    beside = ["+".join(sorted((*name.split("+"), residue))) for name in names] if residue else []
+    beside = (
+        ["+".join(sorted((*name.split("+"), residue))) for name in names] if residue not in (None, *effects) else []
+    )
     together = min(1.0, sum(posterior.get(name, 0.0) for name in {*names, "+".join(sorted(effects)), *beside}))
     nearly = residue is not None and together < 0.5
     how = "nearly all of the gap" if nearly else f"the gap ({probability(together)})"
@@ -87,16 +89,19 @@ def verdict(found: Data) -> str:
         said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot tell them apart{chance}."
     else:
         said_so = f"{_listed(effects, 'and')} {'together explain' if kind == 'pair' else 'explains'} {how}."
-    return said_so + _remainder(residue)
+    return said_so + _remainder(residue, effects)
 
 
-def _remainder(residue: str | None) -> str:
-    """What else there is beside a named effect."""
+def _remainder(residue: str | None, named: list[str]) -> str:
+    """What else there is beside a named effect, or how sure the weaker of two is."""
     if residue is None:
         return ""
+    if residue in named:
+        (first,) = (name for name in named if name != residue)
+        return f" {residue} takes up less than 5 % of it: it is there and weak, or form residue of {first}."
     if residue == "unknown":
         return " Less than 5 % of it is something that the catalogue does not hold."
-    return f" What {residue} would add is below 5 % and taken for its form."
+    return f" What {residue} would add is below 1 % and taken for its form."
 
 
 def closure_words(found: Data) -> str:

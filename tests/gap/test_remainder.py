@@ -91,10 +91,25 @@ def test_a_weak_effect_where_the_strong_one_does_not_act_is_no_residue() -> None
 
 
 def test_more_noise_than_declared_is_no_residue_of_form() -> None:
-    """2.4 % of what a lever arm and it explain together: noise is measured where no form shows."""
-    evidence = {"none": 0.0, "lever_arm": 2000.0, "gyro_noise_excess+lever_arm": 2050.0}
+    """0.7 % of what a lever arm and it explain together: noise is measured where no form shows."""
+    evidence = {"none": 0.0, "lever_arm": 2000.0, "gyro_noise_excess+lever_arm": 2015.0}
     probability = {"gyro_noise_excess+lever_arm": 1.0, "lever_arm": 0.0, "none": 0.0}
     for levels, kind in ((frozenset({"gyro_noise_excess"}), "pair"), (frozenset(), "effect")):
         found = Posterior(probability, evidence, {}, {}, {}, levels)
         said = verdict(None, found, [_Effect("lever_arm", 2000.0)])  # type: ignore[arg-type]
         assert said.kind == kind
+
+
+@pytest.mark.parametrize(
+    ("both", "kind", "residue"),
+    [
+        (2015.0, "effect", "gyro_warm_up"),  # 0.7 %
+        (2050.0, "pair", "gyro_warm_up"),  # 2.4 %
+        (2150.0, "pair", None),  # 7 %
+    ],
+)
+def test_a_weak_second_effect_is_named_and_said_to_be_residue_perhaps(both: float, kind: str, residue: str) -> None:
+    evidence = {"none": 0.0, "gyro_dead_zone": 2000.0, "gyro_dead_zone+gyro_warm_up": both}
+    found = Posterior({"gyro_dead_zone+gyro_warm_up": 1.0, "none": 0.0}, evidence, {}, {}, {})
+    said = verdict(None, found, [_Effect("gyro_dead_zone", 2000.0), _Effect("gyro_warm_up", 100.0)])  # type: ignore[arg-type]
+    assert (said.kind, said.residue) == (kind, residue)

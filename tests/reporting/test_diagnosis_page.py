@@ -79,7 +79,17 @@ def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
 def test_an_effect_of_its_form_is_named_beside_it():
     found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
     check(found)
-    assert "What time_latency would add is below 5 % and taken for its form." in verdict(found)
+    assert "What time_latency would add is below 1 % and taken for its form." in verdict(found)
+
+
+def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
+    said = {"kind": "pair", "effects": ["lever_arm", "time_latency"], "class": [], "form_residue": "time_latency"}
+    found = diagnosis(verdict=said, posterior={"none": 0.0, "lever_arm+time_latency": 0.98, "unknown": 0.02})
+    check(found)
+    assert verdict(found) == (
+        "lever_arm and time_latency together explain the gap (P = 0.98). time_latency takes up less than 5 % of it: it is there and weak, "
+        "or form residue of lever_arm."
+    )
 
 
 def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
