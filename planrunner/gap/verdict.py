@@ -51,7 +51,7 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
     if "+" not in top:
         return _named("effect", (top,), _rivals(likely, by_id, top), remainder)
     named, residue = _residue(found, by_id, top)
-    if named == top:
+    if named == top or residue is None:
         return _named(
             "pair", tuple(top.split("+")), _rival_pairs(likely, found.pairs, by_id, top), remainder or residue
         )
