@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import t
 from tilted_recording import SITE, Gyro, estimate, plan_mounting, series
 
 from planrunner.archive.recording import RecordedSegment
@@ -44,14 +45,14 @@ def recording(repeats: int, added: dict[int, float] | None = None, drift: float 
     return found
 
 
-def kernel(n: int, points: int = 400) -> np.ndarray:
+def kernel(n: int, points: int = 400, dwell: float = DWELL, step: float = STEP) -> np.ndarray:
     """Mean of −ln|t − t′|/π over segments i and j: by midpoints, and (3/2 − ln T)/π for one with itself. Enough for contrasts, for which
     any constant in the covariance of flicker cancels."""
-    grid = (np.arange(points) + 0.5) / points * DWELL
+    grid = (np.arange(points) + 0.5) / points * dwell
     found = np.empty((n, n))
     for lag in range(n):
-        apart = np.abs(grid[:, None] - grid[None, :] + lag * STEP)
-        mean = math.log(DWELL) - 1.5 if lag == 0 else float(np.log(apart).mean())
+        apart = np.abs(grid[:, None] - grid[None, :] + lag * step)
+        mean = math.log(dwell) - 1.5 if lag == 0 else float(np.log(apart).mean())
         for i in range(n - lag):
             found[i, i + lag] = found[i + lag, i] = -mean / math.pi
     return found
@@ -155,6 +156,35 @@ def test_what_flicker_gives_all_repeats_alike_is_added_to_their_scatter() -> Non
         freedom = before.degrees_of_freedom * (after.standard_uncertainty / before.standard_uncertainty) ** 4
         assert after.degrees_of_freedom == pytest.approx(freedom, rel=1e-6)
     assert seen["F0_x"] > 0.1 * without["F0_x"].standard_uncertainty ** 2
+
+
+def test_scaled_residuals_cover_the_offset_a_little_too_often() -> None:
+    """The line is that of least squares, not that of the noise's covariance: what flicker does to the offset shows in part in the residuals,
+    which are large when the offset is off. Drawn from the covariance alone, with flicker of 1 deg/h as in tilted_coverage.py."""
+    rates = np.array([300.0, -300.0, 100.0, -100.0, 20.0, -20.0])
+    repeats, dwell = 6, 36.0
+    n, m = len(rates), len(rates) + 2
+    averages = np.zeros((n + 1, repeats * m))
+    for k in range(repeats):
+        averages[:n, k * m + 1 : k * m + 1 + n] = np.eye(n) / repeats
+        averages[n, [k * m, k * m + m - 1]] = 0.5 / repeats
+    flicker = averages @ kernel(repeats * m, dwell=dwell, step=dwell) @ averages.T / 3600**2
+    white = (5e-5) ** 2 / dwell / repeats
+    large = 10 * np.abs(flicker).max()  # constants do not count, and make it positive definite
+    slow = flicker + large
+    x = np.column_stack([np.ones(n), rates])
+    inverse = np.linalg.inv(slow[:n, :n] + white * np.eye(n))
+    left = inverse - inverse @ x @ np.linalg.inv(x.T @ inverse @ x) @ x.T @ inverse
+    own = np.append(np.linalg.pinv(x)[0], 0.0)
+    own[n] = -own.sum()
+    zeros = white / 2 * own[n] ** 2
+    whole = slow + white * np.diag([1.0] * n + [0.5])
+    drawn = np.random.default_rng(5).standard_normal((200_000, n + 1)) @ np.linalg.cholesky(whole).T
+    factor = np.einsum("ij,jk,ik->i", drawn[:, :n], left, drawn[:, :n]) / (n - 2)
+    variance = factor * (own @ flicker @ own + white * own[:n] @ own[:n]) + zeros
+    freedom = variance**2 / ((variance - zeros) ** 2 / (n - 2) + zeros**2 / 1e4)
+    share = np.mean(np.abs(drawn @ own) <= t.ppf(0.975, freedom) * np.sqrt(variance))
+    assert 0.955 < share < 0.960
 
 
 def test_flicker_that_is_nothing_leaves_the_residuals_as_they_are() -> None:
