@@ -159,8 +159,8 @@ def test_what_flicker_gives_all_repeats_alike_is_added_to_their_scatter() -> Non
 
 
 def test_scaled_residuals_cover_the_offset_a_little_too_often() -> None:
-    """The line is that of least squares, not of the noise's covariance: what flicker does to the offset shows in part in the residuals, which
-    are large when the offset is off. Drawn from the covariance alone, with flicker of 1 deg/h as in tilted_coverage.py."""
+    """The line is that of least squares, not of the noise's covariance: what flicker does to the offset shows in part in the residuals,
+    which are large when the offset is off. Drawn from the covariance alone, with flicker of 1 deg/h as in tilted_coverage.py."""
     rates = np.array([300.0, -300.0, 100.0, -100.0, 20.0, -20.0])
     repeats, dwell = 6, 36.0
     n, m = len(rates), len(rates) + 2
