@@ -151,10 +151,12 @@ SHOWS_UNDER: dict[str, tuple[str, ...]] = {
     "accel_scale_temperature": ("temperature", "time", "orientation"),
     "gyro_thermal_gradient": ("temperature", "time", "band"),
     **dict.fromkeys(
-        ("gyro_scale_nonlinearity", "gyro_scale_asymmetry", "gyro_dead_zone", "gyro_saturation", "rate_resonance"),
+        ("gyro_scale_nonlinearity", "gyro_scale_asymmetry", "gyro_saturation", "rate_resonance"),
         ("rate",),
     ),
-    **dict.fromkeys(("lever_arm", "vibration_rectification"), ("rate",)),
+    "gyro_dead_zone": ("rate", "orientation", "table angle"),  # the Earth's rate is below it or above as the axis lies
+    "lever_arm": ("rate", "table angle"),  # while rocking the tangential acceleration follows the angle
+    "vibration_rectification": ("rate",),
     **dict.fromkeys(
         ("gyro_g_sensitivity", "gyro_g2_sensitivity", "accel_second_order", "table_position_error"), ("orientation",)
     ),
