@@ -31,7 +31,7 @@ LEADING = 5  # effects that pairs are built on
 SPIKE = 6.0  # σ beyond its neighbours, from where a sample is an outlier
 CERTAIN = 1e9  # log Bayes factor of what is seen and not inferred: a coarser lattice
 REFITS = 2  # of the device, with the best amplitude of such an effect taken off
-FINE = 1.08  # ratio of neighbouring amplitudes where an effect is scanned on the device as fitted
+FINE = 1.15  # ratio of neighbouring amplitudes where an effect is scanned on the device as fitted
 BY_DEVICE = ("gyro_dead_zone", "gyro_saturation")  # where these act depends on the device's own bias and scale factors
 
 
