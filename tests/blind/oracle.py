@@ -31,7 +31,7 @@ LEADING = 5  # effects that pairs are built on
 SPIKE = 6.0  # σ beyond its neighbours, from where a sample is an outlier
 CERTAIN = 1e9  # log Bayes factor of what is seen and not inferred: a coarser lattice
 REFITS = 2  # of the device, with the best amplitude of such an effect taken off
-FINE = 1.15  # ratio of neighbouring amplitudes where an effect is scanned on the device as fitted
+FINE = 1.05  # ratio of neighbouring amplitudes around the best of an effect that is scanned on the device as fitted
 BY_DEVICE = ("gyro_dead_zone", "gyro_saturation")  # where these act depends on the device's own bias and scale factors
 
 
@@ -71,16 +71,21 @@ def _log_normal_mass(low: Array, high: Array) -> Array:
     return first + np.log1p(-np.exp(np.minimum(second - first, -1e-12)))
 
 
-def cell_evidence(energies: Array, products: Array, ratio: float) -> float:
-    """Log Bayes factor of a non-linear effect: amplitude log-uniform over the cells, whose signatures have these energies."""
-    inside = (energies > WEAKEST / 4) & (energies < STRONGEST * 4)
+def _possible(energies: Array) -> Array:
+    return (energies > WEAKEST / 4) & (energies < STRONGEST * 4)
+
+
+def cell_evidence(energies: Array, products: Array, ratio: float, cells: float | None = None) -> float:
+    """Log Bayes factor of a non-linear effect: amplitude log-uniform over the cells, whose signatures have these energies; over so many
+    `cells`, where only some of them are given."""
+    inside = _possible(energies)
     if not inside.any():
         return -np.inf
     e, h = energies[inside], products[inside]
     low, high = ratio**-0.5, ratio**0.5
     mass = _log_normal_mass((low - h / e) * np.sqrt(e), (high - h / e) * np.sqrt(e))
     each = 0.5 * h**2 / e + 0.5 * np.log(2 * np.pi / e) + mass - np.log(high - low)
-    return float(logsumexp(each) - np.log(len(e)))
+    return float(logsumexp(each) - np.log(cells or len(e)))
 
 
 def _key(first: str, second: str) -> str:
@@ -98,12 +103,13 @@ class Scan:
 
     @property
     def best(self) -> int:
-        return int(np.argmax(np.where(self.products > 0, self.products**2 / self.energies, -1.0)))
+        """The likeliest amplitude, as it is."""
+        return int(np.argmax(self.products - self.energies / 2))
 
     @property
     def gain(self) -> float:
         """By how much the best amplitude lowers the squared residual."""
-        return float(self.products[self.best] ** 2 / self.energies[self.best])
+        return float(2 * self.products[self.best] - self.energies[self.best])
 
 
 class Opinion:
@@ -140,22 +146,34 @@ class Opinion:
 
     def _by_device(self, effect: str) -> float:
         """A non-linear effect of the gyro on the device as fitted; its best amplitude joins the stack of columns."""
-        found = self._scan(effect, self._fitted_rate(0.0))
+        rate = self._fitted_rate(0.0)
+        found = self._scan(effect, rate, self._top(effect))
         for _ in range(REFITS):
             if found is None or found.gain < 2 * np.log(STRONGEST):
                 break
-            found = self._scan(effect, self._fitted_rate(found.differences[found.best]))
+            rate = self._fitted_rate(found.differences[found.best])
+            found = self._scan(effect, rate, self._top(effect))
         if found is None:
             return -np.inf
+        value = cell_evidence(found.energies, found.products, CELL)
+        cells = float(_possible(found.energies).sum() * np.log(CELL) / np.log(FINE))
+        for _ in range(REFITS if found.gain > 2 * np.log(STRONGEST) else 0):
+            rate, near = self._fitted_rate(found.differences[found.best]), found.amplitudes[found.best]
+            fine = self._scan(effect, rate, CELL * near, near / CELL, FINE)
+            if fine is None:
+                break
+            found, value = fine, cell_evidence(fine.energies, fine.products, FINE, cells)
         self.best[effect] = self._joined(effect, found), found.gain / 2
-        return cell_evidence(found.energies, found.products, FINE)
+        return value
 
-    def _scan(self, effect: str, rate: Array) -> Scan | None:
-        """The effect at all amplitudes at which it can be seen, on an output without noise."""
-        kind = CATALOGUE[effect]
-        amplitude = top = kind.largest * kind.scale[0]
+    def _top(self, effect: str) -> float:
+        return float(CATALOGUE[effect].largest * CATALOGUE[effect].scale[0])
+
+    def _scan(self, effect: str, rate: Array, top: float, least: float = 0.0, ratio: float = CELL) -> Scan | None:
+        """The effect at all amplitudes from the largest on at which it can be seen, on an output without noise."""
+        amplitude, least = top, max(least, 1e-7 * top)
         energies, products, differences, amplitudes = [], [], [], []
-        while amplitude > 1e-7 * top:
+        while amplitude > 0.999 * least:
             stop = limit(rate, amplitude)
             acted = lock_in(rate, amplitude) if effect == "gyro_dead_zone" else np.clip(rate, -stop, stop)
             energy = self._cleared(acted - rate)[1]
@@ -166,7 +184,7 @@ class Opinion:
                 products.append(float(np.sum((acted - rate) * self.residual[:, :3]) / self.weighed.solved[0][0]))
                 differences.append(acted - rate)
                 amplitudes.append(amplitude)
-            amplitude /= FINE
+            amplitude /= ratio
         return Scan(np.array(energies), np.array(products), differences, amplitudes) if energies else None
 
     def _cleared(self, difference: Array) -> tuple[Array, float]:
