@@ -101,7 +101,7 @@ def _remainder(residue: str | None, named: list[str]) -> str:
         return f" {residue} takes up less than 5 % of it: it is there and weak, or form residue of {first}."
     if residue == "unknown":
         return " Less than 5 % of it is something that the catalogue does not hold."
-    return f" What {residue} would add is below 1 % and taken for its form."
+    return f" What {residue} would add is below 5 % and taken for its form."
 
 
 def closure_words(found: Data) -> str:

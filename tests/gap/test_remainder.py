@@ -113,3 +113,12 @@ def test_a_weak_second_effect_is_named_and_said_to_be_residue_perhaps(both: floa
     found = Posterior({"gyro_dead_zone+gyro_warm_up": 1.0, "none": 0.0}, evidence, {}, {}, {})
     said = verdict(None, found, [_Effect("gyro_dead_zone", 2000.0), _Effect("gyro_warm_up", 100.0)])  # type: ignore[arg-type]
     assert (said.kind, said.residue) == (kind, residue)
+
+
+def test_a_weak_walk_beside_a_strong_effect_is_residue() -> None:
+    """2.4 %, by what may take any form."""
+    pair = "gyro_bias_random_walk+gyro_dead_zone"
+    evidence = {"none": 0.0, "gyro_dead_zone": 2000.0, pair: 2050.0}
+    found = Posterior({pair: 1.0, "none": 0.0}, evidence, {}, {}, {})
+    said = verdict(None, found, [_Effect("gyro_dead_zone", 2000.0)])  # type: ignore[arg-type]
+    assert (said.kind, said.effects, said.residue) == ("effect", ("gyro_dead_zone",), "gyro_bias_random_walk")

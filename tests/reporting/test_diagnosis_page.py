@@ -79,7 +79,7 @@ def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
 def test_an_effect_of_its_form_is_named_beside_it():
     found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
     check(found)
-    assert "What time_latency would add is below 1 % and taken for its form." in verdict(found)
+    assert "What time_latency would add is below 5 % and taken for its form." in verdict(found)
 
 
 def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
