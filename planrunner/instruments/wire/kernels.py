@@ -178,10 +178,14 @@ def find(data, sync, trailer, shape, check, kind, width, tables, initial, reflec
     lengths = np.empty(starts.size, np.int64)
     count = place = corrupt = skipped = 0
     while place < data.size:
-        if place == expected and trailer.size > 0 and _matches(data, place, trailer) == 1:
-            place += trailer.size
-            expected = place
-            continue
+        if place == expected and trailer.size > 0:
+            ends = _matches(data, place, trailer)
+            if ends == -1:
+                break
+            if ends == 1:
+                place += trailer.size
+                expected = place
+                continue
         begins = _matches(data, place, sync)
         length = _length(data, place, rule, longest) if begins == 1 else np.int64(0)
         if begins == -1 or length == -1 or place + length > data.size:

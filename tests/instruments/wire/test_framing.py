@@ -70,6 +70,13 @@ def test_each_corrupt_frame_is_counted_once() -> None:
     assert framer.corrupt == 3
 
 
+def test_a_trailer_that_is_cut_is_waited_for() -> None:
+    stream = frame(0) + b"\r\n" + frame(1) + b"\r\n"
+    for cut in range(len(stream)):
+        found, framer = pushed(FIXED_FRAMES, stream, [cut])
+        assert (found, framer.corrupt, framer.skipped) == ([frame(0), frame(1)], 0, 0), cut
+
+
 def test_a_frame_behind_a_false_sync_is_not_jumped_over() -> None:
     found, framer = pushed(FIXED_FRAMES, frame(0) + b"\xa5\x5a\x00" + frame(1), [])
     assert found == [frame(0), frame(1)]
