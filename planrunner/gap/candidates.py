@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.gap.effects.interface import Column, Shaped, Variant
+from planrunner.gap.effects.interface import Column, Variant
 from planrunner.gap.effects.nominal import PARTS
-from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, log_mean_exp
+from planrunner.gap.evidence import best_amplitudes, log_bayes_factors
 from planrunner.gap.noise_levels import counts
 from planrunner.gap.nominal_rank import independent
 from planrunner.gap.observed import Observed
@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
 FULL = NOMINAL_TERMS
 _FORMS = 5
-_REFINE = 8.0  # log BF from which on a shape is worth refining
 
 
 @dataclass(frozen=True)
@@ -89,8 +88,8 @@ class Candidate:
 
     @property
     def shape_cost(self) -> float:
-        """log of what averaging over the shape costs against the best shape, at the first setting."""
-        return float(self.log_bayes[0] - self.best.log_bayes[0])
+        """log of what averaging over the shape costs against the best shape at the first setting: never a gain."""
+        return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
     def kept(self) -> float:
@@ -129,10 +128,11 @@ class Weighing:
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
             settings, fitted = self.settings[channel.kind], self.nominal[index]
-            each = [
-                ChannelWeights(observed, slow, self.spectrum, index, float(self.white[index]), setting, fitted)
-                for setting in settings
-            ]
+            levels = {
+                level: ChannelWeights(observed, slow, self.spectrum, index, float(self.white[index]), *level, fitted)
+                for level in dict.fromkeys((setting.flicker, setting.walk) for setting in settings)
+            }
+            each = [levels[setting.flicker, setting.walk] for setting in settings]
             chosen, likelihood = walking_alike(each, settings)
             self.weights.append(chosen)
             self.log_likelihood.append(likelihood)
@@ -238,48 +238,6 @@ class Weighing:
         trace = float(np.trace(gram[0]))
         blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
         return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
-
-    def candidates(self, effects: Sequence[Any]) -> list[Candidate]:
-        """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
-        forms = [effect.variants(self.observed) for effect in effects]
-        weighed = iter(self.weigh([variant for form in forms for variant in form]))
-        return [
-            self._candidate(effect, [next(weighed) for _ in form]) for effect, form in zip(effects, forms, strict=True)
-        ]
-
-    def _candidate(self, effect: Any, weighed: list[Weighed]) -> Candidate:
-        usable = [item for item in weighed if item.kept > ABSORBED and item.trace > 0]
-        if not usable:
-            return Candidate(effect, tuple(weighed), np.full(len(self.base), -np.inf))
-        log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
-        if isinstance(effect, Shaped) and float(log_bayes.max()) > _REFINE and len(usable) > 2:
-            usable, log_bayes = self._refined(effect, usable)
-        return Candidate(effect, tuple(usable), log_bayes)
-
-    def _refined(self, effect: Shaped, coarse: list[Weighed]) -> tuple[list[Weighed], Array]:
-        """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule, every interval of the grid
-        having the same prior.
-
-        Three rounds put four values between each neighbour and the best: the peak of an effect at a hundred standard deviations is
-        that sharp.
-        """
-        have = {float(item.variant.shape or 0.0): item for item in coarse}
-        grid = np.array(sorted(have))
-        for _ in range(3):
-            shapes = np.array(sorted(have))
-            top = int(np.argmax([float(have[shape].log_bayes.max()) for shape in shapes]))
-            around = np.log(shapes[max(0, top - 1) : top + 2])
-            between = np.concatenate([np.linspace(a, b, 6)[1:-1] for a, b in pairwise(around)])
-            new = self.weigh([effect.at(self.observed, float(np.exp(value))) for value in between])
-            have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
-        shapes = np.array(sorted(have))
-        place = np.interp(np.log(shapes), np.log(grid), np.linspace(0.0, 1.0, len(grid)))
-        steps = np.diff(place)
-        share = np.zeros(len(shapes))
-        share[:-1] += steps / 2
-        share[1:] += steps / 2
-        stacked = np.array([have[shape].log_bayes for shape in shapes])
-        return [have[shape] for shape in shapes], log_mean_exp(stacked, 0, (share / share.sum())[:, None])
 
 
 def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:

@@ -19,6 +19,7 @@ from planrunner import plugins
 from planrunner.gap import parameters as estimates
 from planrunner.gap.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.closure import NOT_RESOLVABLE, Choice, Closure, closure
+from planrunner.gap.forms import candidates_of
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.parameters import Parameter
 from planrunner.gap.pictures import gap_by_channel, pictures
@@ -123,7 +124,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     names = plugins.names(EFFECTS) if options.effects is None else options.effects
     effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
     weighing = Weighing(observed, options.nominal)
-    candidates = weighing.candidates([effect for effect in effects if effect.stage != "covariance"])
+    candidates = candidates_of(weighing, [effect for effect in effects if effect.stage != "covariance"])
     found = posterior(weighing, effects, candidates)
     said = verdict(weighing, found, candidates)
     by_id = {candidate.id: candidate for candidate in candidates}

@@ -2,8 +2,8 @@
 
 Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
 at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
-segment; more noise in one band; and a tone that keeps its phase over the whole run. They are weighed like effects, one by one and several
-at once.
+segment; a bias that repeats itself; more noise in one band; bursts; and a tone that keeps its phase over the whole run. They are weighed
+like effects, one by one and several at once.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.gap.bursts import BURSTS, bursts
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.designs_weighed import Eigen, Left, eigen
 from planrunner.gap.evidence import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
-from planrunner.gap.patterns import CHANGING, PERIODIC, WAVEFORM, WHOLE, Rows, designs, factors, sorts, waves
+from planrunner.gap.patterns import CHANGING, WHOLE, Rows, designs, factors, sorts
+from planrunner.gap.repeating import PERIODIC, Repeating
 from planrunner.gap.spectrum import BANDS
 from planrunner.gap.weighing import ChannelWeights
 from planrunner.plan.schedule import Rest, Spin
@@ -96,7 +98,7 @@ def _sort(name: str) -> str:
     word = name.split()[0]
     if name in SPANNING:
         return ""
-    return word if word in WHOLE or word in ("noise", "a") else "means"
+    return word if word in WHOLE or word in ("noise", "a", BURSTS) else "means"
 
 
 def _by_sort(found: dict[str, Array]) -> dict[str, float]:
@@ -123,7 +125,7 @@ class _Patterns:
     """All patterns of the coefficients, and what was found of them: settings of the noise share the weights of a triad."""
 
     def __init__(self, weighing: Weighing):
-        self.designs, self.waves, self.sorts = list(designs(weighing)), waves(weighing), sorts(weighing)
+        self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
         self.means, self.scopes = weighing.spectrum.means, _scopes(weighing)
         self._known: dict[tuple[str, Left], Eigen] = {}
 
@@ -138,7 +140,7 @@ class _Patterns:
         if among is None or "means" in among:
             found["one odd segment"] = [_one_segment(self.means, channels)]
         if among is None:
-            found[PERIODIC] = _periodic(*self.waves, self.scopes, channels)
+            found[PERIODIC] = self.repeating.weighed(self.scopes, channels)
         return {name: np.array(each) for name, each in found.items()}
 
     def _eigen(self, name: str, left: Left, design: Array | Rows) -> Eigen:
@@ -165,9 +167,13 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
 
 def _outside(weighing: Weighing) -> dict[str, Array]:
     """log BF by scope of what lies outside the basis."""
-    powers = [_line(weighing, index) for index in range(len(weighing.observed.channels))]
-    tones = [_tone([powers[index] for index in scope]) for scope in _scopes(weighing)]
-    return {"noise of one band": np.array(_bands(weighing)), "a tone": np.array(tones)}
+    powers, scopes = [_line(weighing, index) for index in range(len(weighing.observed.channels))], _scopes(weighing)
+    tones = [_tone([powers[index] for index in scope]) for scope in scopes]
+    return {
+        "noise of one band": np.array(_bands(weighing)),
+        "a tone": np.array(tones),
+        BURSTS: bursts(weighing, scopes),
+    }
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
@@ -234,30 +240,3 @@ def _tone(powers: list[Array]) -> float:
     s2 = np.geomspace(WEAKEST, STRONGEST, 12) / len(powers)
     each = [float(log_mean_exp(power * s / (1 + s), 0)) - len(powers) * np.log1p(s) for s in s2]
     return float(log_mean_exp(np.array(each), 0))
-
-
-def _periodic(
-    rows: NDArray[np.int64], waves: Array, scopes: Sequence[Sequence[int]], channels: Sequence[Left]
-) -> list[float]:
-    """log BF of such a bias in each scope: a sine, or a waveform."""
-    periods, flat = waves.shape[1], waves.reshape(len(rows), -1)
-    parts: list[list[Eigen]] = []
-    for left in channels:
-        at, whitened = left.whitened(flat, rows)
-        taken = (left.basis[at].T @ whitened).reshape(-1, periods, 2 * WAVEFORM).transpose(1, 0, 2)
-        score = (whitened.T @ left.residual[at]).reshape(periods, -1)
-        own = np.ascontiguousarray(whitened.reshape(-1, periods, 2 * WAVEFORM).transpose(1, 0, 2))
-        gram = np.swapaxes(own, 1, 2) @ own - np.swapaxes(taken, 1, 2) @ taken
-        parts.append([])
-        for count in (2, 2 * WAVEFORM):
-            size, vectors = np.linalg.eigh(gram[:, :count, :count])
-            parts[-1].append((np.maximum(size, 0.0), np.einsum("fji,fj->fi", vectors, score[:, :count]) ** 2))
-    found = []
-    for scope in scopes:
-        each = []
-        for form in (0, 1):
-            size, along = (np.concatenate([parts[index][form][k] for index in scope], axis=1) for k in (0, 1))
-            unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
-            each.append(averaged(from_eigen(size / unit, along / unit, 1.0)))
-        found.append(float(log_mean_exp(np.concatenate(each), 0)))
-    return found

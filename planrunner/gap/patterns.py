@@ -1,7 +1,7 @@
 """Patterns of the coefficients that are nobody's effect: what "something else" could look like, as designs.
 
 Offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or change smoothly
-with rate, gravity, temperature or time; and a bias that repeats itself.
+with rate, gravity, temperature or time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.observed import Observed
 from planrunner.gap.temperature import CHANGED
-from planrunner.gap.weighing import lasting
 from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
@@ -28,13 +27,10 @@ WHOLE = {
     **{f"{h}": f"{h} per turn, per segment" for h in (1, 2, 3)},
 }
 """Sorts of patterns by the coefficients that they live in, each with the design that holds all of these."""
-PERIODIC = "offset periodic in time"
 CHANGING = "offset and transient while the temperature changes"
-"""Patterns that live in the means and within the segments alike."""
+"""A pattern that lives in the means and within the segments alike."""
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
-WAVEFORM = 4  # harmonics of a bias that repeats itself
-NODES = 24  # of a segment, at which slow functions of time are taken
 
 
 def designs(weighing: Weighing) -> Iterator[Design]:
@@ -113,6 +109,11 @@ def factors(weighing: Weighing) -> Iterator[Design]:
         "accel": at_means(_levels([_coarse(observed.attitude[s]) for s in segments])),
     }
     yield "offset by orientation", [levels[channel.kind] for channel in observed.channels]
+    states = at_means(_levels([_state(observed, s) for s in segments]))
+    yield (
+        "offset by orientation and motion",
+        [np.hstack([levels[channel.kind], states]) for channel in observed.channels],
+    )
     if observed.along is None:
         cosines = _orientations(observed)
         yield "offset along orientation", [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
@@ -135,37 +136,6 @@ def factors(weighing: Weighing) -> Iterator[Design]:
         common = [spectrum.project(observed, waves), spectrum.project(observed, waves * rate[:, None])]
         own = [spectrum.project(observed, waves * (rate * observed.table_axis[:, axis])[:, None]) for axis in range(3)]
         yield f"{order} per turn, by rate", [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
-
-
-def waves(weighing: Weighing) -> tuple[NDArray[np.int64], Array]:
-    """Rows (n,) and the coefficients there, (n, F, H, 2), of a bias that repeats itself with any period, from twice the run down to two
-    segments: cosines and sines of its harmonics, which fade as 1/order."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    starts, ends = lasting(observed)
-    orders = np.arange(1, WAVEFORM + 1)
-    frequencies = np.arange(2, 2 * len(starts)) / (4 * float(ends[-1] - starts[0]))
-    pulses = 2 * np.pi * np.outer(frequencies, orders)
-    slow = np.flatnonzero(spectrum.harmonic == 0)
-    order = slow - spectrum.means[spectrum.segment[slow]]
-    within = _within(np.round(ends - starts, 9), pulses.ravel(), int(order.max()) + 1)
-    beginning = np.exp(1j * np.outer(starts - starts[0], pulses.ravel())) * np.sqrt(observed.counts)[:, None]
-    raw = beginning[spectrum.segment[slow]]
-    raw *= within[spectrum.segment[slow], order]
-    raw /= np.broadcast_to(orders, pulses.shape).ravel()
-    return slow, raw.view(float).reshape(len(slow), *pulses.shape, 2)
-
-
-def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
-    """Coefficients of the cosine transform (S, orders, P) of exp(iωt) from the beginning of segments that last so long, (S,), made once
-    for all that last alike."""
-    middles = (np.arange(NODES) + 0.5) / NODES
-    cosines = (
-        np.cos(np.pi * np.arange(orders)[:, None] * middles)
-        * np.where(np.arange(orders) == 0, 1.0, np.sqrt(2.0))[:, None]
-    )
-    spans, which = np.unique(lasting_, return_inverse=True)
-    waves_ = np.exp(1j * (spans[:, None, None] * middles[:, None] * pulses))
-    return np.asarray((cosines / NODES @ waves_)[which])
 
 
 def _coordinates(weighing: Weighing) -> dict[str, Array]:

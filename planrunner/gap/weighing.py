@@ -28,11 +28,13 @@ WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Noise of one triad: flicker in declared levels, and a random walk, SI/√s. prior: among settings with, or without, a walk."""
+    """Noise of one triad: flicker in declared levels, and a random walk, SI/√s, the same in all axes or the scale of their own. prior:
+    among settings with, or without, a walk."""
 
     flicker: float
     walk: float
     prior: float
+    alike: bool = True
 
 
 def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
@@ -47,10 +49,13 @@ def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, ki
     walks = [0.0]
     if kind == "gyro" and len(observed) > 2:
         walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, slow, c, float(white[c])) for c in members)))
+    step = float(np.log(WALKS[1] / WALKS[0])) / RANGE
     return tuple(
-        Setting(factor, float(walk), prior * (1.0 if walk == 0 else float(np.log(WALKS[1] / WALKS[0])) / RANGE))
+        Setting(factor, float(walk), prior * (1.0 if walk == 0 else step / 2), alike)
+        for alike in (False, True)
         for walk in walks
         for factor, prior in zip(factors, priors, strict=True)
+        if walk > 0 or not alike
     )
 
 
@@ -82,18 +87,18 @@ def rounding_variance(count: float, sigma: float) -> float:
 
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
-    """A channel's weights and log likelihood (G,) where the walks of a triad have one scale but each axis a density of its own.
+    """A channel's weights and log likelihood (G,), also where the walks of a triad have one scale but each axis a density of its own.
 
     Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
-    those
-    of the likeliest level.
+    those of the likeliest level. That level is told by data with whatever effect there is: beside a strong one walks of one density in all
+    axes are nearer the truth, and are settings as well.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
     chosen, marginal = list(weights), log.copy()
     for g, setting in enumerate(settings):
-        if setting.walk > 0:
-            mates = np.flatnonzero((walks > 0) & np.array([other.flicker == setting.flicker for other in settings]))
+        if setting.walk > 0 and not setting.alike:
+            mates = np.flatnonzero((walks > 0) & np.array([_mates(setting, other) for other in settings]))
             ratio = walks[mates] / setting.walk
             prior = ratio * np.exp(-(ratio**2) / 2)
             terms = log[mates] + np.log(prior / prior.sum() + 1e-300)
@@ -102,8 +107,13 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
     return chosen, marginal
 
 
+def _mates(one: Setting, other: Setting) -> bool:
+    return other.flicker == one.flicker and other.alike == one.alike
+
+
 class ChannelWeights:
-    """One channel under one setting: `whiten` takes coefficients (M, …) to unit noise, `project` also frees them of the nominal parameters.
+    """One channel under one level of flicker, in declared ones, and of a random walk: `whiten` takes coefficients (M, …) to unit noise,
+    `project` also frees them of the nominal parameters.
 
     log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the
     coefficients that are whitened one by one: all of them where there is no slow noise, else those above order 0.
@@ -116,24 +126,25 @@ class ChannelWeights:
         spectrum: Spectrum,
         channel: int,
         white: float,
-        setting: Setting,
+        flicker: float,
+        walk: float,
         nominal: Array,
     ):
         declared = observed.channels[channel]
         counts = observed.counts.astype(float)
         undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
         covariance = np.diag(white**2 / counts + undithered)
-        level = setting.flicker * declared.flicker
+        level = flicker * declared.flicker
         tail = undithered * counts[spectrum.segment] / 4
         within = spectrum.frequency > 0
         half = observed.sample_rate / 2
         if level > 0:
             covariance += level**2 * slow.flicker
             tail[within] += level**2 * half * slow_noise.flicker_spectrum(spectrum.frequency[within])
-        if setting.walk > 0:
-            covariance += setting.walk**2 * slow.random_walk
-            tail[within] += setting.walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
-        self.setting = setting
+        if walk > 0:
+            covariance += walk**2 * slow.random_walk
+            tail[within] += walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
+        self.walk = walk
         self._covariance = covariance
         self._segment = spectrum.segment
         self._means = spectrum.means
@@ -141,7 +152,7 @@ class ChannelWeights:
         self._root = np.sqrt(counts)
         self.scale = 1 / np.sqrt(white**2 + tail)
         self._inverse: Array | None = None
-        if level > 0 or setting.walk > 0:
+        if level > 0 or walk > 0:
             factor = np.linalg.cholesky(covariance)
             self._inverse = np.linalg.inv(factor)
             self.scale[self._means] = 1.0

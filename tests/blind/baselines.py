@@ -8,6 +8,7 @@ whitened; LassoCV (scikit-learn); sequentially thresholded least squares as in S
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -112,6 +113,14 @@ def whitened_bic(shown: Shown) -> dict[str, Any]:
     return named(_forward(case, float(np.log(len(shown.segments) * case.residual.shape[1])), raw=False))
 
 
+@lru_cache(maxsize=2)
+def _cleared(plan: str, sensor: str, step: int) -> Array:
+    """All columns of a library with the nominal parameters taken out, every so many samples: shape (p, rows)."""
+    known = library(plan, sensor)
+    weighed = known.weighed((1.0, 1.0)[: len(known.around.sensor.triads)], flicker=False)
+    return np.array([weighed.residual(column.T.astype(float))[::step].ravel() for column in known.columns])
+
+
 def lasso(shown: Shown) -> dict[str, Any]:
     """LassoCV over all columns; an effect counts when its part is at least a tenth of the largest."""
     from sklearn.exceptions import ConvergenceWarning
@@ -122,8 +131,7 @@ def lasso(shown: Shown) -> dict[str, Any]:
         case.rows,
         max(1, case.residual.size // ROWS),
     )  # whole samples are left out, so that every channel counts
-    columns = np.swapaxes(case.library.columns[rows], 1, 2)
-    cleared = np.array([case.weighed.residual(c.astype(float))[::step].ravel() for c in columns]).T
+    cleared = _cleared(shown.plan, shown.sensor.name, step)[rows].T
     scale = np.maximum(np.sqrt((cleared**2).mean(axis=0)), 1e-30)
     model = LassoCV(cv=5, fit_intercept=False, alphas=40, max_iter=3000)
     with warnings.catch_warnings():

@@ -92,7 +92,7 @@ CATALOGUE = {
         ),
         Kind("gyro_thermal_hysteresis", (5e-3,) * 3),
         Kind("gyro_thermal_gradient", (0.05,) * 3),
-        Kind("gyro_noise_excess", ONE, linear=False, signed=False, covariance=True, largest=9),
+        Kind("gyro_noise_excess", ONE, linear=False, signed=False, covariance=True, largest=30),
         Kind("gyro_quantization", ONE, linear=False, signed=False, covariance=True),
         Kind("magnetic_sensitivity", (1e-2,) * 9),
         Kind("accel_bias_temperature", (1e-3,) * 3, needs="accel"),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, reduce
 
 import numpy as np
 
@@ -20,6 +20,7 @@ ABSORBED_SHARE = 0.05  # of the singles: effects that the nominal parameters tak
 SEEN = 0.02  # least share of an effect's energy that is left by the nominal parameters
 GONE = 1e-3  # below it, the nominal parameters take it whole
 WRONG_NOISE, WITH_OUTLIERS = 0.20, 0.10
+WRONG_BY = 2.0  # factor, either way, by which a declared noise may be off without any effect
 TEMPERATURE_NOISE = 0.02  # degC
 TRIES = 400
 COARSEST = 1.25  # by what a coarse resolution may raise the noise (2.6 σ a step): beyond, its errors of segment means are no noise
@@ -70,7 +71,8 @@ def _of_strength(kind: Kind, direction: Array, shape: tuple[float, ...], energy:
         ratio = excess_ratio(energy)
         if kind.name == "gyro_quantization" and ratio > COARSEST:
             return None
-        theta = ratio - 1 if kind.name == "gyro_noise_excess" else work.sigma[0] * np.sqrt(12 * (ratio**2 - 1))
+        step = work.sigma[0] * np.sqrt(12 * (ratio**2 - 1))
+        theta = step if kind.name == "gyro_quantization" else ratio * work.most_noise - 1
         return Fault(kind.name, np.array([theta])) if theta <= kind.largest else None
     for _ in range(1 if kind.linear else 25):
         found = work.energy(kind.fault(direction, amplitude, shape))
@@ -92,9 +94,34 @@ class Work:
     """What the draw of one case needs at hand."""
 
     around: Signatures
-    metric: Metric
+    factors: tuple[float, ...]  # true ÷ declared white noise, per triad
     device: Device
-    sigma: Array
+
+    @cached_property
+    def metric(self) -> Metric:
+        right = all(factor == 1.0 for factor in self.factors)
+        return self.around.metric if right else Metric(self.around.schedule, self.around.sensor, self.factors)
+
+    @property
+    def sigma(self) -> Array:
+        """Of a sample, per channel."""
+        return self.around.sensor.sigma() * np.repeat(self.factors, 3)
+
+    @property
+    def most_noise(self) -> float:
+        """The largest gyro noise that a wrong declaration explains, in units of the true one."""
+        return WRONG_BY / self.factors[0]
+
+    def noise_ratio(self, fault: Fault) -> float:
+        """By how much the fault raises the gyros' noise."""
+        if fault.effect == "gyro_quantization":
+            return float(np.sqrt(1 + fault.theta[0] ** 2 / (12 * self.sigma[0] ** 2)))
+        return noise_factor({fault.effect: fault})
+
+    def under(self, fault: Fault) -> Work:
+        """The same in the noise that there is with the fault: what others are measured in."""
+        ratio = self.noise_ratio(fault)
+        return self if ratio == 1.0 else replace(self, factors=(self.factors[0] * ratio, *self.factors[1:]))
 
     def difference(self, *faults: Fault) -> Array:
         return change(self.around.schedule, self.around.sensor, self.device, list(faults))
@@ -143,11 +170,20 @@ def _effects(kind: str, work: Work, rng: np.random.Generator) -> list[Fault]:
         if rng.random() < ABSORBED_SHARE:
             return [_one(work, [*CATALOGUE, *["table_rate_error"] * len(CATALOGUE)], 0.0, rng, absorbed=True)]
         return [_one(work, names, energies[0], rng)]
+    return _two(work, names, energies, rng)
+
+
+def _two(work: Work, names: list[str], energies: Array, rng: np.random.Generator) -> list[Fault]:
+    """Two effects that can be told apart; beside one that acts on the noise, the other has its strength in that noise."""
     first = _one(work, names, energies[0], rng)
     for _ in range(TRIES):
-        second = _one(work, [name for name in names if name != first.effect], energies[1], rng)
-        if not _overlap(work, first, second):
-            return [first, second]
+        second = _one(work.under(first), [name for name in names if name != first.effect], energies[1], rng)
+        if _overlap(work, first, second):
+            continue
+        if KINDS[second.effect].covariance:
+            still = [name for name in names if not KINDS[name].covariance]
+            first = _one(work.under(second), still, energies[0], rng)
+        return [first, second]
     raise RuntimeError(f"no second effect beside {first.effect} under this plan")
 
 
@@ -165,15 +201,14 @@ def _overlap(work: Work, first: Fault, second: Fault) -> bool:
 
 def _strength(work: Work, fault: Fault) -> float:
     if fault.effect == "gyro_noise_excess":
-        return excess_energy(1 + fault.theta[0])
-    if fault.effect == "gyro_quantization":
-        return excess_energy(np.sqrt(1 + fault.theta[0] ** 2 / (12 * work.sigma[0] ** 2)))
-    return work.energy(fault)
+        return excess_energy(work.noise_ratio(fault) / work.most_noise)
+    return excess_energy(work.noise_ratio(fault)) if KINDS[fault.effect].covariance else work.energy(fault)
 
 
-def _label(name: str, kind: str, faults: list[Fault], work: Work, factors: Array, spiked: bool) -> dict:
+def _label(name: str, kind: str, faults: list[Fault], bare: Work, spiked: bool) -> dict:
     entries = []
     for fault in faults:
+        work = reduce(Work.under, (other for other in faults if other is not fault), bare)
         energy, absorbed = _strength(work, fault), False
         members, share = [fault.effect], None
         if not KINDS[fault.effect].covariance:
@@ -199,10 +234,9 @@ def _label(name: str, kind: str, faults: list[Fault], work: Work, factors: Array
         "kind": "none" if all(e["absorbed"] for e in entries) else kind,
         "effects": sorted(fault.effect for fault in faults),
         "entries": entries,
-        "noise_factors": [float(f) for f in factors],
-        "also_true": ["gyro_noise_excess"] if factors[0] > 1.0 else [],
+        "noise_factors": list(bare.factors),
         "outliers": bool(spiked),
-        "channel_names": channel_names(work.around.sensor),
+        "channel_names": channel_names(bare.around.sensor),
     }
 
 
@@ -221,11 +255,11 @@ def make(seed: int, number: int, kind: str | None = None) -> Case:
     return draw(f"case-{number:05d}", plan, sensor_name, kind or assigned_kind, _stream(seed, number, 1))
 
 
-def _surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[Array, Device]:
+def _surroundings(sensor: Sensor, rng: np.random.Generator) -> tuple[tuple[float, ...], Device]:
     """By what the noise of each triad is larger than declared, and the device."""
-    wrong = rng.random() < WRONG_NOISE
-    factors = np.exp(rng.uniform(-np.log(2), np.log(2), len(sensor.triads)) * wrong)
-    return factors, random_device(sensor, rng)
+    wrong, most = rng.random() < WRONG_NOISE, np.log(WRONG_BY)
+    factors = np.exp(rng.uniform(-most, most, len(sensor.triads)) * wrong)
+    return tuple(float(factor) for factor in factors), random_device(sensor, rng)
 
 
 def device_of(seed: int, number: int) -> Device:
@@ -237,27 +271,23 @@ def draw(name: str, plan: str, sensor_name: str, kind: str, rng: np.random.Gener
     """A case of the given composition under the given plan and sensor type."""
     around, sensor = signatures(plan, sensor_name), SENSORS[sensor_name]
     factors, device = _surroundings(sensor, rng)
-    metric = Metric(around.schedule, sensor, tuple(factors)) if (factors != 1).any() else around.metric
-    sigma = sensor.sigma() * np.repeat(factors, 3)
-    work = Work(around, metric, device, sigma)
+    work = Work(around, factors, device)
     faults = _effects(kind, work, rng)
     spiked = rng.random() < WITH_OUTLIERS
-    columns = simulate(work, faults, np.repeat(factors, 3), spiked, rng)
-    label = _label(name, kind, faults, work, factors, spiked)
+    columns = simulate(work, faults, spiked, rng)
+    label = _label(name, kind, faults, work, spiked)
     return Case(name, plan, sensor_name, columns, label, tuple(faults), work.device)
 
 
-def simulate(
-    work: Work, faults: list[Fault], factors: Array, spiked: bool, rng: np.random.Generator
-) -> dict[str, Array]:
+def simulate(work: Work, faults: list[Fault], spiked: bool, rng: np.random.Generator) -> dict[str, Array]:
     """Columns of the recording, named as in the file."""
     schedule, sensor = work.around.schedule, work.around.sensor
     by_name = {fault.effect: fault for fault in faults}
-    scaled = factors.copy()
+    scaled = np.repeat(work.factors, 3)
     scaled[:3] *= noise_factor(by_name)
     added = noise(schedule, sensor, scaled, rng)
     if spiked:
-        added = outliers(added, work.sigma, rng)
+        added = outliers(added, sensor.sigma() * scaled, rng)
     values = recorded(sensor, clean_output(schedule, sensor, work.device, by_name), by_name, added)
     return named(schedule, sensor, values, rng)
 

@@ -62,8 +62,8 @@ class Library:
 
     @cached_property
     def columns(self) -> Array:
-        """Shape (p, channels, n), float32."""
-        return np.concatenate([np.swapaxes(s.columns, 1, 2) for _, s in self._signatures])
+        """Shape (p, channels, n), float32, one row after the other: they are multiplied many times."""
+        return np.ascontiguousarray(np.concatenate([np.swapaxes(s.columns, 1, 2) for _, s in self._signatures]))
 
     @cached_property
     def _nominal(self) -> list[Array]:

@@ -20,7 +20,7 @@ from scipy.special import log_ndtr, logsumexp
 from tests.blind.device import ideal, limit, lock_in
 from tests.blind.effects import CATALOGUE, FOREIGN, applies
 from tests.blind.folder import Shown
-from tests.blind.generator import COMPOSITION, SEEN, STRONGEST, WEAKEST
+from tests.blind.generator import COMPOSITION, SEEN, STRONGEST, WEAKEST, WRONG_BY
 from tests.blind.library import Block, Weighed, library
 from tests.blind.motion import Array, Fault
 from tests.blind.signatures import CELL, STRONG, WEAK, change, excess_ratio
@@ -46,7 +46,8 @@ def without_spikes(weighed: Weighed, values: Array) -> Array:
     for _ in range(2):
         residual = weighed.residual(values)
         off = residual - median_filter(residual, size=(5, 1), mode="nearest")
-        spikes = np.abs(off) > SPIKE
+        level = np.maximum(1.0, 1.4826 * np.median(np.abs(off), axis=0))  # noise may be larger than weighed
+        spikes = np.abs(off) > SPIKE * level
         sigma = np.array([weighed.solved[c // 3][0] for c in range(values.shape[1])])
         values -= np.where(spikes, off, 0.0) * sigma
     return values
@@ -212,10 +213,11 @@ class Opinion:
         return basis @ np.linalg.lstsq(basis, self.values[:, :3] - taken, rcond=None)[0]
 
     def excess(self, effect: str | None = None) -> float:
-        """Log Bayes factor of white noise above the true level, alone or with an effect at its best shape."""
+        """Log Bayes factor of more white noise than a wrong declaration explains, alone or with an effect at its best shape."""
         gyro = self.residual[:, :3]
         n, s = gyro.size, float(np.sum(gyro**2))
-        f = np.array([excess_ratio(e) for e in np.geomspace(WEAKEST, STRONGEST, 40)])
+        most = WRONG_BY / self.label["noise_factors"][0]
+        f = np.array([most * excess_ratio(e) for e in np.geomspace(WEAKEST, STRONGEST, 40)])
         each = -n * np.log(f) + 0.5 * s * (1 - f**-2)
         if effect is not None:
             block = self.best[effect][0]

@@ -1,10 +1,9 @@
 """Scores answers in the diagnosis' output contract against labels: every figure of the target table, with binomial intervals.
 
 An answer is right at class level when what it names is the truth or a member of the class that the generator found inseparable
-from it under that plan; an "indistinguishable" answer is right when its class holds the truth. Where the true white noise is larger than
-declared, `gyro_noise_excess` is true as well and is neither asked for nor held against an answer (`also_true`). Effects that the nominal
-parameters absorb whole count as none. An effect off the catalogue that one of the catalogue looks like under that plan is rightly called
-either, and does not count among those to be recognised.
+from it under that plan; an "indistinguishable" answer is right when its class holds the truth. Effects that the nominal parameters
+absorb whole count as none. An effect off the catalogue that one of the catalogue looks like under that plan is rightly called either,
+and does not count among those to be recognised.
 """
 
 from __future__ import annotations
@@ -86,13 +85,9 @@ class Scored:
         """Effects of the catalogue that cannot be told from the one off it under that plan."""
         return self.classes[0] - set(self.label["effects"]) if self.kind == UNKNOWN else set()
 
-    def _stripped(self, names: Iterable[str]) -> set[str]:
-        true = {entry["effect"] for entry in self.label["entries"]}
-        return {name for name in names if name not in self.label["also_true"] or name in true}
-
     def says_the_truth(self, names: Iterable[str]) -> bool:
         """Whether a set of names, {"unknown"} included, is the truth at class level."""
-        named = self._stripped(names)
+        named = set(names)
         if self.kind == "unknown":
             return named == {UNKNOWN} or (len(named) == 1 and named <= self.lookalikes)
         if len(named) != len(self.classes):
@@ -125,11 +120,11 @@ class Scored:
         true = {entry["effect"] for entry in self.label["entries"] if not entry["absorbed"]}
         wanted = {UNKNOWN} if self.kind == "unknown" else true
         said = [] if self.announced == ["none"] else [name for key in self.announced for name in key.split("+")]
-        return not self.failed and self._stripped(said) == wanted
+        return not self.failed and set(said) == wanted
 
     @property
     def says_none(self) -> bool:
-        return not self.failed and not self._stripped([] if self.announced == ["none"] else self.announced)
+        return not self.failed and self.announced == ["none"]
 
     @cached_property
     def posterior(self) -> dict[str, float]:
@@ -142,7 +137,7 @@ class Scored:
         return min(1.0, sum(self.posterior[key] for key in allowed))
 
     def _same(self, key: str, said: str) -> bool:
-        """Keys that differ only within the true class, or by what is also true, are one at class level."""
+        """Keys that differ only within the true class are one at class level."""
         return key == said or (self.key_is_true(key) and self.key_is_true(said))
 
     @property

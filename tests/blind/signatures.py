@@ -27,7 +27,7 @@ def change(schedule: Schedule, sensor: Sensor, device: Device, faults: list[Faul
 
 
 def excess_energy(ratio: float) -> float:
-    """λ of white noise that is `ratio` times the declared: (ln ratio ÷ trust)²."""
+    """λ of white noise that is `ratio` times what it could be without the effect: (ln ratio ÷ trust)²."""
     return float((np.log(ratio) / TRUSTED) ** 2)
 
 

@@ -113,12 +113,7 @@ def test_noise_has_the_declared_level_and_flicker() -> None:
 )
 def test_an_effect_has_the_strength_that_was_asked_for(effect: str) -> None:
     around = generator.signatures("rocking", "mems")
-    work = generator.Work(
-        around,
-        around.metric,
-        generator.random_device(SENSORS["mems"], np.random.default_rng(1)),
-        SENSORS["mems"].sigma(),
-    )
+    work = generator.Work(around, (1.0, 1.0), generator.random_device(SENSORS["mems"], np.random.default_rng(1)))
     drawn = generator._one(work, [effect], 150.0, np.random.default_rng(4))
     assert work.energy(drawn) == pytest.approx(150.0, rel=0.05)
 
@@ -126,6 +121,34 @@ def test_an_effect_has_the_strength_that_was_asked_for(effect: str) -> None:
 def test_strength_of_noise_is_in_units_of_the_trust_in_what_is_declared() -> None:
     assert excess_energy(excess_ratio(36.0)) == pytest.approx(36.0)
     assert excess_ratio(36.0) == pytest.approx(np.exp(0.12))
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.6, 1.8])
+def test_excess_noise_begins_where_a_wrong_declaration_ends(factor: float) -> None:
+    """Whatever the declaration, the true level is 2·exp(0.02·√λ) times the declared one."""
+    mems, rng = SENSORS["mems"], np.random.default_rng(2)
+    work = generator.Work(generator.signatures("poor", "mems"), (factor, 1.0), generator.random_device(mems, rng))
+    drawn = generator._one(work, ["gyro_noise_excess"], 144.0, rng)
+    assert factor * (1 + drawn.theta[0]) == pytest.approx(2 * np.exp(0.24))
+    assert generator._strength(work, drawn) == pytest.approx(144.0)
+
+
+def test_beside_excess_noise_the_other_effect_has_its_strength_in_that_noise() -> None:
+    """A pair's strength is in units of the true noise: three times the noise leaves a ninth of the energy."""
+    mems, rng = SENSORS["mems"], np.random.default_rng(3)
+    work = generator.Work(generator.signatures("poor", "mems"), (1.0, 1.0), generator.random_device(mems, rng))
+    noisy = Fault("gyro_noise_excess", np.array([2.0]))
+    skewed = generator._one(work.under(noisy), ["gyro_scale_asymmetry"], 150.0, rng)
+    assert work.energy(skewed) == pytest.approx(9 * 150.0, rel=1e-3)
+    entries = generator._label("x", "pair", [skewed, noisy], work, False)["entries"]
+    assert entries[0]["lambda"] == pytest.approx(150.0, rel=1e-3)
+    both = [
+        pair
+        for seed in range(40)
+        if "gyro_noise_excess"
+        in (pair := generator.draw("x", "poor", "mems", "pair", np.random.default_rng(seed)).label)["effects"]
+    ]
+    assert both and all(3.8 <= entry["lambda"] <= 1.05e4 for pair in both for entry in pair["entries"])
 
 
 def test_a_case_depends_on_nothing_but_seed_and_number() -> None:

@@ -68,7 +68,6 @@ class Given:
     rows: tuple[Segment, ...]
     device: Device
     fault: Fault
-    factors: Array
     energy: float
     columns: dict[str, Array]
 
@@ -77,13 +76,12 @@ def given(seed: int, number: int, plan: str, sensor_name: str) -> Given:
     """Case `number`: λ log-uniform between `WEAKEST` and `STRONGEST`, noise as declared, no outliers."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 3)))
     around, sensor = signatures(plan, sensor_name), SENSORS[sensor_name]
-    work = Work(around, around.metric, random_device(sensor, rng), sensor.sigma())
+    work = Work(around, (1.0,) * len(sensor.triads), random_device(sensor, rng))
     energy = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
     names = [name for name, kind in CATALOGUE.items() if name != "table_rate_error" and not kind.covariance]
     fault = _one(work, names, energy, rng)
-    factors = np.ones(3 * len(sensor.triads))
-    columns = simulate(work, [fault], factors, False, rng)
-    return Given(sensor, PLANS[plan], work.device, fault, factors, energy, columns)
+    columns = simulate(work, [fault], False, rng)
+    return Given(sensor, PLANS[plan], work.device, fault, energy, columns)
 
 
 def outcome(seed: int, number: int) -> Outcome | str:
@@ -140,8 +138,8 @@ def _reached(
     whole, first = Schedule((*case.rows, *further), sensor.sampling), Schedule(case.rows, sensor.sampling)
     fault = _kept(case.fault, first, whole, sensor, case.device, rng)
     around = SimpleNamespace(schedule=whole, sensor=sensor)
-    work: Any = SimpleNamespace(around=around, device=case.device, sigma=sensor.sigma())
-    columns = simulate(work, [fault], case.factors, False, rng)
+    work: Any = SimpleNamespace(around=around, device=case.device, factors=(1.0,) * len(sensor.triads))
+    columns = simulate(work, [fault], False, rng)
     seam = len(first.time)
     for count in looks:
         rows = whole.segments[: len(case.rows) + count]

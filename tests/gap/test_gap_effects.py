@@ -126,6 +126,30 @@ def test_a_turned_base(observed: Observed, name: str, axis: Array, column: str) 
     _close(_part(_columns(observed, name)[column], observed), (changed - plain) / small)
 
 
+@pytest.mark.parametrize(
+    ("name", "turned"),
+    [("table_tilt", (0.1, -0.06, 0.0)), ("table_azimuth", (0.0, 0.0, 0.4)), ("table_azimuth", (0.0, 0.0, 0.0))],
+)
+def test_secants_of_a_base_turned_far(observed: Observed, name: str, turned: tuple[float, float, float]) -> None:
+    """Multiplied by the angles that they were made for, the columns give the whole change."""
+    base = Rotation.from_rotvec(turned)
+    changed = _simulated(observed, lambda platform: base * platform, base.apply)
+    plain = _simulated(observed, lambda platform: platform, lambda rate: rate)
+    angles = np.array(turned)[:2] if name == "table_tilt" else np.array(turned)[2:]
+    (secant,) = plugins.load("planrunner.effects", name)().around(observed, angles)
+    found = sum(angle * _part(column, observed) for angle, column in zip(angles, secant.columns, strict=True))
+    assert found == pytest.approx(changed - plain, abs=1e-9)
+
+
+def test_secant_of_a_latitude_far_off(observed: Observed) -> None:
+    error = 0.3
+    moved = 15.041067 * DEG / 3600 * np.array([0, np.cos(SITE.latitude + error), np.sin(SITE.latitude + error)])
+    back = Rotation.from_rotvec(-observed.angle[:, None] * UP)
+    expected = np.einsum("nij,nj->ni", observed.attitude[observed.owner], back.apply(moved - EARTH))
+    (secant,) = plugins.load("planrunner.effects", "site_latitude")().around(observed, np.array([error]))
+    assert error * _part(secant.columns[0], observed)[:, :3] == pytest.approx(expected, abs=1e-11)
+
+
 def test_wobble_is_the_matrix_of_its_definition_with_the_rate_that_goes_with_it(observed: Observed) -> None:
     """C = (I + [δ×])·R, its rate by numerical differentiation of the rotation."""
     a, phase, step = 1e-5, 0.7, 1e-4

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planrunner.gap.bursts import BURSTS
 from planrunner.gap.candidates import Weighing
+from planrunner.gap.diagnosis import diagnose
 from planrunner.gap.observed import Observed
 from planrunner.gap.open_set import Kinds, competitors
-from planrunner.gap.patterns import CHANGING, PERIODIC
-from tests.gap.turntable import record
+from planrunner.gap.patterns import CHANGING
+from planrunner.gap.repeating import PERIODIC
+from tests.gap.turntable import DEG, GYRO_WHITE, RATE, record
 
 Array = np.ndarray
 
@@ -71,6 +74,41 @@ def test_what_shows_only_while_the_temperature_changes_is_one_pattern() -> None:
     assert found.log_bayes[CHANGING][0] > max(others.values()) + 20
     assert found.log_bayes[CHANGING][0] > found.several[0] + 20
     assert CHANGING not in competitors(Weighing(plain)).log_bayes
+
+
+def test_noise_holds_no_bursts() -> None:
+    """Bayes factors of what is not there are below one on average: over 40 recordings none is large."""
+    found = np.array([competitors(Weighing(record(seed=100 + k))).log_bayes[BURSTS][0] for k in range(40)])
+    assert found.max() < 3
+    assert np.exp(found).mean() < 1
+
+
+@pytest.mark.parametrize("carrier", [0.0, 3.7])
+def test_bursts_are_found(carrier: float) -> None:
+    """Seven windows of three seconds in which two gyros stand off, or pick up a carrier."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        out = np.zeros(len(observed.time))
+        for index in range(1, 20, 3):
+            since = observed.time - observed.time[observed.bounds[index]] - draw.uniform(2, 12)
+            out += np.where((since >= 0) & (since < 3), np.cos(2 * np.pi * carrier * since), 0.0)
+        return 2.5 * GYRO_WHITE * np.sqrt(RATE) * np.outer(out, [1.0, 0.0, -0.7]), 0.0
+
+    found = competitors(Weighing(record(seed=44, fault=fault))).log_bayes
+    assert found[BURSTS][0] > 30
+    assert found[BURSTS][0] > found["noise of one band"][0]
+
+
+def test_a_saw_tooth_is_no_walk() -> None:
+    """Eleven teeth over the run; a walk follows them as well as anything, but not for nothing."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        run = observed.time[-1] - observed.time[0]
+        return 3e-3 * DEG * np.outer((observed.time - observed.time[0]) / run * 11.3 % 1, [1.0, -0.5, 0.8]), 0.0
+
+    found = diagnose(record(seed=45, fault=fault))
+    assert found.verdict.kind == "unknown"
+    assert found.posterior.kinds[PERIODIC] > found.posterior.log_evidence["gyro_bias_random_walk"] + 10
 
 
 SORTS = ("rocking waveform", "offset per segment", "transient per segment")

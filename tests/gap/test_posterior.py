@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planrunner import plugins
+from planrunner.gap.candidates import Weighing
 from planrunner.gap.diagnosis import diagnose
+from planrunner.gap.forms import candidates_of
 from planrunner.gap.observed import Observed
 from planrunner.plan.schedule import Rock
-from tests.gap.turntable import DEG, RATE, kept, record
+from tests.gap.turntable import DEG, RATE, G, kept, record
 
 Array = np.ndarray
 
@@ -42,3 +45,17 @@ def test_a_walk_is_found_beside_more_noise() -> None:
 
     found = diagnose(record(seed=8, fault=walk, noise=4.0))
     assert next(iter(found.posterior.probability)) == "gyro_bias_random_walk+gyro_noise_excess"
+
+
+def test_averaging_over_a_shape_never_gains() -> None:
+    """Beside a strong effect the best shape of another at an undeclared walk is not the best at the declared noise."""
+
+    def unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return force / G @ draw.normal(0.0, 1.0, (3, 3)) * 3e-3 * DEG, 0.0
+
+    weighing = Weighing(record(seed=11, fault=unbalance))
+    effects = [plugins.load("planrunner.effects", name)() for name in plugins.names("planrunner.effects")]
+    candidates = candidates_of(weighing, [effect for effect in effects if effect.stage != "covariance"])
+    shaped = [c for c in candidates if len(c.variants) > 1 and np.isfinite(c.log_bayes).any()]
+    assert len(shaped) > 3
+    assert all(c.shape_cost <= 0 for c in shaped)

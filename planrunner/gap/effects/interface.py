@@ -12,6 +12,8 @@ noise, and is asked whether the data want it.
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
 covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
 drawn anew for every orientation; its columns are then those of the orientations in turn, numbered by the order of their first use.
+
+An effect that is not linear once it is large has a method `around` besides, as `Curved` says.
 """
 
 from __future__ import annotations
@@ -60,6 +62,13 @@ class Effect(Protocol):
 
     def variants(self, observed: Observed) -> list[Variant]:
         """The effect's forms on this recording; empty where it cannot act (no such channel, no rotation)."""
+
+
+class Curved(Protocol):
+    """An effect that is linear only while it is small."""
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        """Its columns as secants: multiplied by these amplitudes, SI, they give the whole of it."""
 
 
 class Shaped:

@@ -26,13 +26,17 @@ class MagneticSensitivity:
 
 
 class SiteLatitude:
-    """The Earth rate was computed for the wrong latitude: Ω·(0, −sin φ, cos φ) per rad."""
+    """The Earth rate was computed for the wrong latitude: Ω·(0, −sin φ, cos φ) per rad where the error is small."""
 
     id, stage = "site_latitude", "stimulus"
 
     def variants(self, observed: Observed) -> list[Variant]:
-        phi = observed.site.latitude
-        change = observed.site.earth_rate * np.array([0.0, -np.sin(phi), np.cos(phi)])
+        return self.around(observed, np.zeros(1))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        half = float(amplitudes[0]) / 2
+        phi = observed.site.latitude + half  # the secant of a circle is parallel to the tangent halfway
+        change = observed.site.earth_rate * np.sinc(half / np.pi) * np.array([0.0, -np.sin(phi), np.cos(phi)])
         parts = on_stimulus(observed, observed.in_sensor_axes(change), None)
         return single([Column("error", "deg", DEG, DEG, parts)] if parts else [])
 

@@ -12,24 +12,37 @@ ARCSEC = np.pi / 180 / 3600
 EAST, NORTH, UP = np.eye(3)
 
 
-def tilted(observed: Observed, axis: Array, name: str) -> Column:
-    """The base turned by a small angle ε about a site axis: every site vector v is felt as v − ε·axis × v by the sensor.
+def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
+    """The base turned by an angle ε about a site axis: every site vector v is felt as v − ε·axis × v by the sensor.
 
-    Attitude = A·R(−θ)·(I − ε[axis×]): the table's own rate turns with the base and is felt as before.
+    Attitude = A·R(−θ)·(I − ε[axis×]): the table's own rate turns with the base and is felt as before. turned: (3,), rad, the rotation
+    vector φ that all columns make up together; zero where the angles are small.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
-    omega = observed.in_sensor_axes(-np.cross(axis, earth))
-    felt = observed.in_sensor_axes(-np.cross(axis, force))
+    omega = observed.in_sensor_axes(_secant(axis, earth, turned))
+    felt = observed.in_sensor_axes(_secant(axis, force, turned))
     return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, felt))
 
 
+def _secant(axis: Array, vector: Array, turned: Array) -> Array:
+    """Change of a vector per radian about an axis. Summed over the axes with the components of φ it is (R(−φ) − I)·v, by Rodrigues'
+    formula −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)."""
+    first = np.cross(axis, vector)
+    angle = float(np.linalg.norm(turned)) / np.pi
+    return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))
+
+
 class TableTilt:
-    """The table's base is not level: two small angles about east and north."""
+    """The table's base is not level: two angles about east and north."""
 
     id, stage = "table_tilt", "stimulus"
 
     def variants(self, observed: Observed) -> list[Variant]:
-        return single([tilted(observed, EAST, "about_east"), tilted(observed, NORTH, "about_north")])
+        return self.around(observed, np.zeros(2))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        turned = np.append(amplitudes, 0.0)
+        return single([tilted(observed, EAST, "about_east", turned), tilted(observed, NORTH, "about_north", turned)])
 
 
 class TableAzimuth:
@@ -38,7 +51,10 @@ class TableAzimuth:
     id, stage = "table_azimuth", "stimulus"
 
     def variants(self, observed: Observed) -> list[Variant]:
-        return single([tilted(observed, UP, "about_up")])
+        return self.around(observed, np.zeros(1))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        return single([tilted(observed, UP, "about_up", float(amplitudes[0]) * UP)])
 
 
 class TablePositionError:
