@@ -180,10 +180,19 @@ def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
     with contextlib.suppress(OSError, ValueError):  # nobody may be there to read it
         sys.stderr.write(text)
     if charge.report is not None:
-        with contextlib.suppress(OSError), (charge.report / REPORT).open("a", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        with contextlib.suppress(OSError):
+            _append(charge.report / REPORT, text)
+
+
+def _append(report: Path, text: str) -> None:
+    """Whoever finds the report finds it whole."""
+    before = report.read_text(encoding="utf-8") if report.exists() else ""
+    beside = report.with_suffix(".part")
+    with beside.open("w", encoding="utf-8") as file:
+        file.write(before + text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, report)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ SEED = 21
 WIDEST = 0.5  # of an interval that still says something
 TOLD = 0.5  # share of what held-out segments show of an effect that the others must tell
 _EXACT = np.full((1, 1), 1e-12)
-_WORTH = 4.0  # log BF in a fold from which on an effect is taken up there
+WORTH = 4.0  # log BF in a fold from which on an effect is taken up there
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,15 +108,17 @@ def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Clo
     return measured(np.concatenate([fold.residual for fold in folds]), difference, known, beyond)
 
 
-def predictions(weighing: Weighing, choices: Sequence[Choice], change: Array) -> tuple[Array, Array]:
+def predictions(
+    weighing: Weighing, choices: Sequence[Choice], change: Array, worth: float = WORTH
+) -> tuple[Array, Array]:
     """What a known change of the outputs, coefficients (M, K), is in held-out segments, and what is predicted there: g and d, (m,). For
-    whoever knows the truth."""
+    whoever knows the truth. worth: log BF in a fold from which on one of the choices is taken up there."""
     gap, difference = [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
         known = [one.predict(change[:, [channel]], held)[1][:, 0] for channel, one in enumerate(rows)]
         gap.append(np.concatenate(known))
-        difference.append(_fold(weighing, choices, held).difference)
+        difference.append(_fold(weighing, choices, held, worth).difference)
     return np.concatenate(gap), np.concatenate(difference)
 
 
@@ -194,7 +196,7 @@ def _explained(cause: Known, squared: float, count: int, draw: np.random.Generat
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
 
 
-def _fold(weighing: Weighing, choices: Sequence[Choice], held: NDArray[np.bool_]) -> _Fold:
+def _fold(weighing: Weighing, choices: Sequence[Choice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
     """Held-out rows of all channels, with the effect that the other rows choose."""
     used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))
@@ -203,7 +205,7 @@ def _fold(weighing: Weighing, choices: Sequence[Choice], held: NDArray[np.bool_]
     columns = [rows.project(table[~held]) for rows, table in zip(used, raw, strict=True)]
     score = np.sum([block.T @ rows.residual for block, rows in zip(columns, used, strict=True)], axis=0)
     told = [np.sum([block[:, part].T @ block[:, part] for block in columns], axis=0) for part in parts]
-    best, amplitudes, highest = None, np.zeros(0), _WORTH
+    best, amplitudes, highest = None, np.zeros(0), worth
     for choice, part, gram in zip(choices, parts, told, strict=True):
         value = choice.log_bayes(gram, score[part]) if np.trace(gram) > 0 else -np.inf
         if value > highest:

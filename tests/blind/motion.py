@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tests.blind.plans import Segment
+from tests.blind.plans import Axis, Segment
 
 Array = np.ndarray
 
@@ -34,6 +34,11 @@ ACTS_ON_STIMULUS = {
     ),
     *("table_tilt", "table_rate_error", "site_latitude", "lever_arm"),
 }
+
+
+def vector(axis: Axis) -> tuple[float, float, float]:
+    """East, north, up."""
+    return WORDS[axis] if isinstance(axis, str) else axis
 
 
 @dataclass(frozen=True)
@@ -177,7 +182,7 @@ def true_angle(schedule: Schedule, local: Array, faults: Faults) -> Array:
 
 def attitude(schedule: Schedule, local: Array, faults: Faults) -> Array:
     """Direction cosine matrices, sensor to site, shape (n, 3, 3)."""
-    placed = np.array([np.array([WORDS[word] for word in axes], float).T for axes in schedule.places])
+    placed = np.array([np.array([vector(axis) for axis in axes], float).T for axes in schedule.places])
     if "table_position_error" in faults:
         placed = rotation(faults["table_position_error"].theta.reshape(-1, 3)) @ placed
     number = [schedule.places.index(s.axes) for s in schedule.segments]

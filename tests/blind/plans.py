@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-Axes = tuple[str, str, str]
+Axis = str | tuple[float, float, float]
+"""Where an axis of the sensor points: along one of the site's, by name, or a unit vector east, north, up."""
+Axes = tuple[Axis, Axis, Axis]
 
 X_UP: Axes = ("up", "north", "west")
 Y_UP: Axes = ("north", "up", "east")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,14 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
-from planrunner.gap.closure import predictions
+from planrunner.gap.closure import Choice, predictions
+from planrunner.gap.diagnosis import Diagnosis
 from planrunner.gap.diagnosis import diagnose as diagnosed
+from planrunner.gap.effects.interface import Variant
 from planrunner.gap.observed import Observed, observed
+from planrunner.gap.whole import forms, whole
 from planrunner.instruments.interfaces import Block
-from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan.expand import expand
 from planrunner.plan.findings import Findings
@@ -26,12 +30,21 @@ from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from planrunner.proposing import Frame, propose_next
 from tests.blind.folder import Shown
 from tests.blind.generator import channel_names, device_of
-from tests.blind.motion import WORDS, Fault
+from tests.blind.motion import WORDS, Array, Fault, vector
+from tests.blind.plans import Axis
 from tests.blind.plans import Segment as Row
 from tests.blind.signatures import change
 
 ZERO_CELSIUS = 273.15
-_WORD = {vector: word for word, vector in WORDS.items()}
+TABLE = TableModel(
+    tuple(
+        TableAxis(name, direction, np.radians(350.0), np.radians(500.0))
+        for name, direction in (("outer", (0, 0, 1)), ("middle", (1, 0, 0)), ("inner", (0, 0, 1)))
+    )
+)
+CHAMBER = ChamberModel(ZERO_CELSIUS - 20.0, ZERO_CELSIUS + 70.0, 2.0 / 60)
+"""What a laboratory has that can do all plans here: a three-axis table and a chamber."""
+_WORD = {direction: word for word, direction in WORDS.items()}
 
 
 def motion(row: Row) -> Motion:
@@ -48,8 +61,8 @@ def planned(index: int, row: Row, before: float) -> Segment:
     return Segment(
         index,
         row.label,
-        np.array([WORDS[word] for word in row.axes], float),
-        " ".join(row.axes),
+        np.array([vector(axis) for axis in row.axes], float),
+        " ".join(map(str, row.axes)),
         motion(row),
         row.duration,
         temperature=before + ZERO_CELSIUS if row.ramp else now,
@@ -117,8 +130,8 @@ def diagnose(shown: Shown) -> dict[str, Any]:
 
 
 def closure_and_truth(shown: Shown) -> dict[str, Any]:
-    """The closure beside the share by which the very predictions it was made with shrink the true gap of the held-out segments, `true`. It
-    opens what is sealed, and answers nothing else."""
+    """The closure beside the shares by which the true gap of the held-out segments shrinks: `true`, by the very predictions that it was
+    made with, and `told`, by those of the same folds when the true effects are told. It opens what is sealed, and answers nothing else."""
     sealed = shown.folder.parents[1] / "sealed"
     label = json.loads((sealed / f"{shown.name}.json").read_text(encoding="utf-8"))["label"]
     device = device_of(int((sealed / "seed").read_text(encoding="utf-8")), int(shown.name.split("-")[1]))
@@ -129,11 +142,29 @@ def closure_and_truth(shown: Shown) -> dict[str, Any]:
         weighing = answer.grounds.weighing
         factors = [channel.factor for channel in weighing.observed.channels]
         changed = change(shown.schedule, shown.sensor, device, faults) * factors
-        gap, difference = predictions(
-            weighing, answer.grounds.choices, weighing.spectrum.project(weighing.observed, changed)
-        )
-        plain["closure"]["true"] = float(1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap))
+        coefficients = weighing.spectrum.project(weighing.observed, changed)
+        told = _told(answer, label["effects"])
+        plain["closure"] |= {
+            "true": _shrinks_by(*predictions(weighing, answer.grounds.choices, coefficients)),
+            "told": _shrinks_by(*predictions(weighing, told, coefficients, -np.inf)) if told else None,
+        }
     return plain
+
+
+def _shrinks_by(gap: Array, difference: Array) -> float:
+    return float(1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap))
+
+
+def _told(answer: Diagnosis, effects: Sequence[str]) -> list[Choice]:
+    """What remains to be chosen where the effects are known: their shapes. Empty where none of them changes the outputs' means."""
+    weighing, by_id = answer.grounds.weighing, {c.id: c for c in answer.grounds.candidates if c.variants}
+    known = [by_id[name] for name in effects if name in by_id]
+    if len(known) != 1:
+        columns = [one.best.variant.columns for one in known]
+        variant = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
+        return [Choice(weighed, 1.0) for weighed in (weighing.weigh([variant]) if known else ())]
+    exact = forms(weighing, known[0].effect) if whole(known[0]) else []
+    return [Choice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
 
 
 @dataclass(frozen=True)
@@ -146,16 +177,21 @@ class Further:
     promised: float
 
 
-def posterior_and_next(shown: Shown, move: float, soak: float) -> tuple[dict[str, float], Further | None]:
+def posterior_and_next(
+    shown: Shown, move: float, soak: float, equipped: bool
+) -> tuple[dict[str, float], Further | None]:
     """The posterior, and the segments of the proposed plan as the plan language gives them back, after those that were recorded.
 
-    move, soak: s, before each segment, and more after a change of temperature.
+    move, soak: s, before each segment, and more after a change of temperature. equipped: whether the bench has `TABLE` and `CHAMBER`;
+    of one that plays a recording back no more is known than what that shows.
     """
     found = diagnosed(observation(shown))
     model = sensor_model(shown)
-    models = BenchModels(observation(shown).site, None, None, model, replays=True)
-    frame = Frame("blind", "imu_recording", "imu", tuple(output.name for output in model.outputs), 0.0, soak)
-    made = propose_next(found, recorded_segments(shown), models, frame)
+    site = observation(shown).site
+    has = BenchModels(site, TABLE, CHAMBER, model) if equipped else BenchModels(site, None, None, model, replays=True)
+    outputs = tuple(output.name for output in model.outputs)
+    frame = Frame("blind", "imu_recording", "imu", outputs, move if equipped else 0.0, soak)
+    made = propose_next(found, recorded_segments(shown), has, frame)
     if made is None:
         return found.posterior.probability, None
     names = tuple(name for name, _ in made.proposal.rivals)
@@ -164,13 +200,18 @@ def posterior_and_next(shown: Shown, move: float, soak: float) -> tuple[dict[str
     plan, log = parse_plan(made.text, "proposed")
     if plan is None or log.errors:
         raise ValueError([finding.message for finding in log.errors])
-    segments = build_schedule(expand(plan, log), models, Findings()).segments
+    segments = build_schedule(expand(plan, log), has, Findings()).segments
     rows = _rows(segments, shown.segments[-1], move, soak)
     return found.posterior.probability, Further(rows, names, made.proposal.probability)
 
 
 def posterior(shown: Shown) -> dict[str, float]:
     return diagnosed(observation(shown)).posterior.probability
+
+
+def _axis(direction: Array) -> Axis:
+    near = tuple(round(float(v), 9) for v in direction)
+    return _WORD.get(near, tuple(float(v) for v in direction))
 
 
 def _rows(segments: Sequence[Segment], last: Row, move: float, soak: float) -> tuple[Row, ...]:
@@ -182,7 +223,7 @@ def _rows(segments: Sequence[Segment], last: Row, move: float, soak: float) -> t
         target = last.chamber if kelvin is None else round(kelvin - ZERO_CELSIUS, 6)
         ramp = item.ramp_to is not None
         start = last.end + move + (soak if not ramp and target != last.chamber else 0.0)
-        x, y, z = (_WORD[tuple(int(v) for v in np.rint(axis))] for axis in item.attitude)
+        x, y, z = (_axis(axis) for axis in item.attitude)
         row = Row(f"next-{item.label}", "static", (x, y, z), item.dwell, chamber=target, ramp=ramp, start=start)
         if isinstance(item.motion, Spin):
             row = replace(row, kind="rate", rate=float(np.degrees(item.motion.rate)))

@@ -18,6 +18,7 @@ import numpy as np
 UNKNOWN = "unknown"
 BANDS = {"20-65 (36)": (20.0, 65.0), "80-260 (144)": (80.0, 260.0), ">= 900": (900.0, np.inf), ">= 36": (36.0, np.inf)}
 STRONG, WEAK = 144.0, 36.0
+_BANDS = ("36-144", "144-900", ">= 900")  # of closures
 BINS = 15  # of confidence, equally wide
 SEED = 5
 
@@ -286,7 +287,7 @@ def closure_against(
     labels: Mapping[str, Mapping], answers: Mapping[str, Mapping], oracle: Mapping[str, Mapping]
 ) -> dict[str, Any]:
     """Closure ÷ that of an oracle's refit with the true effects, by λ, and how often the 90 % interval holds the oracle's."""
-    ratios: dict[str, list[float]] = {"36-144": [], "144-900": [], ">= 900": []}
+    ratios = {band: list[float]() for band in _BANDS}
     held, unresolved = [], []
     for name in sorted(labels.keys() & answers.keys() & oracle.keys()):
         case, truth = Scored(labels[name], answers[name]), (oracle[name].get("closure") or {}).get("shrinks_by")
@@ -296,8 +297,7 @@ def closure_against(
         resolved = bool(closure.get("resolvable")) and closure.get("shrinks_by") is not None
         unresolved.append(not resolved)
         if resolved:
-            band = "36-144" if case.weakest < 144 else "144-900" if case.weakest < 900 else ">= 900"
-            ratios[band].append(closure["shrinks_by"] / truth)
+            ratios[_band(case)].append(closure["shrinks_by"] / truth)
             if closure.get("interval_90"):
                 low, high = closure["interval_90"]
                 held.append(low <= truth <= high)
@@ -308,13 +308,23 @@ def closure_against(
     }
 
 
+def _band(case: Scored) -> str:
+    return _BANDS[0] if case.weakest < 144 else _BANDS[1] if case.weakest < 900 else _BANDS[2]
+
+
 def closure_held_out(labels: Mapping[str, Mapping], answers: Mapping[str, Mapping]) -> dict[str, Any]:
     """How often the 90 % interval holds the share by which its own predictions shrink the true gap of the held-out segments, where the
-    weakest effect has λ of 36 or more, and how far the two are apart."""
+    weakest effect has λ of 36 or more, how far the two are apart, and that share ÷ what a refit with the true effects reaches there."""
     cases = [Scored(labels[name], answers[name]) for name in sorted(labels.keys() & answers.keys())]
     said = [c.answer["closure"] for c in cases if c.kind in ("single", "pair") and c.weakest >= 36 and not c.failed]
     resolved = [closure for closure in said if closure["resolvable"]]
+    ratios = {band: list[float]() for band in _BANDS}
+    for case in cases:
+        closure = case.answer["closure"]
+        if case.kind in ("single", "pair") and case.weakest >= 36 and not case.failed and closure.get("told"):
+            ratios[_band(case)].append(closure["true"] / closure["told"])
     return {
+        "ratio to the true effects told": {band: _spread(values) for band, values in ratios.items()},
         "interval holds the truth": rate(c["interval_90"][0] <= c["true"] <= c["interval_90"][1] for c in resolved),
         "said less true": _spread([abs(c["shrinks_by"] - c["true"]) for c in resolved]),
         "not resolvable": rate(not closure["resolvable"] for closure in said),

@@ -179,7 +179,13 @@ def test_the_whole_table() -> None:
 def test_closures_are_held_to_the_truth_of_held_out_segments() -> None:
     def answer(low: float, said: float, high: float, true: float) -> dict:
         return {
-            "closure": {"resolvable": True, "shrinks_by": said, "interval_90": [low, high], "true": true},
+            "closure": {
+                "resolvable": True,
+                "shrinks_by": said,
+                "interval_90": [low, high],
+                "true": true,
+                "told": 0.8,
+            },
         }
 
     entry = {"effect": "table_tilt", "class": ["table_tilt"], "absorbed": False}
@@ -195,6 +201,8 @@ def test_closures_are_held_to_the_truth_of_held_out_segments() -> None:
     assert (found["interval holds the truth"].hits, found["interval holds the truth"].n) == (1, 2)
     assert (found["not resolvable"].hits, found["not resolvable"].n) == (1, 3)
     assert found["said less true"]["largest"] == pytest.approx(0.25)
+    ratio = found["ratio to the true effects told"]["36-144"]
+    assert (ratio["n"], ratio["mean"]) == (2, pytest.approx((0.6 + 0.95) / 2 / 0.8))
 
 
 def test_the_curve_stands_where_the_bins_are(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """Two rounds: what a diagnosis leaves open is measured again, as it proposes and, for comparison, by repeating the plan.
 
 The second round is made by the same generator with the same device, effect and noise levels; the product sees both rounds as one
-recording. `python -m tests.blind.two_rounds COUNT --seed SEED` prints what each case came to and a summary.
+recording. `python -m tests.blind.two_rounds COUNT --seed SEED` prints what each case came to and a summary; with `--equipped`
+proposals may ask for whatever a three-axis table and a chamber can do, without it for no more than the recording shows.
 """
 
 from __future__ import annotations
@@ -84,12 +85,13 @@ def given(seed: int, number: int, plan: str, sensor_name: str) -> Given:
     return Given(sensor, PLANS[plan], work.device, fault, energy, columns)
 
 
-def outcome(seed: int, number: int) -> Outcome | str:
-    """What the two rounds bring in a case with one effect; why not, where there is nothing to bring."""
+def outcome(seed: int, number: int, equipped: bool = False) -> Outcome | str:
+    """What the two rounds bring in a case with one effect; why not, where there is nothing to bring. equipped: on a bench with a table and
+    a chamber, not on one of which nothing is known but the recording."""
     plan, sensor_name = SETUPS[number % len(SETUPS)]
     case = given(seed, number, plan, sensor_name)
     true = case.fault.effect
-    found, further = product.posterior_and_next(_shown(case.sensor, case.rows, case.columns), MOVE, SOAK)
+    found, further = product.posterior_and_next(_shown(case.sensor, case.rows, case.columns), MOVE, SOAK, equipped)
     known = _probability(found, true)
     if known >= ENOUGH:
         return "settled"
@@ -170,15 +172,18 @@ def _hours(rows: Sequence[Segment], further: Sequence[Segment]) -> float:
     return (further[-1].end - rows[-1].end) / 3600
 
 
-def outcomes(seed: int, numbers: Sequence[int], jobs: int = 1) -> Iterator[tuple[int, Outcome | str]]:
+def outcomes(
+    seed: int, numbers: Sequence[int], jobs: int = 1, equipped: bool = False
+) -> Iterator[tuple[int, Outcome | str]]:
     """All cases, those of one set-up together: its signatures are kept."""
     numbers = sorted(numbers, key=lambda number: (number % len(SETUPS), number))
     if jobs == 1:
-        yield from ((number, outcome(seed, number)) for number in numbers)
+        yield from ((number, outcome(seed, number, equipped)) for number in numbers)
         return
     with ProcessPoolExecutor(jobs) as pool:
         chunk = max(1, len(numbers) // (4 * jobs))
-        yield from zip(numbers, pool.map(outcome, [seed] * len(numbers), numbers, chunksize=chunk), strict=True)
+        given = [seed] * len(numbers), numbers, [equipped] * len(numbers)
+        yield from zip(numbers, pool.map(outcome, *given, chunksize=chunk), strict=True)
 
 
 def summary(found: Sequence[Outcome]) -> dict[str, float]:
@@ -209,9 +214,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("count", type=int)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--equipped", action="store_true", help="on a bench with a three-axis table and a chamber")
     given = parser.parse_args(argv)
     found, others = [], dict[str, int]()
-    for done, (_, one) in enumerate(outcomes(given.seed, range(given.count), given.jobs), 1):
+    for done, (_, one) in enumerate(outcomes(given.seed, range(given.count), given.jobs, given.equipped), 1):
         if isinstance(one, Outcome):
             found.append(one)
             print(json.dumps(asdict(one)), flush=True)
