@@ -113,8 +113,16 @@ def _lasting(segments: Sequence[Segment], seconds: Seconds) -> float:
 
 
 def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Seconds) -> list[Foreseen]:
-    """Greedy choice, then without those that turned out not to be needed, and grouped by temperature."""
+    """Greedy choice, then without those that turned out not to be needed, and grouped by temperature. What any first segment takes before it
+    begins, such as soaking the sensor, speaks for none of them."""
     size = len(options[0].within)
+    held = [item.segment for item in options if item.segment.ramp_to is None] or [item.segment for item in options]
+    ahead = min(seconds(None, segment) - (segment.dwell or 0.0) for segment in held)
+
+    def beyond(before: Segment | None, segment: Segment) -> float:
+        lasting = seconds(before, segment)
+        return lasting if before else max(lasting - ahead, segment.dwell or 0.0)
+
     information = {id(item): _information(item) for item in options}
     total, chosen = np.zeros((size, size)), list[Foreseen]()
     loss, spent = expected_loss(rivals, total), 0.0
@@ -126,9 +134,9 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
         for move in running:
             more = sum((information[id(item)] for item in move), np.zeros((size, size)))
             gains.append(loss - expected_loss(rivals, total + more))
-        costs = [_chain(last, move, seconds) for move in running]
+        costs = [_chain(last, move, beyond) for move in running]
         if first:
-            running, gains, costs = _shortened(running, gains, costs, rivals, information, last, seconds)
+            running, gains, costs = _shortened(running, gains, costs, rivals, information, last, beyond)
             first = False
         rate = np.array(gains) / np.array(costs)
         if len(chosen) < FEWEST:  # others than those that are taken already

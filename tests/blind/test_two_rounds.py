@@ -32,11 +32,13 @@ def test_repeating_goes_on_after_the_plan() -> None:
     rows = PLANS["poor"]
     further, looks = _repeats(rows)
     starts = np.array([row.start for row in (*rows, *further)])
-    assert (np.diff(starts) > 0).all()
+    assert (np.diff(starts) > 0).all() and further[0].start - rows[-1].end == two_rounds.LATER
     assert looks[-1] == len(further)
     assert [replace(row, start=0, label="") for row in further[: len(rows)]] == [
         replace(row, start=0, label="") for row in rows
     ]
+    warm = PLANS["tumble"]  # ends at another temperature than it begins at
+    assert _repeats(warm)[0][0].start - warm[-1].end == two_rounds.SOAK
 
 
 def test_the_summary_counts_what_was_enough() -> None:

@@ -126,8 +126,9 @@ def _parts(count: int) -> list[int]:
 def _repeats(rows: Sequence[Segment]) -> tuple[list[Segment], list[int]]:
     """The plan again and again, and after how many segments is looked: sixths of the first time, then whole times."""
     further: list[Segment] = []
+    pause = LATER if rows[-1].chamber == rows[0].chamber else SOAK
     for k in range(REPEATS[-1]):
-        begin = (further or rows)[-1].end + LATER - rows[0].start
+        begin = (further or rows)[-1].end + pause - rows[0].start
         further += [replace(row, label=f"{row.label}r{k}", start=row.start + begin) for row in rows]
     return further, [*_parts(len(rows)), *(len(rows) * times for times in REPEATS[1:])]
 

@@ -30,7 +30,8 @@ def _options(rates: tuple[float, ...] = (20.0, 90.0), frames: int = 12) -> list[
     return found
 
 
-def _proposed(found: Diagnosis, options: list[Segment]) -> Proposal | None:
+def _proposed(found: Diagnosis, options: list[Segment], soak: float = 0.0) -> Proposal | None:
+    """soak: s, before the first of the segments, but not before a ramp."""
     grounds = found.grounds
     return propose(
         grounds.weighing,
@@ -38,7 +39,9 @@ def _proposed(found: Diagnosis, options: list[Segment]) -> Proposal | None:
         grounds.candidates,
         grounds.nominal,
         options,
-        lambda _, segment: 10.0 + (segment.dwell or 0.0),
+        lambda before, segment: (
+            10.0 + (segment.dwell or 0.0) + (0.0 if before or segment.ramp_to is not None else soak)
+        ),
         1500.0,
     )
 
@@ -62,6 +65,16 @@ def test_the_fastest_turns_are_chosen_for_an_error_that_grows_with_rate(weak: Di
     turning = [s for s in found.segments if isinstance(s.motion, Spin) and abs(s.motion.rate) > 80 * DEG]
     assert len(turning) >= len(found.segments) / 2
     assert found.seconds == pytest.approx(50.0 * len(found.segments))
+
+
+def test_a_soak_before_the_first_segment_makes_no_long_one_better(weak: Diagnosis) -> None:
+    """Half an hour that every first segment takes, but a recorded ramp, which tells little for its length."""
+    options = _options()
+    ramp = Segment(len(options), "ramp", np.eye(3), "", Rest(), 750.0, ramp_to=323.15)
+    plain, soaked = _proposed(weak, [*options, ramp]), _proposed(weak, [*options, ramp], 1800.0)
+    assert plain is not None and soaked is not None
+    assert [s.label for s in soaked.segments] == [s.label for s in plain.segments]
+    assert soaked.seconds == plain.seconds + 1800.0
 
 
 def test_where_nothing_helps_that_is_said(weak: Diagnosis) -> None:
