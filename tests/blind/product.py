@@ -182,8 +182,8 @@ def posterior_and_next(
 ) -> tuple[dict[str, float], Further | None]:
     """The posterior, and the segments of the proposed plan as the plan language gives them back, after those that were recorded.
 
-    move, soak: s, before each segment, and more after a change of temperature. equipped: whether the bench has `TABLE` and `CHAMBER`;
-    of one that plays a recording back no more is known than what that shows.
+    move, soak: s, before each segment, and more after a change of temperature. equipped: whether the bench has `TABLE` and `CHAMBER`,
+    which has gone back and soaked; of one that plays a recording back no more is known than what that shows.
     """
     found = diagnosed(observation(shown))
     model = sensor_model(shown)
@@ -201,7 +201,10 @@ def posterior_and_next(
     if plan is None or log.errors:
         raise ValueError([finding.message for finding in log.errors])
     segments = build_schedule(expand(plan, log), has, Findings()).segments
-    rows = _rows(segments, shown.segments[-1], move, soak)
+    last = shown.segments[-1]
+    if equipped:
+        last = replace(last, chamber=shown.segments[0].chamber, duration=last.duration + soak)
+    rows = _rows(segments, last, move, soak)
     return found.posterior.probability, Further(rows, names, made.proposal.probability)
 
 

@@ -30,7 +30,7 @@ def test_the_device_keeps_its_limit_under_a_faster_plan() -> None:
 
 def test_repeating_goes_on_after_the_plan() -> None:
     rows = PLANS["poor"]
-    further, looks = _repeats(rows)
+    further, looks = _repeats(rows, False)
     starts = np.array([row.start for row in (*rows, *further)])
     assert (np.diff(starts) > 0).all() and further[0].start - rows[-1].end == two_rounds.LATER
     assert looks[-1] == len(further)
@@ -38,7 +38,10 @@ def test_repeating_goes_on_after_the_plan() -> None:
         replace(row, start=0, label="") for row in rows
     ]
     warm = PLANS["tumble"]  # ends at another temperature than it begins at
-    assert _repeats(warm)[0][0].start - warm[-1].end == two_rounds.SOAK
+    assert _repeats(warm, False)[0][0].start - warm[-1].end == two_rounds.SOAK
+    afresh = _repeats(warm, True)[0]
+    assert afresh[0].start - warm[-1].end == two_rounds.SOAK + two_rounds.MOVE
+    assert afresh[len(warm)].start - afresh[len(warm) - 1].end == two_rounds.SOAK
 
 
 def test_the_summary_counts_what_was_enough() -> None:

@@ -28,7 +28,7 @@ from tests.blind.plans import PLANS, Segment
 
 ENOUGH = 0.95
 REPEATS = (1, 2, 4)
-MOVE, SOAK, LATER = 15.0, 1800.0, 60.0  # s: between segments, after a change of temperature, between the rounds
+MOVE, SOAK, LATER = 15.0, 1800.0, 60.0  # s: before a segment, after a change of temperature, before a plan is repeated
 SETUPS = (
     ("poor", "mems"),
     ("rates", "mems"),
@@ -87,7 +87,8 @@ def given(seed: int, number: int, plan: str, sensor_name: str) -> Given:
 
 def outcome(seed: int, number: int, equipped: bool = False) -> Outcome | str:
     """What the two rounds bring in a case with one effect; why not, where there is nothing to bring. equipped: on a bench with a table and
-    a chamber, not on one of which nothing is known but the recording."""
+    a chamber, where the second round begins with the chamber gone back and soaked; not on one of which nothing is known but the recording,
+    and which goes on where that ended."""
     plan, sensor_name = SETUPS[number % len(SETUPS)]
     case = given(seed, number, plan, sensor_name)
     true = case.fault.effect
@@ -102,11 +103,12 @@ def outcome(seed: int, number: int, equipped: bool = False) -> Outcome | str:
     if not further.rows:
         return "nothing separates them"
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 4)))
-    proposed = _reached(case, further.rows, _parts(len(further.rows)), true, rng)
-    repeated = _reached(case, *_repeats(case.rows), true, rng)
+    begin = case.rows[-1].end + (SOAK if equipped else 0.0)
+    proposed = _reached(case, further.rows, _parts(len(further.rows)), begin, true, rng)
+    repeated = _reached(case, *_repeats(case.rows, equipped), begin, true, rng)
     return Outcome(
         f"case-{number:05d}", plan, sensor_name, true, case.energy, known, further.rivals, further.promised,
-        _hours(case.rows, further.rows), *proposed, *repeated,
+        _hours(begin, further.rows), *proposed, *repeated,
     )  # fmt: skip
 
 
@@ -123,20 +125,21 @@ def _parts(count: int) -> list[int]:
     return sorted({max(1, round(count * part / 6)) for part in range(1, 7)})
 
 
-def _repeats(rows: Sequence[Segment]) -> tuple[list[Segment], list[int]]:
-    """The plan again and again, and after how many segments is looked: sixths of the first time, then whole times."""
+def _repeats(rows: Sequence[Segment], afresh: bool) -> tuple[list[Segment], list[int]]:
+    """The plan again and again, and after how many segments is looked: sixths of the first time, then whole times. afresh: the first time
+    at once at a chamber that has gone back and soaked."""
     further: list[Segment] = []
     pause = LATER if rows[-1].chamber == rows[0].chamber else SOAK
     for k in range(REPEATS[-1]):
-        begin = (further or rows)[-1].end + pause - rows[0].start
+        begin = (further or rows)[-1].end + (SOAK + MOVE if afresh and not k else pause) - rows[0].start
         further += [replace(row, label=f"{row.label}r{k}", start=row.start + begin) for row in rows]
     return further, [*_parts(len(rows)), *(len(rows) * times for times in REPEATS[1:])]
 
 
 def _reached(
-    case: Given, further: Sequence[Segment], looks: Sequence[int], true: str, rng: np.random.Generator
+    case: Given, further: Sequence[Segment], looks: Sequence[int], begin: float, true: str, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Probability of the true effect, and hours, when it is first enough; at the end where it never is."""
+    """Probability of the true effect, and hours since `begin`, when it is first enough; at the end where it never is."""
     sensor = case.sensor
     whole, first = Schedule((*case.rows, *further), sensor.sampling), Schedule(case.rows, sensor.sampling)
     fault = _kept(case.fault, first, whole, sensor, case.device, rng)
@@ -151,7 +154,7 @@ def _reached(
         reached = _probability(product.posterior(_shown(sensor, rows, both)), true)
         if reached >= ENOUGH:
             break
-    return reached, _hours(case.rows, further[:count])
+    return reached, _hours(begin, further[:count])
 
 
 def _kept(
@@ -169,8 +172,8 @@ def _kept(
     return fault
 
 
-def _hours(rows: Sequence[Segment], further: Sequence[Segment]) -> float:
-    return (further[-1].end - rows[-1].end) / 3600
+def _hours(begin: float, further: Sequence[Segment]) -> float:
+    return (further[-1].end - begin) / 3600
 
 
 def outcomes(
