@@ -78,3 +78,13 @@ def test_left_to_act_it_makes_the_bench_safe_and_is_waited_for(bench: bytes, tmp
     guard.let_act()
     assert state(tmp_path, "table")["safe"] and state(tmp_path, "table")["rate"] == 0.0
     assert "table: safe" in (tmp_path / "watchdog.txt").read_text(encoding="utf-8")
+
+
+def test_reports_follow_one_another_and_nothing_is_left_beside_them(bench: bytes, tmp_path: Path) -> None:
+    """A report appears whole: whoever waits for the file may read it at once."""
+    for _ in range(2):
+        guard = Watchdog(bench, "lab.yaml", None, 60.0)
+        guard.report_to(tmp_path)
+        guard.let_act()
+    assert (tmp_path / "watchdog.txt").read_text(encoding="utf-8").count("table: safe") == 2
+    assert not list(tmp_path.glob("watchdog.*part"))
