@@ -113,7 +113,7 @@ def _lasting(segments: Sequence[Segment], seconds: Seconds) -> float:
 
 
 def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Seconds) -> list[Foreseen]:
-    """Greedy choice, then without those that turned out not to be needed, and grouped by temperature. What any first segment takes before it
+    """Greedy choice, then without those that turned out not to be needed, and grouped by temperature. What any first takes before it
     begins, such as soaking the sensor, speaks for none of them."""
     size = len(options[0].within)
     held = [item.segment for item in options if item.segment.ramp_to is None] or [item.segment for item in options]

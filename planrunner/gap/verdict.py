@@ -119,9 +119,8 @@ def _rival_pairs(
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
     """What is to be named of a pair, and what of it may be residue of form: the weaker effect, where at more than 50 σ it explains less
-    than `RESIDUE` of what both do. Less than `FORM` is not named, nor is a walk, which takes any form. It is none if it acts on channels
-    on which the first does not, or raises the level of the noise, which is measured where no form shows; terms of a nominal model are
-    exact and leave none."""
+    than `RESIDUE` of what both do. Less than `FORM` is not named. It is none if it acts on channels on which the first does not, or raises
+    the level of the noise, which is measured where no form shows; terms of a nominal model are exact and leave none."""
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
     if not first or first in NOMINAL_TERMS:
@@ -134,4 +133,4 @@ def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tup
     small = alone > STRONG and alone > (1 - RESIDUE) * both
     if not small or (pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE):
         return pair, None
-    return (first if other not in by_id or alone > (1 - FORM) * both else pair), other
+    return (first if alone > (1 - FORM) * both else pair), other
