@@ -158,11 +158,14 @@ def _shrinks_by(gap: Array, difference: Array) -> float:
 def _told(answer: Diagnosis, effects: Sequence[str]) -> list[Choice]:
     """What remains to be chosen where the effects are known: their shapes. Empty where none of them changes the outputs' means."""
     weighing, by_id = answer.grounds.weighing, {c.id: c for c in answer.grounds.candidates if c.variants}
-    known = [by_id[name] for name in effects if name in by_id]
-    if len(known) != 1:
+    known = [by_id[name] for name in sorted(effects) if name in by_id]
+    if not known:
+        return []
+    if len(known) > 1:
+        pair = answer.posterior.pairs.get("+".join(one.id for one in known))
         columns = [one.best.variant.columns for one in known]
-        variant = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
-        return [Choice(weighed, 1.0) for weighed in (weighing.weigh([variant]) if known else ())]
+        apart = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
+        return [Choice(pair or weighing.weigh([apart])[0], 1.0)]
     exact = forms(weighing, known[0].effect) if whole(known[0]) else []
     return [Choice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
 

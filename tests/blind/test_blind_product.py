@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.blind import campaign, folder
-from tests.blind.generator import draw
-from tests.blind.product import observation
+from tests.blind.generator import draw, make
+from tests.blind.product import closure_and_truth, observation
 from tests.blind.scoring import Scored
 
 CONTRACT = {"gap", "where", "posterior", "verdict", "ambiguity_set", "absorbed", "parameters", "closure", "next"}
@@ -48,6 +48,18 @@ def test_answers_keep_the_contract(tmp_path: Path) -> None:
     for name, answer in folder.answers(tmp_path, "planrunner").items():
         assert name in labels and answer.keys() >= CONTRACT, answer.get("error")
         assert sum(answer["posterior"].values()) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("number", [9, 59])  # a single effect and a pair, both strong, under the smallest plan
+def test_a_closure_stands_beside_what_the_truth_told_reaches(number: int, tmp_path: Path) -> None:
+    folder.write_setups(tmp_path)
+    case = make(77, number)
+    folder.write_case(tmp_path, case, 77)
+    (tmp_path / "sealed" / "seed").write_text("77", encoding="utf-8")
+    closure = closure_and_truth(folder.shown(tmp_path, case.name))["closure"]
+    assert min(entry["lambda"] for entry in case.label["entries"]) > 900
+    assert 0.7 < closure["true"] <= closure["told"] + 0.02
+    assert closure["told"] < 1
 
 
 @pytest.mark.slow
