@@ -200,6 +200,9 @@ def _parameters(
         if name in exact:
             listed += estimates.exact_shape(by_id[name].effect, exact[name])
             continue
+        if len(said.effects) == 1 and whole(by_id[name]) and by_id[name].best.amplitudes[0][0] < 0:
+            listed += estimates.opposite(by_id[name])
+            continue
         columns = slice(None)
         weighed = by_id[name].best
         if pair is not None:

@@ -62,6 +62,19 @@ def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[Par
     return [Parameter(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
 
 
+def opposite(candidate: Candidate) -> list[Parameter]:
+    """The shape of an effect without amplitude that the data want the other way round: negative, in proportion to what it does. A delay
+    is that of the table's angle then."""
+    effect, best = candidate.effect, candidate.best
+    (share,), ((variance,),) = best.amplitudes
+    size = float(best.variant.shape or 0.0)
+    return [
+        Parameter(
+            candidate.id, effect.shape_name, float(share) * size, effect.shape_unit, float(np.sqrt(variance)) * size
+        )
+    ]
+
+
 def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:
     """What an effect on the noise changes: white level or resolution per gyro, or the random walk's density."""
     observed, name, noise = weighing.observed, str(getattr(effect, "id", "")), getattr(effect, "noise", "")

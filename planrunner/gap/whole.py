@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _STEPS = 20
 _ROUNDS = 15
 _DROP = 0.5  # nats beside the best: a standard deviation away
+_TOLD = 1.0  # nats that an effect of any shape must explain beyond none
 _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
@@ -30,7 +31,7 @@ def whole(candidate: Candidate) -> bool:
 
 def forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
     """Forms about the most probable shape, in even steps of its logarithm, and how probable each is; none where the search does not
-    settle."""
+    settle, or settles where there is nothing of the effect: what the data want is its opposite."""
     seen, found = weighing.observed, np.nan
     for _ in range(_STEPS):
         shape, sigma = _most_probable(weighing, effect, seen)
@@ -44,6 +45,8 @@ def forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
     near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     weighed = weighing.weigh([effect.at(seen, float(value)) for value in near])
     evidence = np.array([_evidence(weighing, item) for item in weighed])
+    if evidence.max() < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
+        return []
     share = np.exp(evidence - evidence.max())
     return list(zip(weighed, (share / share.sum()).tolist(), strict=True))
 
@@ -55,9 +58,11 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed) -> tuple[float, float]:
     """The most probable shape and the standard deviation of its logarithm: on the grid, beyond it where the best is at its edge, then
-    between the best and its neighbours until those are within a standard deviation."""
+    between the best and its neighbours until those are within a standard deviation. One that the data hardly tell is told as far as the
+    grid goes."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
+    widest = float(np.ptp(new)) / (2 * _SPAN)
     for _ in range(_ROUNDS):
         weighed = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in new])
         known |= {float(value): _evidence(weighing, item) for value, item in zip(new, weighed, strict=True)}
@@ -76,4 +81,4 @@ def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed) -> tuple[
     reach = float(place[top + 1] - place[top - 1])
     sigma = float(1 / np.sqrt(-2 * bend)) if bend < 0 else reach
     best = float(np.clip(-slope / (2 * bend), -reach, reach)) if bend < 0 else 0.0
-    return float(np.exp(place[top] + best)), sigma
+    return float(np.exp(place[top] + best)), min(sigma, widest)

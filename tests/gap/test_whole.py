@@ -15,12 +15,14 @@ from tests.blind.generator import Case, Work, _of_strength, signatures, simulate
 from tests.blind.product import observation
 
 
-def _diagnosed(here: Path, plan: str, sensor: str, effect: str, energy: float, seed: int) -> tuple[Diagnosis, float]:
+def _diagnosed(
+    here: Path, plan: str, sensor: str, effect: str, energy: float, seed: int, sign: float = 1.0
+) -> tuple[Diagnosis, float]:
     """A diagnosis of an effect of some strength, and its true shape."""
     draw, kind = np.random.default_rng(seed), SENSORS[sensor]
     around = signatures(plan, sensor)
     work = Work(around, (1.0,) * len(kind.triads), random_device(kind, draw))
-    fault = _of_strength(KINDS[effect], np.array(KINDS[effect].scale), (), energy, work)
+    fault = _of_strength(KINDS[effect], sign * np.array(KINDS[effect].scale), (), energy, work)
     assert fault is not None
     columns = simulate(work, [fault], False, draw)
     folder.write_setups(here)
@@ -71,3 +73,13 @@ def test_a_delay_far_below_the_grid_is_found(tmp_path: Path) -> None:
     assert "time_latency" in found.verdict.effects
     (one,) = found.parameters
     assert abs(one.value - true) < 3 * one.standard_uncertainty
+
+
+@pytest.mark.parametrize("energy", [40.0, 400.0])
+@pytest.mark.filterwarnings("error")
+def test_a_delay_the_other_way_round_is_negative(tmp_path: Path, energy: float) -> None:
+    """The table's angle that comes late: no delay of the sensor, however short, explains that."""
+    found, true = _diagnosed(tmp_path, "rocking", "mems", "time_latency", energy, 1, -1.0)
+    assert "time_latency" in (*found.verdict.effects, *found.verdict.members) and true < 0
+    (one,) = found.parameters
+    assert one.name == "delay" and abs(one.value - true) < 3 * one.standard_uncertainty < 0.7 * abs(true)
