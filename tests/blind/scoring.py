@@ -314,14 +314,15 @@ def _band(case: Scored) -> str:
 
 def closure_held_out(labels: Mapping[str, Mapping], answers: Mapping[str, Mapping]) -> dict[str, Any]:
     """How often the 90 % interval holds the share by which its own predictions shrink the true gap of the held-out segments, where the
-    weakest effect has λ of 36 or more, how far the two are apart, and that share ÷ what a refit with the true effects reaches there."""
-    cases = [Scored(labels[name], answers[name]) for name in sorted(labels.keys() & answers.keys())]
-    said = [c.answer["closure"] for c in cases if c.kind in ("single", "pair") and c.weakest >= 36 and not c.failed]
+    weakest effect has λ of 36 or more, how far the two are apart, and that share ÷ what a refit with the true effects reaches there
+    where the closure is resolvable."""
+    every = (Scored(labels[name], answers[name]) for name in sorted(labels.keys() & answers.keys()))
+    cases = [c for c in every if c.kind in ("single", "pair") and c.weakest >= 36 and not c.failed]
+    said = [case.answer["closure"] for case in cases]
     resolved = [closure for closure in said if closure["resolvable"]]
     ratios = {band: list[float]() for band in _BANDS}
-    for case in cases:
-        closure = case.answer["closure"]
-        if case.kind in ("single", "pair") and case.weakest >= 36 and not case.failed and closure.get("told"):
+    for case, closure in zip(cases, said, strict=True):
+        if closure.get("told"):
             ratios[_band(case)].append(closure["true"] / closure["told"])
     return {
         "ratio to the true effects told": {band: _spread(values) for band, values in ratios.items()},

@@ -186,8 +186,8 @@ def outcomes(
         return
     with ProcessPoolExecutor(jobs) as pool:
         chunk = max(1, len(numbers) // (4 * jobs))
-        given = [seed] * len(numbers), numbers, [equipped] * len(numbers)
-        yield from zip(numbers, pool.map(outcome, *given, chunksize=chunk), strict=True)
+        each = [seed] * len(numbers), numbers, [equipped] * len(numbers)
+        yield from zip(numbers, pool.map(outcome, *each, chunksize=chunk), strict=True)
 
 
 def summary(found: Sequence[Outcome]) -> dict[str, float]:
