@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from planrunner.plan.findings import Findings, InputError, Mark
+from planrunner.regular_files import RefusedFileError, read_regular
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 40
@@ -72,24 +73,28 @@ Node = Scalar | Sequence | Mapping
 
 
 def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> bytes:
-    """What a file of at most `limit` bytes holds. Raises `InputError`, never `OSError`."""
-    name = shown or str(path)
+    """What a regular file of at most `limit` bytes holds. Raises `InputError`, never `OSError`."""
     try:
-        if path.is_dir():
-            raise InputError.at(Mark(name), "file-directory", "this is a folder, not a file", "name a file in it")
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
-    except FileNotFoundError:
-        hint = "check the path; `planrunner new` lists and copies the plans that come with planrunner"
-        raise InputError.at(Mark(name), "file-missing", "there is no such file", hint) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        hint = "check its permissions and that no other program holds it"
-        raise InputError.at(Mark(name), "file-unreadable", f"the file cannot be read: {reason}", hint) from None
-    if len(data) > limit:
-        message = f"the file is larger than {limit / 1e6:g} MB"
-        raise InputError.at(Mark(name), "file-size", message, "keep data apart from the plan")
-    return data
+        return read_regular(path, limit)
+    except RefusedFileError as refused:
+        raise refused_input(refused, shown or str(path)) from None
+
+
+def refused_input(refused: RefusedFileError, name: str) -> InputError:
+    """The finding on a file that is not read; `name` is the name that it shows."""
+    mark, message, hint = Mark(name), str(refused), refused.hint
+    match refused.kind:
+        case "missing":
+            hint = "check the path; `planrunner new` lists and copies the plans that come with planrunner"
+            return InputError.at(mark, "file-missing", message, hint)
+        case "folder":
+            return InputError.at(mark, "file-directory", message, hint)
+        case "special" | "link":
+            return InputError.at(mark, "file-special", message, hint)
+        case "size":
+            return InputError.at(mark, "file-size", message, "keep data apart from the plan")
+        case "unreadable":
+            return InputError.at(mark, "file-unreadable", message, hint)
 
 
 def decode(data: bytes, name: str) -> str:

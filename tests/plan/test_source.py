@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from pathlib import Path
 
@@ -246,8 +247,9 @@ def test_an_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "open", refuse)
     path = tmp_path / "locked.yaml"
+    path.write_text("planrunner: 1\n")
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(InputError) as caught:
         source.load(path)
     (finding,) = caught.value.findings

@@ -1,0 +1,115 @@
+"""Opening a file that somebody else named: a regular file within a bound of size, or a refusal that says why.
+
+Whatever planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe that nobody writes to would hang
+the program for ever, `/dev/zero` would fill the memory, and merely opening a device can move an instrument: so the kind of file is
+looked at before it is opened, and again once it is open. Windows can neither open without waiting nor refuse a link while opening:
+there the first look protects, and the second holds whatever was opened to the same rule.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+Refusal = Literal["missing", "folder", "special", "link", "size", "unreadable"]
+
+_READING = (
+    os.O_RDONLY
+    | getattr(os, "O_BINARY", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_NOINHERIT", 0)
+    | getattr(os, "O_NOCTTY", 0)
+    | getattr(os, "O_NONBLOCK", 0)
+)
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_KINDS = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+class RefusedFileError(Exception):
+    """A file that is not read. kind: why, in a word; str(): why, in a sentence without the file's name; hint: what to do."""
+
+    def __init__(self, kind: Refusal, message: str, hint: str):
+        super().__init__(message)
+        self.kind: Refusal = kind
+        self.hint = hint
+
+
+def open_regular(
+    path: Path | str, limit: int | None = None, *, folder: int | None = None, links: bool = True
+) -> BinaryIO:
+    """A regular file, open for reading from its beginning.
+
+    limit: bytes that it may hold, None where the reader bounds itself; folder: descriptor of an open folder that `path` is relative to,
+    where the system can do that (`os.open in os.supports_dir_fd`); links: whether its last name may be a symbolic link. Raises
+    `RefusedFileError`, never `OSError`.
+    """
+    try:
+        _hold(os.stat(path, dir_fd=folder, follow_symlinks=links), limit)
+        descriptor = os.open(path, _READING | (0 if links else _NO_LINK), dir_fd=folder)
+        try:
+            _hold(os.fstat(descriptor), limit)
+            return open(descriptor, "rb")
+        except BaseException:
+            os.close(descriptor)
+            raise
+    except FileNotFoundError:
+        raise RefusedFileError("missing", "there is no such file", "check the path") from None
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise _unreadable(error) from None
+
+
+def read_regular(path: Path | str, limit: int, *, folder: int | None = None, links: bool = True) -> bytes:
+    """What a regular file of at most `limit` bytes holds (see `open_regular`). Raises `RefusedFileError`."""
+    with open_regular(path, limit, folder=folder, links=links) as file:
+        return read_bounded(file, limit)
+
+
+def read_bounded(file: BinaryIO, limit: int) -> bytes:
+    """The rest of an open file, of at most `limit` bytes, also where it grows meanwhile. Raises `RefusedFileError`."""
+    try:
+        data = file.read(limit + 1)
+    except OSError as error:
+        raise _unreadable(error) from None
+    if data is None:  # a file of the system that would have to be waited for
+        raise RefusedFileError("special", "this file would have to be waited for", _SAVE)
+    if len(data) > limit:
+        raise _too_large(len(data), limit)
+    return data
+
+
+_SAVE = "save what it gives in a file, and name that file"
+
+
+def _hold(known: os.stat_result, limit: int | None) -> None:
+    mode = known.st_mode
+    if stat.S_ISDIR(mode):
+        raise RefusedFileError("folder", "this is a folder, not a file", "name a file in it")
+    if stat.S_ISLNK(mode):
+        raise RefusedFileError("link", "this is a link, not the file itself", "put the file itself there")
+    if not stat.S_ISREG(mode):
+        what = next((word for matches, word in _KINDS if matches(mode)), "something else")
+        raise RefusedFileError("special", f"this is {what}, not a regular file", _SAVE)
+    if limit is not None and known.st_size > limit:
+        raise _too_large(known.st_size, limit)
+
+
+def _too_large(size: int, limit: int) -> RefusedFileError:
+    return RefusedFileError("size", f"the file is larger than {_amount(limit)}", f"keep it below {_amount(limit)}")
+
+
+def _amount(size: int) -> str:
+    return f"{size / 1e9:g} GB" if size >= 1e9 else f"{size / 1e6:g} MB" if size >= 1e4 else f"{size} bytes"
+
+
+def _unreadable(error: Exception) -> RefusedFileError:
+    reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    return RefusedFileError(
+        "unreadable", f"the file cannot be read: {reason}", "check its permissions and that no other program holds it"
+    )
