@@ -6,16 +6,25 @@ and read in blocks, which is timed with them: `python -m benchmarks.diagnosis 10
 
 from __future__ import annotations
 
-import json
-import os
-import resource
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from benchmarks.measuring import Figures, figures_of, peak_memory
 
 
-def measure(samples: int) -> None:
+@dataclass(frozen=True, slots=True)
+class Size:
+    samples: tuple[int, ...]
+    separate: bool = True
+
+
+FULL, SMALL = Size((25_000, 100_000, 400_000)), Size((2_000,), separate=False)
+
+
+def measure(samples: int) -> Figures:
+    """Seconds by the clock and of the processor of the second diagnosis, and the peak memory [MB]."""
     from planrunner.gap.diagnosis import diagnose
     from tests.gap.turntable import plan, record
 
@@ -24,10 +33,10 @@ def measure(samples: int) -> None:
     began, worked = time.perf_counter(), time.process_time()
     diagnose(observed)
     figures = {"wall": time.perf_counter() - began, "cpu": time.process_time() - worked, "samples": len(observed.time)}
-    print(json.dumps(figures | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+    return figures | {"peak": peak_memory()}
 
 
-def measure_long(samples: int) -> None:
+def measure_long(samples: int) -> Figures:
     """A recording at 200 Hz whose rests last as long as it takes; its samples are drawn as they are read, so that they lie nowhere."""
     import numpy as np
 
@@ -85,16 +94,14 @@ def measure_long(samples: int) -> None:
         "bins": len(found.time),
     }
     figures["samples"] = sum(item.statistics.count for item in made)
-    print(json.dumps(figures | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+    return figures | {"peak": peak_memory()}
 
 
-def run() -> dict[str, object]:
+def run(size: Size = FULL) -> dict[str, object]:
     found: dict[str, object] = {}
-    for samples in (25_000, 100_000, 400_000):
-        command = [sys.executable, "-m", "benchmarks.diagnosis", str(samples)]
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-        done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-        figures = json.loads(done.stdout)
+    for samples in size.samples:
+        one_thread = {"OPENBLAS_NUM_THREADS": "1"}
+        figures = figures_of(measure, samples, separate=size.separate, environment=one_thread)
         target = " (target ≤ 1)" if samples == 100_000 else ""
         found[f"{samples} samples × 6 channels, wall [s]{target}"] = figures["wall"]
         found[f"{samples} samples × 6 channels, processor [s]"] = figures["cpu"]
@@ -103,4 +110,4 @@ def run() -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    (measure_long if "long" in sys.argv[2:] else measure)(int(sys.argv[1]))
+    print((measure_long if "long" in sys.argv[2:] else measure)(int(sys.argv[1])))

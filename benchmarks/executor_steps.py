@@ -11,6 +11,7 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,27 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.bench.clock import VirtualClock
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
-from planrunner.instruments.interfaces import Block
+from planrunner.instruments.interfaces import Block, OwnLimits
 from planrunner.plan.schedule import Rest, Schedule, Segment
 
 ATTITUDES = (np.eye(3), np.diag([1.0, -1.0, -1.0]))
 ROWS = 100
 CHANNELS = {"x": "V", "y": "V", "z": "V"}
-PEER_STEPS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Steps of the flushed runs, of the two whose memory is compared, of the durable ones in so many pairs, and of the peers."""
+
+    flushed: tuple[int, ...]
+    memory: tuple[int, int]
+    durable: int
+    pairs: int
+    peers: int
+
+
+FULL = Size((100, 1000, 10_000, 100_000), (1000, 10_000), 100, 5, 1000)
+SMALL = Size((20, 100), (20, 100), 5, 1, 20)
 
 
 class Axis:
@@ -80,6 +95,10 @@ class Bench:
         self.table, self.chamber, self.sensor = Axis(), None, sensor
         self.monitors: list[Any] = []
         self.instruments = {"axis": self.table, **({"probe": sensor} if sensor else {})}
+        self.limits = OwnLimits()
+
+    def sign_of_life(self) -> None:
+        """No watchdog listens."""
 
     def make_safe(self) -> list[str]:
         return []
@@ -124,17 +143,17 @@ def bare_durable_steps(folder: Path, steps: int) -> float:
         return steps / (time.perf_counter() - began)
 
 
-def peak_growth(folder: Path) -> float:
-    """Bytes of peak memory a step between 1000 and 10 000 steps, as Python's allocator counts them."""
+def peak_growth(folder: Path, few: int, many: int) -> float:
+    """Bytes of peak memory a step between few and many steps, as Python's allocator counts them."""
     peaks = []
-    for steps in (1000, 10_000):
+    for steps in (few, many):
         plan = schedule(steps)
         with RunWriter.create(folder, "memory", b"", b"", {}, "flushed") as writer:
             tracemalloc.start()
             execute(plan, Bench(), writer, stop=StopRequest())
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
-    return (peaks[1] - peaks[0]) / 9000
+    return (peaks[1] - peaks[0]) / (many - few)
 
 
 def openhtf_steps(folder: Path, steps: int) -> float:
@@ -187,34 +206,36 @@ def bluesky_steps(folder: Path, steps: int) -> float:
         return steps / (time.perf_counter() - began)
 
 
-def peer(name: str, measure: Callable[[Path, int], float], folder: Path) -> dict[str, object]:
+def peer(name: str, measure: Callable[[Path, int], float], folder: Path, steps: int) -> dict[str, object]:
     """A peer's steps a second, and how many times as many planrunner takes; or a word when it is not installed."""
     try:
-        theirs = max(measure(folder, PEER_STEPS) for _ in range(2))
-    except ImportError:
-        return {f"{name} [steps/s]": "not installed: pip install -e .[bench]"}
-    ours = max(planrunner_steps(folder, PEER_STEPS, "flushed") for _ in range(2))
-    return {f"{name}, {PEER_STEPS} steps [steps/s]": theirs, f"planrunner / {name}": ours / theirs}
+        theirs = max(measure(folder, steps) for _ in range(2))
+    except ImportError as missing:
+        return {f"{name} [steps/s]": f"skipped: {missing.name} is not installed (pip install -e .[bench])"}
+    ours = max(planrunner_steps(folder, steps, "flushed") for _ in range(2))
+    return {f"{name}, {steps} steps [steps/s]": theirs, f"planrunner / {name}": ours / theirs}
 
 
-def run() -> dict[str, object]:
+def run(size: Size = FULL) -> dict[str, object]:
     figures: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         planrunner_steps(folder, 100, "flushed")  # imports
-        for steps in (100, 1000, 10_000, 100_000):
+        for steps in size.flushed:
             rates = [planrunner_steps(folder, steps, "flushed") for _ in range(3 if steps < 100_000 else 1)]
             figures[f"flushed, {steps} steps [steps/s] (target ≥ 10 000)"] = max(rates)
-        figures["peak memory a step, 1000 to 10 000 steps [bytes]"] = peak_growth(folder)
+        figures[f"peak memory a step, {size.memory[0]} to {size.memory[1]} steps [bytes]"] = peak_growth(
+            folder, *size.memory
+        )
         planrunner_steps(folder, 10, "durable", Probe())
         pairs = []
-        for round_ in range(5):
-            bare = bare_durable_steps(folder / f"bare{round_}", 100)
-            pairs.append((planrunner_steps(folder, 100, "durable", Probe()), bare))
+        for round_ in range(size.pairs):
+            bare = bare_durable_steps(folder / f"bare{round_}", size.durable)
+            pairs.append((planrunner_steps(folder, size.durable, "durable", Probe()), bare))
         ratios = sorted(ours / bare for ours, bare in pairs)
         figures["durable with a Parquet file a step [steps/s]"] = max(ours for ours, _ in pairs)
         figures["bare loop with the same writes [steps/s]"] = max(bare for _, bare in pairs)
-        figures["durable / bare loop, median of five pairs (target ≥ 0.5)"] = ratios[2]
-        figures |= peer("OpenHTF", openhtf_steps, folder)
-        figures |= peer("bluesky", bluesky_steps, folder)
+        figures[f"durable / bare loop, median of {size.pairs} pairs (target ≥ 0.5)"] = ratios[size.pairs // 2]
+        figures |= peer("OpenHTF", openhtf_steps, folder, size.peers)
+        figures |= peer("bluesky", bluesky_steps, folder, size.peers)
     return figures

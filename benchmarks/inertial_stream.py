@@ -7,15 +7,26 @@ are shorter pieces of the same kind.
 from __future__ import annotations
 
 import math
-import resource
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-PIECE, FULL = 4_000_000, 72 * 3600 * 200
-CHANNELS, BLOCK = 7, 100_000
+from benchmarks.measuring import counted, peak_memory
+
+CHANNELS, BLOCK, RATE = 7, 100_000, 200.0
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Samples of a piece, and of the cycle that lasts for days."""
+
+    piece: int
+    long: int
+
+
+FULL, SMALL = Size(4_000_000, 72 * 3600 * 200), Size(100_000, 200_000)
 
 
 def stream(motion: Any, samples: int, carried: bool = False) -> float:
@@ -25,7 +36,7 @@ def stream(motion: Any, samples: int, carried: bool = False) -> float:
     from planrunner.instruments.virtual.track import Progress, Track
     from planrunner.plan.schedule import Segment
 
-    segment = Segment(0, "long", np.eye(3), "", motion, samples / 200.0)
+    segment = Segment(0, "long", np.eye(3), "", motion, samples / RATE)
     bench = read_bench("virtual_imu")[0]
     imu = replace(bench.instruments["imu"], parameters=replace(bench.instruments["imu"].parameters, reference=False))
     bench = replace(bench, instruments={**bench.instruments, "imu": imu})
@@ -49,12 +60,7 @@ def draw(samples: int) -> float:
     return time.perf_counter() - began
 
 
-def peak() -> float:
-    """Peak memory of this process so far [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def run() -> dict[str, object]:
+def run(size: Size = FULL) -> dict[str, object]:
     from planrunner.plan.schedule import Cycle, Move, Rest, Rock
 
     quarter = math.pi / 2
@@ -64,21 +70,22 @@ def run() -> dict[str, object]:
     turns = tuple(Move(start, turns * quarter, end) for start, turns, end in moves)
     cycle = Cycle(positions, turns, math.radians(10), 300.0)
     rock = Rock(math.radians(1), 0.2, (0.0,), math.inf)
-    noise = draw(PIECE)
+    noise = draw(size.piece)
 
     def cost(seconds: float, samples: int) -> float:
         return seconds / samples / CHANNELS * 1e9
 
-    rows: dict[str, object] = {"numpy draws the noise [ns/sample/channel]": cost(noise, PIECE)}
+    rows: dict[str, object] = {"numpy draws the noise [ns/sample/channel]": cost(noise, size.piece)}
     for name, motion, carried in (
         ("standing", Rest(), False),
         ("four-position cycle", cycle, False),
         ("rocking all the time", rock, False),
         ("cycle on a carrier", cycle, True),
     ):
-        rows[f"{name} [ns/sample/channel]"] = cost(stream(motion, PIECE, carried), PIECE)
-    before = peak()
-    seconds = stream(cycle, FULL)
-    rows["72 h of the cycle, 51.84 million samples [s]"] = seconds
-    rows["memory that these 72 h need beyond the pieces [MB]"] = peak() - before
+        rows[f"{name} [ns/sample/channel]"] = cost(stream(motion, size.piece, carried), size.piece)
+    before = peak_memory()
+    seconds = stream(cycle, size.long)
+    hours = size.long / RATE / 3600
+    rows[f"{hours:.3g} h of the cycle, {counted(size.long)} samples [s]"] = seconds
+    rows[f"memory that these {hours:.3g} h need beyond the pieces [MB]"] = peak_memory() - before
     return rows

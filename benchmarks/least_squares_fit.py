@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
 from planrunner.estimators.least_squares import fit
 
-OBSERVATIONS, PARAMETERS, TURNS = 10_000, 12, 60
+PARAMETERS = 12
 
 
-def run() -> dict[str, object]:
+@dataclass(frozen=True, slots=True)
+class Size:
+    observations: int
+    turns: int
+
+
+FULL, SMALL = Size(10_000, 60), Size(200, 2)
+
+
+def run(size: Size = FULL) -> dict[str, object]:
     draw = np.random.default_rng(0)
-    matrix = draw.standard_normal((OBSERVATIONS, PARAMETERS)) * np.geomspace(1e-5, 10, PARAMETERS)
-    observed = matrix @ np.arange(1.0, PARAMETERS + 1) + 0.1 * draw.standard_normal(OBSERVATIONS)
-    sigma = np.full(OBSERVATIONS, 0.1)
+    matrix = draw.standard_normal((size.observations, PARAMETERS)) * np.geomspace(1e-5, 10, PARAMETERS)
+    observed = matrix @ np.arange(1.0, PARAMETERS + 1) + 0.1 * draw.standard_normal(size.observations)
+    sigma = np.full(size.observations, 0.1)
     magnitudes = np.geomspace(1e-5, 10, PARAMETERS)
     names = tuple(f"c{k}" for k in range(PARAMETERS))
     ours, theirs = [], []
-    for _ in range(TURNS):
+    for _ in range(size.turns):
         began = time.perf_counter()
         found = fit(matrix, observed, sigma, magnitudes, names)
         middle = time.perf_counter()

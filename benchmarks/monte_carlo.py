@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,14 +14,23 @@ from planrunner.physics.flexure_gyro import output_coefficients
 from planrunner.uncertainty.influences import Influence, InputQuantity
 from planrunner.uncertainty.monte_carlo import propagate
 
-DRAWS, POSITIONS, TERMS = 1_000_000, 8, 6
+POSITIONS, TERMS, DWELL = 8, 6, 120.0
 
 
-def run() -> dict[str, object]:
+@dataclass(frozen=True, slots=True)
+class Size:
+    draws: int
+
+
+FULL, SMALL = Size(1_000_000), Size(20_000)
+
+
+def run(size: Size = FULL) -> dict[str, object]:
     rng = np.random.default_rng(0)
     matrix = np.column_stack([np.ones(POSITIONS), rng.normal(size=(POSITIONS, TERMS - 1))])
     outputs = output_coefficients(np.array([0.2, 0.21, 2e-3, -1e-3, *rng.normal(size=8)]))
     mean = matrix @ outputs.T + 0.01 * rng.normal(size=(POSITIONS, 2))
+    start = 150.0 * np.arange(POSITIONS)
     observations = Observations(
         ("x", "y"),
         ("pulse/s", "pulse/s"),
@@ -28,7 +38,8 @@ def run() -> dict[str, object]:
         mean,
         np.full((POSITIONS, 2), 0.01),
         np.full(POSITIONS, 32),
-        np.full(POSITIONS, 120.0),
+        start,
+        start + DWELL,
         np.eye(2),
     )
     names = tuple(f"c{k}" for k in range(TERMS))
@@ -43,13 +54,13 @@ def run() -> dict[str, object]:
     ]
     draw = physical_draws(fit, "residual", np.ones(24), stated)
     began = time.perf_counter()
-    for _ in range(DRAWS // 10_000):
+    for _ in range(size.draws // 10_000):
         draw(rng, 10_000)
     drawn = time.perf_counter() - began
     began = time.perf_counter()
-    found = propagate(lambda source, n: draw(source, n)[:12], np.zeros(12), most=DRAWS)
+    found = propagate(lambda source, n: draw(source, n)[:12], np.zeros(12), most=size.draws)
     whole = time.perf_counter() - began
-    assert found.draws == DRAWS
+    assert found.draws == size.draws
     return {
         "draws of twelve coefficients and their outputs [s]": drawn,
         "with the adaptive rule, intervals and the shortest intervals [s] (target ≤ 5)": whole,

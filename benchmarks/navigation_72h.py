@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.recording_memory import peak_memory
+from benchmarks.measuring import ROOT, Figures, figures_of, peak_memory
 
-ROOT = Path(__file__).resolve().parents[1]
-HOURS, HERTZ = 72, 200
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    hours: float
+    hertz: float
+    separate: bool = True
+
+
+FULL, SMALL = Size(72, 200), Size(0.25, 10, separate=False)
 
 PLAN = """\
 planrunner: 1
@@ -46,14 +52,14 @@ def moves() -> str:
     return max(re.findall(r"\[A [^\]]*\]", text), key=len).replace("\n", " ")
 
 
-def whole(hours: float) -> None:
-    """In a process of its own: the run, then its figures as JSON."""
+def whole(hours: float, hertz: float) -> Figures:
+    """The run from check to report, and its figures."""
     from planrunner.cli import main
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plan = folder / "three_days.yaml"
-        plan.write_text(PLAN.format(hertz=HERTZ, hours=hours, moves=moves()), encoding="utf-8")
+        plan.write_text(PLAN.format(hertz=hertz, hours=hours, moves=moves()), encoding="utf-8")
         began = time.perf_counter()
         code = main(["run", str(plan), "--runs", str(folder / "runs"), "--flushed", "--quiet"])
         taken = time.perf_counter() - began
@@ -61,26 +67,18 @@ def whole(hours: float) -> None:
         results = json.loads(next(folder.rglob("results.json")).read_text(encoding="utf-8"))
     (estimate,) = results["estimates"]
     rate = next(item["value"] for item in estimate["coefficients"] if item["name"] == "cep_rate")
-    print(json.dumps({"code": code, "seconds": taken, "gigabytes": size, "cep": rate, "peak": peak_memory()}))
+    assert code == 0
+    return {"seconds": taken, "gigabytes": size, "cep": rate, "peak": peak_memory()}
 
 
-def run(hours: float = HOURS) -> dict[str, object]:
-    figures = {}
-    for length in (hours / 12, hours):
-        command = [sys.executable, "-m", "benchmarks.navigation_72h", str(length)]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        figures[length] = json.loads(done.stdout.splitlines()[-1])
-        assert figures[length]["code"] == 0, done.stderr
-    short, long = figures[hours / 12], figures[hours]
+def run(size: Size = FULL) -> dict[str, object]:
+    hours = size.hours
+    short, long = (figures_of(whole, length, size.hertz, separate=size.separate) for length in (hours / 12, hours))
     return {
-        f"{hours:g} h at {HERTZ} Hz, end to end [s]": long["seconds"],
+        f"{hours:g} h at {size.hertz:g} Hz, end to end [s]": long["seconds"],
         "samples × channels recorded [GB]": long["gigabytes"],
         "CEP rate found [nmi/h]": long["cep"],
         f"peak memory at {hours / 12:g} h [MB]": short["peak"],
         f"peak memory at {hours:g} h [MB]": long["peak"],
         "difference [MB]": long["peak"] - short["peak"],
     }
-
-
-if __name__ == "__main__":
-    whole(float(sys.argv[1]))

@@ -11,6 +11,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,8 +24,16 @@ from planrunner.simulators import stim300 as stim_unit
 from planrunner.simulators import vectornav as vectornav_unit
 from planrunner.simulators import xsens as xsens_unit
 
-FRAMES, TURNS = 2000, 20  # as many as a second of the fastest sensor has
 WIRE_RATE = 2000.0  # Hz, STIM300
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    frames: int
+    turns: int
+
+
+FULL, SMALL = Size(2000, 20), Size(50, 1)  # 2000: as many as a second of the fastest sensor has
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
@@ -170,27 +179,27 @@ def xor_in_python(data: bytes) -> int:
     return found
 
 
-def streams() -> dict[
-    str, tuple[Decoder, bytes, Callable[..., np.ndarray], Callable[[bytes], int], Callable[[bytes], int] | None]
-]:
+def streams(
+    frames: int,
+) -> dict[str, tuple[Decoder, bytes, Callable[..., np.ndarray], Callable[[bytes], int], Callable[[bytes], int] | None]]:
     """Sensor → decoder, stream, loop, and its check in Python and by the library."""
-    draw, index = np.random.default_rng(0), np.arange(FRAMES)
-    columns = {f"{name}_{axis}": draw.uniform(-1, 1, FRAMES) for name in ("gyro", "acc", "incl") for axis in "xyz"}
-    columns |= {f"{name}_T_{axis}": draw.uniform(0, 50, FRAMES) for name in ("gyro", "acc", "incl") for axis in "xyz"}
-    columns |= {"aux": np.zeros(FRAMES), "temperature": draw.integers(0, 50, FRAMES)}
-    stim = stim_unit.Stim300(0xAF, crlf=True).frames(columns, index % 256, np.full(FRAMES, 300)).tobytes()
+    draw, index = np.random.default_rng(0), np.arange(frames)
+    columns = {f"{name}_{axis}": draw.uniform(-1, 1, frames) for name in ("gyro", "acc", "incl") for axis in "xyz"}
+    columns |= {f"{name}_T_{axis}": draw.uniform(0, 50, frames) for name in ("gyro", "acc", "incl") for axis in "xyz"}
+    columns |= {"aux": np.zeros(frames), "temperature": draw.integers(0, 50, frames)}
+    stim = stim_unit.Stim300(0xAF, crlf=True).frames(columns, index % 256, np.full(frames, 300)).tobytes()
     kvh = kvh_unit.Kvh1775("A").frames(columns, index).tobytes()
     packets = {
-        0x4020: draw.uniform(-9, 9, (FRAMES, 3)),
-        0x8020: draw.uniform(-9, 9, (FRAMES, 3)),
-        0x0810: np.full(FRAMES, 25.0),
+        0x4020: draw.uniform(-9, 9, (frames, 3)),
+        0x8020: draw.uniform(-9, 9, (frames, 3)),
+        0x0810: np.full(frames, 25.0),
     }
-    packets |= {0x1020: index, 0xE020: np.ones(FRAMES)}
+    packets |= {0x1020: index, 0xE020: np.ones(frames)}
     mti = xsens_unit.Xsens([0x1020, 0x4020, 0x8020, 0x0810, 0xE020]).frames(packets).tobytes()
-    outputs = {"time_startup": index * 2_500_000, "imu": draw.uniform(-9, 9, (FRAMES, 6))}
-    outputs["mag_pres"] = draw.uniform(-1, 1, (FRAMES, 5))
+    outputs = {"time_startup": index * 2_500_000, "imu": draw.uniform(-9, 9, (frames, 6))}
+    outputs["mag_pres"] = draw.uniform(-1, 1, (frames, 5))
     binary = vectornav_unit.VectorNav().frames(outputs).tobytes()
-    lines = b"".join(vectornav_unit.measurement([0.1] * 3, [9.8] * 3, [-0.01] * 3, [k % 90] * 3) for k in range(FRAMES))
+    lines = b"".join(vectornav_unit.measurement([0.1] * 3, [9.8] * 3, [-0.01] * 3, [k % 90] * 3) for k in range(frames))
     told = SimpleNamespace(
         format="A", rotation="rate", angle_unit="rad", temperature_unit="C", sample_rate=SimpleNamespace(value=1000.0)
     )
@@ -221,7 +230,7 @@ def streams() -> dict[
     }
 
 
-def best(work: Callable[[], object], turns: int = TURNS) -> float:
+def best(work: Callable[[], object], turns: int) -> float:
     seconds = []
     for _ in range(turns):
         began = time.perf_counter()
@@ -234,18 +243,18 @@ def decode(decoder: Decoder, stream: bytes) -> int:
     return len(decoder.decode(Framer(decoder.framing).push([Piece(0.0, stream)])))
 
 
-def run() -> dict[str, object]:
+def run(size: Size = FULL) -> dict[str, object]:
     figures: dict[str, object] = {}
-    for name, (decoder, stream, loop, check, library) in streams().items():
-        assert decode(decoder, stream) == FRAMES == len(loop(stream, check))
-        ours = best(lambda decoder=decoder, stream=stream: decode(decoder, stream), TURNS)
-        theirs = best(lambda loop=loop, stream=stream, check=check: loop(stream, check))
-        figures[f"{name} [frames/s]"] = FRAMES / ours
+    for name, (decoder, stream, loop, check, library) in streams(size.frames).items():
+        assert decode(decoder, stream) == size.frames == len(loop(stream, check))
+        ours = best(lambda decoder=decoder, stream=stream: decode(decoder, stream), size.turns)
+        theirs = best(lambda loop=loop, stream=stream, check=check: loop(stream, check), size.turns)
+        figures[f"{name} [frames/s]"] = size.frames / ours
         figures[f"{name} [MB/s]"] = len(stream) / ours / 1e6
         figures[f"{name} / loop (target ≥ 30)"] = theirs / ours
         if library is not None:
-            fastest = best(lambda loop=loop, stream=stream, library=library: loop(stream, library))
+            fastest = best(lambda loop=loop, stream=stream, library=library: loop(stream, library), size.turns)
             figures[f"{name} / loop with compiled check"] = fastest / ours
         if name == "STIM300":
-            figures["STIM300 / its wire rate of 2 kHz (target ≥ 100)"] = FRAMES / ours / WIRE_RATE
+            figures["STIM300 / its wire rate of 2 kHz (target ≥ 100)"] = size.frames / ours / WIRE_RATE
     return figures

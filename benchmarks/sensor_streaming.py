@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,8 +29,17 @@ from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Rest, Schedule, Segment
 
-SENSORS, RATE, SECONDS, STOPS = 4, 2000, 600.0, 200
-DATAGRAM = 0xAF
+RATE, DATAGRAM = 2000, 0xAF
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    sensors: int
+    seconds: float
+    stops: int
+
+
+FULL, SMALL = Size(4, 600.0, 200), Size(2, 0.5, 2)
 
 
 def send(lines: list[int]) -> None:
@@ -105,14 +115,14 @@ def segment(dwell: float) -> Segment:
     return Segment(0, "stream", None, "", Rest(), dwell)
 
 
-def sustained(seconds: float) -> dict[str, object]:
-    clock, rows = WallClock(), [0] * SENSORS
+def sustained(count: int, seconds: float) -> dict[str, object]:
+    clock, rows = WallClock(), [0] * count
 
     def stream(place: int, sensor: Stim300) -> None:
         for block in sensor.stream(segment(seconds)):
             rows[place] += block.time.size
 
-    with Units(SENSORS) as units:
+    with Units(count) as units:
         sensors = [connected(port, clock) for port in units.ports]
         threads = [threading.Thread(target=stream, args=item) for item in enumerate(sensors)]
         began, processor = time.perf_counter(), time.process_time()
@@ -126,7 +136,7 @@ def sustained(seconds: float) -> dict[str, object]:
             sensor.close()
     assert rows == [count.received for count in counts]
     return {
-        "sensors × s": f"{SENSORS} × {seconds:.0f}",
+        "sensors × s": f"{count} × {seconds:g}",
         "frames recorded": sum(rows),
         "frames lost (target 0)": sum(count.lost for count in counts),
         "frames corrupt (target 0)": sum(count.corrupt for count in counts),
@@ -181,9 +191,9 @@ def stops(folder: Path, count: int) -> dict[str, object]:
     }
 
 
-def run(seconds: float = SECONDS, count: int = STOPS) -> dict[str, object]:
+def run(size: Size = FULL) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
-        return sustained(seconds) | stops(Path(folder), count)
+        return sustained(size.sensors, size.seconds) | stops(Path(folder), size.stops)
 
 
 if __name__ == "__main__":

@@ -6,22 +6,34 @@ is not counted. All three see the same noisy increments of a unit at rest. The l
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from pyins import strapdown
 from pyins._numba_integrate import integrate
 
-from benchmarks.recording_memory import peak_memory
+from benchmarks.measuring import Figures, counted, figures_of, peak_memory
 from planrunner.navigation.mechanisation import Navigator
 
-HOURS, HERTZ, TURNS = 10, 100, 3
+HERTZ = 100
 LATITUDE, GRAVITY, EARTH = np.radians(45.0), 9.80619, 7.292115e-5
 BLOCK = 360_000
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Steps of the comparison, turns of it, and the two numbers of steps whose memory is compared."""
+
+    steps: int
+    turns: int
+    few: int
+    many: int
+    separate: bool = True
+
+
+FULL, SMALL = Size(3_600_000, 3, 1_440_000, 14_400_000), Size(2000, 1, 2000, 4000, separate=False)
 
 
 def increments(steps: int, seed: int, hertz: float = HERTZ) -> np.ndarray:
@@ -73,16 +85,17 @@ def public(table: pd.DataFrame) -> float:
     return time.perf_counter() - began
 
 
-def memory(steps: int) -> None:
-    """In a process of its own: navigate so many steps, block by block, and print the peak memory [MB]."""
+def memory(steps: int) -> Figures:
+    """Navigate so many steps, block by block: the peak memory [MB]."""
     unit = navigator(400)
-    for block in range(steps // BLOCK):
-        unit.advance(increments(BLOCK, block, 400), np.full(BLOCK, 1 / 400))
-    print(json.dumps(peak_memory()))
+    for start in range(0, steps, BLOCK):
+        length = min(BLOCK, steps - start)
+        unit.advance(increments(length, start // BLOCK, 400), np.full(length, 1 / 400))
+    return {"peak": peak_memory()}
 
 
-def run() -> dict[str, object]:
-    steps = HOURS * 3600 * HERTZ
+def run(size: Size = FULL) -> dict[str, object]:
+    steps = size.steps
     values, interval = increments(steps, 1), np.full(steps, 1 / HERTZ)
     theta, change = corrected(values)
     names = ["dt", "theta_x", "theta_y", "theta_z", "dv_x", "dv_y", "dv_z"]
@@ -90,7 +103,7 @@ def run() -> dict[str, object]:
     ours(values[:, :1000], interval[:1000])  # compiled before it is timed
     bare(interval[:10], theta[:10], change[:10])
     times: dict[str, list[float]] = {"ours": [], "bare": [], "public": []}
-    for _ in range(TURNS):
+    for _ in range(size.turns):
         taken, unit = ours(values, interval)
         times["ours"].append(taken)
         taken, end = bare(interval, theta, change)
@@ -101,22 +114,15 @@ def run() -> dict[str, object]:
         * 6.371e6
     )
     own, kernel, integrator = (min(times[name]) for name in ("ours", "bare", "public"))
-    peaks = {}
-    for length in (1_440_000, 14_400_000):
-        command = [sys.executable, "-m", "benchmarks.strapdown", str(length)]
-        peaks[length] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    few, many = (figures_of(memory, length, separate=size.separate)["peak"] for length in (size.few, size.many))
     return {
-        "3.6·10⁶ steps [s]": own,
+        f"{counted(steps)} steps [s]": own,
         "one step [ns]": own / steps * 1e9,
         "bare kernel of python-ins [s]": kernel,
         "ratio (target ≥ 2)": kernel / own,
         "public Integrator of python-ins [s]": integrator,
         "ratio (target ≥ 10)": integrator / own,
-        "the two apart after 10 h [m]": float(apart),
-        "peak memory at 1.44·10⁶ steps [MB]": peaks[1_440_000],
-        "peak memory at 1.44·10⁷ steps (10 h at 400 Hz) [MB]": peaks[14_400_000],
+        f"the two apart after {steps / HERTZ / 3600:.3g} h [m]": float(apart),
+        f"peak memory at {counted(size.few)} steps [MB]": few,
+        f"peak memory at {counted(size.many)} steps ({size.many / 400 / 3600:.3g} h at 400 Hz) [MB]": many,
     }
-
-
-if __name__ == "__main__":
-    memory(int(sys.argv[1]))

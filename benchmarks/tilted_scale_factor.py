@@ -1,20 +1,17 @@
-"""Scale factors of a triad in one tilted mounting from 10⁸ samples × 3 channels: estimating against merely reading the recording.
-
-`python -m benchmarks.tilted_scale_factor 10000000` measures fewer samples.
-"""
+"""Scale factors of a triad in one tilted mounting from 10⁸ samples × 3 channels: estimating against merely reading the recording."""
 
 from __future__ import annotations
 
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.recording_memory import peak_memory
+from benchmarks.measuring import counted, peak_memory
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.estimators.analysis import combined
@@ -33,6 +30,15 @@ RATES = tuple(sign * rate for rate in (300, 150, 60, 20, 10, 1) for sign in (1, 
 REPEATS = 6
 BLOCK = 100_000
 TURNS = 360.0  # s, whole turns at every rate
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    samples: int
+    rounds: int
+
+
+FULL, SMALL = Size(10**8, 3), Size(10**6, 1)
 
 
 def planned(samples: int) -> tuple[Segment, ...]:
@@ -112,7 +118,8 @@ def timed(action: Callable[[], object]) -> tuple[float, float]:
     return time.perf_counter() - clock, time.process_time() - processor
 
 
-def run(samples: int = 10**8) -> dict[str, object]:
+def run(size: Size = FULL) -> dict[str, object]:
+    samples = size.samples
     segments = planned(samples)
     schedule = Schedule(segments, len(segments) * TURNS)
     with tempfile.TemporaryDirectory() as folder:
@@ -125,20 +132,15 @@ def run(samples: int = 10**8) -> dict[str, object]:
                 timed(lambda: merely_read(path)),
                 timed(lambda: alone.append(estimate(path, schedule))),
             )
-            for _ in range(3)
+            for _ in range(size.rounds)
         ]
     (decoding, _), (reading, reading_cpu), (whole, whole_cpu) = np.median(rounds, axis=0)
     return {
-        f"pyarrow alone decoding {samples:.0e} samples × 3 channels [s]": decoding,
+        f"pyarrow alone decoding {counted(samples)} samples × 3 channels [s]": decoding,
         "merely reading them, digests checked [s]": reading,
         "reading them, statistics and scale factors [s]": whole,
-        "ratio to merely reading, medians of three": whole / reading,
+        f"ratio to merely reading, medians of {size.rounds}": whole / reading,
         "the same in processor time": whole_cpu / reading_cpu,
         "of this, the estimate after the statistics [s]": float(np.median(alone)),
         "peak memory [MB]": peak_memory(),
     }
-
-
-if __name__ == "__main__":
-    for what, figure in run(int(sys.argv[1]) if len(sys.argv) > 1 else 10**8).items():
-        print(f"{what}: {figure:.4g}")

@@ -7,19 +7,30 @@ run recorded, with the same settings. The least of several turns counts.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.recording_memory import peak_memory
+from benchmarks.measuring import Figures, counted, figures_of, peak_memory
 
-SAMPLES, LONG = 10_000_000, 100_000_000
-CHANNELS, BLOCK, TURNS = 3, 100_000, 5
+CHANNELS, BLOCK = 3, 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Samples of the timed runs and turns of them, and the two numbers of samples whose memory is compared."""
+
+    samples: int
+    turns: int
+    few: int
+    many: int
+    separate: bool = True
+
+
+FULL, SMALL = Size(10**7, 5, 10**6, 10**8), Size(10**5, 1, 10**4, 10**5, separate=False)
 SETTINGS = {
     "compression": "snappy",
     "use_dictionary": False,
@@ -71,34 +82,31 @@ def write_again(run: Path, folder: Path) -> float:
     return taken
 
 
-def run() -> dict[str, object]:
+def memory(samples: int) -> Figures:
+    """Peak memory [MB] of a run."""
+    with tempfile.TemporaryDirectory() as name:
+        record(samples, Path(name))
+    return {"peak": peak_memory()}
+
+
+def run(size: Size = FULL) -> dict[str, object]:
     runs, draws, writes = [], [], []
-    for turn in range(TURNS + 1):
+    for turn in range(size.turns + 1):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            taken, path = record(SAMPLES if turn else SAMPLES // 100, folder / "runs")
+            taken, path = record(size.samples if turn else size.samples // 100, folder / "runs")
             if turn:  # the first is for imports
                 runs.append(taken)
-                draws.append(draw(SAMPLES))
+                draws.append(draw(size.samples))
                 writes.append(write_again(path, folder))
     floor = min(draws) + min(writes)
-    memory = {}
-    for samples in (SAMPLES // 10, LONG):
-        command = [sys.executable, "-m", "benchmarks.virtual_run", str(samples)]
-        memory[samples] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    short, long = memory[SAMPLES // 10], memory[LONG]
+    few, many = (figures_of(memory, samples, separate=size.separate)["peak"] for samples in (size.few, size.many))
     return {
-        "virtual run of 10⁷ samples × 3 channels [s]": min(runs),
+        f"virtual run of {counted(size.samples)} samples × 3 channels [s]": min(runs),
         "numpy drawing the noise [s]": min(draws),
         "pyarrow writing the bytes [s]": min(writes),
         "ratio (target ≤ 2)": min(runs) / floor,
-        "peak memory at 10⁶ samples [MB]": short,
-        "peak memory at 10⁸ samples [MB]": long,
-        "difference [MB] (target ≤ 50)": long - short,
+        f"peak memory at {counted(size.few)} samples [MB]": few,
+        f"peak memory at {counted(size.many)} samples [MB]": many,
+        "difference [MB] (target ≤ 50)": many - few,
     }
-
-
-if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as name:
-        record(int(sys.argv[1]), Path(name))
-    print(json.dumps(peak_memory()))
