@@ -10,7 +10,7 @@ Angles and turns of a study are counted in the plan's sense, clockwise where it 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -77,10 +77,11 @@ def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) ->
     positions = [sign * (motion.positions[move.start] - first) for move in motion.moves]
     searches: dict[str, FoundCycle] = {}
     reasons: dict[str, str] = {}
-    for name, search in {
+    ways: dict[str, Callable[[], FoundCycle]] = {
         "same order": lambda: same_order(planned, cable),
         "free order": lambda: free_order(positions, planned, cable),
-    }.items():
+    }
+    for name, search in ways.items():
         try:
             searches[name] = search()
         except CycleError as error:

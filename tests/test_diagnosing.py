@@ -17,7 +17,7 @@ from planrunner.cli import DONE, WRONG_INPUT, main
 from planrunner.diagnosing import diagnose_recorded, observe, recorded_file
 from planrunner.instruments import recording_file
 from planrunner.plan.findings import Findings, InputError
-from tests.instruments.recorded_imu import SHORT, TURNED, Row, write_recording
+from tests.recorded_imu import SHORT, TURNED, Row, write_recording
 
 ROOT = Path(__file__).parents[1]
 SCHEMA = json.loads((ROOT / "schemas" / "diagnosis.schema.json").read_text(encoding="utf-8"))

@@ -84,7 +84,7 @@ def check_event(event: Mapping[str, Any]) -> str | None:
     from jsonschema import Draft202012Validator
 
     for error in Draft202012Validator(schema("journal-event")).iter_errors(event):
-        return error.message[:300]
+        return str(error.message)[:300]
     return None
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from planrunner.bench.model import Bench, Calibration, driver_of, models, runs_on_virtual_clock
+from planrunner.bench.calibration import Calibration
+from planrunner.bench.model import Bench, driver_of, models, runs_on_virtual_clock
 
 SIMULATED = "planrunner.instruments.virtual"
 

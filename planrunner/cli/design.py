@@ -18,9 +18,10 @@ from typing import Any
 
 from planrunner import cli
 from planrunner.cli import design_cycle, design_positions, design_rates
-from planrunner.cli.printing import print_findings, print_json, printable, write_file
+from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, parse_quantity
+from planrunner.reporting.printable import printable
 
 PATIENCE = 2.0
 """Seconds before progress is shown."""

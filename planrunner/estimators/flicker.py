@@ -28,13 +28,14 @@ SPAN = parse_quantity("24 h")
 
 def drift_span() -> Quantity:
     """The key of estimators that report constants."""
-    return key(
+    span: Quantity = key(
         QuantityOf("time", "positive"),
         "Span over which constants are meant to hold: with a declared bias instability, their uncertainty is that of the average "
         "over this span around the test, or over the test where that is longer.",
         "24 h",
         SPAN,
     )
+    return span
 
 
 def flicker_effects(observations: Observations, inputs: Inputs, span: float) -> tuple[Effect, ...]:

@@ -47,7 +47,8 @@ class Effect:
 def functionals_of(gains: Array) -> Array:
     """Coefficients, output after output, as functionals of all observations, (m·p, m, n), from gains (m, p, n)."""
     m, p, n = gains.shape
-    return np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
+    stacked: Array = np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
+    return stacked
 
 
 def explained(effects: Sequence[Effect], output: int) -> Array | float:

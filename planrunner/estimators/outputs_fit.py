@@ -83,7 +83,8 @@ class OutputsFit:
         """Covariance of all coefficients, output after output, shape (m·p, m·p)."""
         m, p = self.coefficients.shape
         size = np.sqrt(self.variance_factors) if basis == "residual" else np.ones(m)
-        return (self.cofactors[basis] * np.outer(size, size)[:, None, :, None]).reshape(m * p, m * p)
+        covariance: Array = (self.cofactors[basis] * np.outer(size, size)[:, None, :, None]).reshape(m * p, m * p)
+        return covariance
 
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
         """The effects on the coefficients, output after output, or on whatever follows the observations by functionals (q, m, n). On the

@@ -45,7 +45,8 @@ def stated_influences(
     def answer(low: Site, high: Site) -> Array:
         """Of all coefficients, (m·p, 1), to a step either way."""
         change = model.columns(mean_stimulus(segments, high)) - model.columns(mean_stimulus(segments, low))
-        return -np.einsum("mpn,nq,mq->mp", gains, change / (2 * _STEP), coefficients).reshape(-1, 1)
+        sensitivities: Array = -np.einsum("mpn,nq,mq->mp", gains, change / (2 * _STEP), coefficients).reshape(-1, 1)
+        return sensitivities
 
     found = []
     if latitude := inputs.get("latitude"):

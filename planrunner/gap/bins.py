@@ -75,7 +75,8 @@ def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
     size = int(np.ceil(counts.sum() / BUDGET))
     while np.sum(counts // np.minimum(size, most)) > BUDGET and size < most.max():
         size += max(1, size // 20)
-    return np.minimum(size, most)
+    bounded: NDArray[np.int64] = np.minimum(size, most)
+    return bounded
 
 
 def _most(item: RecordedSegment) -> int:

@@ -43,7 +43,8 @@ class Foreseen:
         """(P, P), of a dwell of some seconds. Of the mean, slow noise leaves no more than its own variance allows."""
         slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
-        return seconds * self.within + (self.means / variance[:, None]).T @ self.means
+        products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
+        return products
 
 
 def foresee(

@@ -160,7 +160,8 @@ class Observed:
     @cached_property
     def table_axis(self) -> Array:
         """The axis about which the table turns in sensor axes, (N, 3): fixed within a segment."""
-        return np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
+        felt: Array = np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
+        return felt
 
     @cached_property
     def omega(self) -> Array:

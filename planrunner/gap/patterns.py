@@ -189,7 +189,8 @@ def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Ar
     if span <= 0:
         return np.zeros((len(values), 0))
     orders = np.arange(1, min(most, len(np.unique(np.round(values / span, 6)))) + 1)
-    return np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
+    cosines: Array = np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
+    return cosines
 
 
 def _changing(observed: Observed) -> Rows:

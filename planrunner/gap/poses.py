@@ -114,7 +114,7 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
         size = np.linalg.norm(force, axis=1)
         if not np.isfinite(size).all() or size.min() < 0.1 * gravity:
             break
-        unit = force / size[:, None]
+        unit: Array = force / size[:, None]
         columns = _columns(unit, gravity, nominal)
         if not columns.shape[1]:
             return unit

@@ -52,7 +52,7 @@ def random_walk(starts: Array, ends: Array) -> Array:
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2
-    covariance = np.minimum(middles[:, None], middles[None, :])
+    covariance: Array = np.minimum(middles[:, None], middles[None, :])
     np.fill_diagonal(covariance, begin + (ends - starts) / 3)
     return covariance
 

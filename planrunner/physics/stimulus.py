@@ -110,4 +110,5 @@ def _attitude(segment: Segment) -> Array:
 
 def _unit(direction: Sequence[float]) -> Array:
     vector = np.asarray(direction, dtype=float)
-    return vector / np.linalg.norm(vector)
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
 from typing import Any
@@ -227,12 +227,11 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
 
 
 @contextmanager
-def drawing(width: float, height: float) -> Iterator[tuple[Any, Any]]:
+def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, str, str], str]]]:
     """A figure of our style and a function that turns it into an `<svg>` element."""
     import io
 
     import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     with mpl.rc_context(_STYLE):
@@ -241,7 +240,7 @@ def drawing(width: float, height: float) -> Iterator[tuple[Any, Any]]:
         def save(key: str, title: str, described: str) -> str:
             target = io.StringIO()
             nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-            FigureCanvasSVG(figure).print_svg(target, metadata=nothing)
+            figure.savefig(target, format="svg", metadata=nothing)
             return _inline(target.getvalue(), key, title, described)
 
         yield figure, save

@@ -115,7 +115,8 @@ def _roots(folder: Path | None) -> tuple[Path, ...]:
 @lru_cache(maxsize=8)
 def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Environment:
     import jinja2
-    from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
+    from jinja2.exceptions import SecurityError
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
     from markupsafe import Markup
 
     class Closed(ImmutableSandboxedEnvironment):

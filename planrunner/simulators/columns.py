@@ -24,7 +24,8 @@ def integers(
     whole = np.clip(whole, low, high).astype(np.int64 if signed or bits < 64 else np.uint64)
     places = np.arange(width - 1, -1, -1) if order == "big" else np.arange(width)
     shifts = (8 * places).astype(whole.dtype)  # numpy shifts unsigned numbers of 64 bits by their like only
-    return ((whole[:, None] >> shifts) & whole.dtype.type(0xFF)).astype(np.uint8)
+    parts: NDArray[np.uint8] = ((whole[:, None] >> shifts) & whole.dtype.type(0xFF)).astype(np.uint8)
+    return parts
 
 
 def floats(values: NDArray[np.generic] | Sequence[float], width: int = 4, order: Order = "big") -> Bytes:

@@ -55,7 +55,8 @@ class Check:
 
 
 def _sum(frames: Bytes) -> NDArray[np.generic]:
-    return frames.sum(axis=1, dtype=np.int64) & 0xFF
+    low: NDArray[np.int64] = frames.sum(axis=1, dtype=np.int64) & 0xFF
+    return low
 
 
 CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
@@ -29,7 +30,11 @@ class EspecP300:
             if found is None or int(found[1]) != self.address:
                 return None
             message = found[2].strip()
-        asked = {"TEMP?": self._temperatures, "MON?": self._monitor, "MODE?": lambda: self.mode_now()}
+        asked: dict[str, Callable[[], str]] = {
+            "TEMP?": self._temperatures,
+            "MON?": self._monitor,
+            "MODE?": self.mode_now,
+        }
         asked |= {"TYPE?": lambda: self.identity, "ALARM?": self._alarms}
         if message.upper() in asked:
             return asked[message.upper()]()

@@ -146,7 +146,8 @@ def _line(item: Influence, k: int, contribution: float) -> BudgetLine:
 
 
 def _root_sum(sensitivities: Array) -> Array:
-    return np.sqrt(np.einsum("ij,ij->i", sensitivities, sensitivities))
+    lengths: Array = np.sqrt(np.einsum("ij,ij->i", sensitivities, sensitivities))
+    return lengths
 
 
 def _unnamed(sensitivities: Array) -> list[object]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_imu import rows, write_recording
 
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import models, read_bench, site_of
@@ -19,6 +18,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
+from tests.recorded_imu import rows, write_recording
 
 PLAN = Path(__file__).parents[2] / "plans" / "imu_recorded_over_temperature.yaml"
 

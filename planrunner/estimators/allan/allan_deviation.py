@@ -214,7 +214,7 @@ def _factors(taus: Sequence[Quantity], phase: Phase, name: str) -> NDArray[np.in
     if not taus:
         return octave_factors(phase.lengths)
     wanted = np.unique([max(1, round(tau.value / phase.interval)) for tau in taus]).astype(np.int64)
-    usable = wanted[2 * wanted + 1 <= phase.lengths.max()]
+    usable: NDArray[np.int64] = wanted[2 * wanted + 1 <= phase.lengths.max()]
     if not usable.size:
         longest = (int(phase.lengths.max()) - 1) * phase.interval
         raise EstimationError(

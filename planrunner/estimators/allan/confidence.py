@@ -117,7 +117,7 @@ def _white_phase(order: int, factor: int, terms: int) -> float:
 def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
     """s_z(t, F, α, d): covariance of order-d differences at a lag of t averaging times, to within a factor."""
     signs = [(-1) ** k * math.comb(2 * order, order + k) for k in range(order + 1)]
-    total = signs[0] * _averaged(t, filtering, alpha)
+    total: Array = signs[0] * _averaged(t, filtering, alpha)
     for k in range(1, order + 1):
         total += signs[k] * (_averaged(t - k, filtering, alpha) + _averaged(t + k, filtering, alpha))
     return total

@@ -99,4 +99,5 @@ def weighted_inverse(matrix: Array, sigma: Array) -> Array:
     """Coefficients per unit of each position's standardised noise, shape (p, n). Columns are scaled so that SI units do no harm."""
     size = np.abs(matrix).max(axis=0)
     size[size == 0] = 1.0
-    return np.linalg.pinv(matrix / sigma[:, None] / size) / size[:, None]
+    inverse: Array = np.linalg.pinv(matrix / sigma[:, None] / size) / size[:, None]
+    return inverse

@@ -43,7 +43,8 @@ class Navigation:
 
     @property
     def radial(self) -> Array:
-        return np.hypot(self.course[1], self.course[2])
+        distance: Array = np.hypot(self.course[1], self.course[2])
+        return distance
 
     @property
     def rms(self) -> float:

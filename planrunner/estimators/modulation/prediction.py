@@ -65,7 +65,8 @@ def errors_over_time(
 def horizontal(errors: Array, attitude: Array) -> Array:
     """Constant errors (6,) without their part along the vertical, which turning about it does not modulate."""
     up = attitude[:, 2]
-    return errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
+    across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
+    return across
 
 
 def periodic_amplitudes(

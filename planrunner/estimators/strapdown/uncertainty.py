@@ -69,7 +69,8 @@ class Spread:
         size = np.hypot(*errors)
         unit = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
         along = np.einsum("in,nij,jn->n", unit, covariances, unit)
-        return np.sqrt(np.where(size > 0, along, np.trace(covariances, axis1=1, axis2=2)))
+        lengths: Array = np.sqrt(np.where(size > 0, along, np.trace(covariances, axis1=1, axis2=2)))
+        return lengths
 
     def _joined(self, found: Navigated, points: Array, start: Array, end: Array, carried: Array) -> Array:
         """The angles and the errors at the end follow the state linearly. Figures over time are bounded as if errors at all times went

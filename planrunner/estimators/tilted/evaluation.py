@@ -63,7 +63,8 @@ class Group:
     @property
     def full_scale(self) -> Array:
         """Largest output, (m,)."""
-        return np.abs(self.outputs.mean(axis=0)).max(axis=0)
+        largest: Array = np.abs(self.outputs.mean(axis=0)).max(axis=0)
+        return largest
 
     @property
     def averages(self) -> Array:

@@ -283,7 +283,8 @@ def _spread(scatter: Scatter, situation: Situation) -> Array:
 
 def _relative(spread: Array, situation: Situation) -> Array:
     at = situation.reference
-    return np.abs(spread[at] / situation.found.means[at, :, K])
+    shares: Array = np.abs(spread[at] / situation.found.means[at, :, K])
+    return shares
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:

@@ -230,6 +230,6 @@ def _temperature_gradients(rows: Array, found: Findings, kelvin: Array, referenc
 def _correlation(products: Array) -> Array:
     size = np.sqrt(np.diag(products))
     outer = np.outer(size, size)
-    correlation = np.divide(products, outer, out=np.zeros_like(products), where=outer > 0)
+    correlation: Array = np.divide(products, outer, out=np.zeros_like(products), where=outer > 0)
     np.fill_diagonal(correlation, 1.0)
     return correlation

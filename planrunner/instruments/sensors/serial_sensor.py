@@ -154,7 +154,7 @@ class SerialSensor:
 
     def _patience(self) -> float:
         """How long it may be silent, s by the bench's clock: cables and computers keep to the wall's."""
-        return self.parameters.silence.value * self._speed
+        return float(self.parameters.silence.value) * self._speed
 
     def _byte_time(self) -> float:
         """Seconds that a byte takes on the line: ten bits; nothing to speak of through a network."""

@@ -209,7 +209,7 @@ class VirtualPlatform:
 def _count(parameters: VirtualPlatformParameters) -> float:
     """One count of an accelerometer [m/s^2]."""
     p = parameters.accelerometers
-    return 2 * RANGES[p.range] * STANDARD_GRAVITY / 2**p.bits
+    return 2 * RANGES[p.range] * STANDARD_GRAVITY / float(2**p.bits)
 
 
 def _counted(angle: Array, resolution: float) -> Array:

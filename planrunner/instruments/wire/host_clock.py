@@ -154,7 +154,7 @@ class HostClock:
         rate = self.counter.tick * (1 + self.skew)
         end = self._offset + index[-1] * rate
         if self._last is None:
-            times = end + (index - index[-1]).astype(float) * rate
+            times: Array = end + (index - index[-1]).astype(float) * rate
         else:
             first, begun = self._last
             slope = float(np.clip((end - begun) / ((int(index[-1]) - first) * rate), 1 - SLEW, 1 + SLEW)) * rate
