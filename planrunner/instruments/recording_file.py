@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 import math
 import shutil
 import tempfile
@@ -11,13 +12,23 @@ import weakref
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.recording_bounds import (
+    CSV_BLOCK,
+    check_directory,
+    check_header,
+    check_parquet,
+    open_samples,
+)
 from planrunner.plan.findings import closest
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 Array = NDArray[np.float64]
 BATCH = 65_536  # rows
@@ -44,8 +55,6 @@ def beneath(root: Path | None, name: str) -> Path:
         raise InstrumentError(f"there is no file '{name}' beneath the data root {root}") from None
     if not path.is_relative_to(top):
         raise InstrumentError(f"'{name}' is a link that leads outside the data root; put the file itself there")
-    if not path.is_file():
-        raise InstrumentError(f"'{name}' beneath the data root is not a file")
     return path
 
 
@@ -72,6 +81,7 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
     kinds: dict[str, Any] = {".parquet": _Parquet, ".pq": _Parquet, ".csv": _Csv, ".txt": _Csv}
     kind = kinds.get(path.suffix.lower())
     if kind is None:
+        open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is
         raise InstrumentError(f"'{name}' is neither .csv nor .parquet")
     file: _File = kind(path, name, time, scale, dict(channels))
     known = file.columns()
@@ -210,19 +220,28 @@ class _Parquet(_File):
     """Row groups that lie outside the stretch, by their statistics, are passed over."""
 
     def columns(self) -> list[str]:
-        import pyarrow.parquet as pq
+        import pyarrow as pa
 
         try:
-            with pq.ParquetFile(self.path) as file:
+            with self._opened() as file:
                 return list(file.schema_arrow.names)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, pa.ArrowException) as error:
             raise self._unreadable(error) from None
 
-    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[pq.ParquetFile]:
+        """The file with its directory read and held to its bounds; columns are read in small pieces."""
         import pyarrow.parquet as pq
 
+        with open_samples(self.path, self.name) as opened:
+            check_directory(opened, self.name)
+            with pq.ParquetFile(opened, buffer_size=1 << 20, pre_buffer=False) as file:
+                check_parquet(file, self.name, (self.time, *self.channels.values()))
+                yield file
+
+    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
         wanted = list(dict.fromkeys((self.time, *self.channels.values())))
-        with pq.ParquetFile(self.path) as file:
+        with self._opened() as file:
             first = 1
             for group in range(file.num_row_groups):
                 count = file.metadata.row_group(group).num_rows
@@ -298,9 +317,11 @@ class _Csv(_File):
         types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
         convert = arrow_csv.ConvertOptions(column_types=types, include_columns=wanted, strings_can_be_null=True)
         try:
-            with arrow_csv.open_csv(
-                self.path, arrow_csv.ReadOptions(block_size=1 << 22), convert_options=convert
-            ) as reader:
+            with contextlib.ExitStack() as open_files:
+                file = open_files.enter_context(open_samples(self.path, self.name))
+                check_header(file, self.name)
+                options = arrow_csv.ReadOptions(block_size=CSV_BLOCK)
+                reader = open_files.enter_context(arrow_csv.open_csv(file, options, convert_options=convert))
                 first = 1
                 if wanted is None:
                     yield first, pa.RecordBatch.from_pylist([], schema=reader.schema)
@@ -314,15 +335,25 @@ class _Csv(_File):
             raise self._not_numbers(wanted or []) or self._unreadable(error) from None
 
     def _not_numbers(self, wanted: list[str]) -> InstrumentError | None:
-        """The first cell that is no number, by its line; None where the fault is another one."""
-        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), self.path.open(encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            for row in reader:
-                for column in wanted:
-                    cell = row.get(column) or ""
-                    if not _is_number(cell):
-                        place = f"{self.name}, line {reader.line_num}: '{cell[:40]}' in column '{column}'"
-                        return InstrumentError(f"{place} is not a number; correct it, or leave it empty")
+        """The first line that is too long or cell that is no number, by its line; None where the fault is another one."""
+        with (
+            contextlib.suppress(OSError, UnicodeDecodeError),
+            open_samples(self.path, self.name) as opened,
+            io.TextIOWrapper(opened, "utf-8-sig", newline="") as file,
+        ):
+            reader = csv.DictReader(iter(lambda: file.readline(CSV_BLOCK), ""))
+            try:
+                for row in reader:
+                    for column in wanted:
+                        cell = row.get(column) or ""
+                        if not _is_number(cell):
+                            place = f"{self.name}, line {reader.line_num}: '{cell[:40]}' in column '{column}'"
+                            return InstrumentError(f"{place} is not a number; correct it, or leave it empty")
+            except csv.Error:
+                message = f"a cell is wider than {csv.field_size_limit()} characters"
+                return InstrumentError(
+                    f"{self.name}, line {reader.line_num + 1}: {message}; a sample is one short line"
+                )
         return None
 
 

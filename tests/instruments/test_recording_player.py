@@ -196,7 +196,7 @@ def test_time_that_does_not_increase_is_an_error_with_its_row(tmp_path, name, ro
         ({"file": "r.parqet"}, "no file 'r.parqet' beneath the data root"),
         ({"time": "{column: tt}"}, "no column 'tt'; did you mean 't'"),
         ({"channels": "{x: {column: X, unit: deg/s}}"}, "no column 'X'"),
-        ({"file": "folder"}, "is not a file"),
+        ({"file": "folder"}, "this is a folder"),
         ({"file": "notes.md"}, "neither .csv nor .parquet"),
         ({"file": "broken.parquet"}, "broken.parquet cannot be read"),
         ({"file": "broken.csv"}, "broken.csv cannot be read"),
@@ -280,7 +280,7 @@ def test_without_a_table_a_recording_is_one_segment(tmp_path):
 
 def test_text_in_a_column_of_numbers_is_an_error(tmp_path):
     write(tmp_path, x=pa.array(["a"] * 100))
-    with pytest.raises(InstrumentError, match="column 'x' holds something that is not a number"):
+    with pytest.raises(InstrumentError, match="column 'x' holds text"):
         play(player(tmp_path))
     (tmp_path / "r.csv").write_text("t,x,y\n0,1,2\n0.1,one,2\n", encoding="utf-8")
     with pytest.raises(InstrumentError, match=r"r.csv, line 3: 'one' in column 'x' is not a number"):
