@@ -41,9 +41,11 @@ class Simulation(Record):
     )
 
 
-def ask(control: str, request: Mapping[str, Any]) -> dict[str, Any]:
-    """What a simulated bench answers to one request. Raises `InstrumentError` when none answers or it refuses."""
+def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> dict[str, Any]:
+    """What a simulated bench answers to one request. token: from its readiness file, for a request that changes something. Raises
+    `InstrumentError` when none answers or it refuses."""
     host, _, port = control.rpartition(":")
+    request = dict(request) if token is None else {**request, "token": token}
     try:
         with socket.create_connection((host, int(port)), _PATIENCE) as connection:
             connection.sendall(json.dumps(request).encode() + b"\n")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
+import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,10 @@ from typing import Any
 from planrunner import cli
 from planrunner.bench.model import Bench, read_bench
 from planrunner.bench.simulation import ask
+from planrunner.plan.findings import InputError, Mark
+from planrunner.regular_files import RefusedFileError, read_regular
+
+_LONGEST_NOTE = 1_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--copy", metavar="FILE", type=Path, help="serve at free addresses and write the bench file with them here"
     )
     parser.add_argument(
-        "--ready", metavar="FILE", type=Path, help="write addresses as JSON here when everything listens"
+        "--ready",
+        metavar="FILE",
+        type=Path,
+        help="write addresses and the token for --inject, --clear and --stop as JSON here when everything listens; with one of these: "
+        "read the token here",
     )
     parser.add_argument("--seed", type=_seed, help="seed of all that is simulated (default: the virtual bench's own)")
     parser.add_argument(
@@ -55,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     bench, data, shown = read_bench(args.bench)
     request = _request(args)
     if request is not None:
-        return _tell(bench, request)
+        return _tell(bench, request, args.ready)
     import asyncio
 
     return asyncio.run(_serve(args, bench, data, shown))
@@ -69,12 +79,41 @@ def _request(args: argparse.Namespace) -> dict[str, Any] | None:
     return {"stop": True} if args.stop else None
 
 
-def _tell(bench: Bench, request: dict[str, Any]) -> int:
+def _tell(bench: Bench, request: dict[str, Any], ready: Path | None) -> int:
     from planrunner.simulators.from_bench import simulation_of
 
-    reply = ask(simulation_of(bench).control, request)
+    control = simulation_of(bench).control
+    reply = ask(control, request, _token(ready, control))
     print(", ".join(f"{name}: {value}" for name, value in reply.items()))
     return cli.DONE
+
+
+def _token(ready: Path | None, control: str) -> str:
+    """What proves to a running simulated bench that it is told by somebody who may: from its readiness file. Raises `InputError`."""
+    start = "start the simulated bench with `--ready FILE`, and name the same file here"
+    if ready is None:
+        message = "a running simulated bench is told nothing without the token of its readiness file"
+        raise InputError.at(Mark("<command line>"), "simulation-token", message, start)
+    try:
+        note = json.loads(read_regular(ready, _LONGEST_NOTE))
+        token, served = str(note["token"]), str(note["control"])
+    except RefusedFileError as error:
+        raise InputError.at(Mark(str(ready)), "simulation-token", str(error), start) from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError.at(Mark(str(ready)), "simulation-token", "this is no readiness file", start) from None
+    if served != control:
+        message = f"this readiness file is of the simulated bench at {served}, not {control}"
+        raise InputError.at(Mark(str(ready)), "simulation-token", message, "name the bench file that it serves")
+    return token
+
+
+def _write_ready(ready: Path, note: str) -> None:
+    """Whole, and for the user alone: the token in it lets its reader command the simulated bench."""
+    waiting = ready.with_name(ready.name + ".new")
+    waiting.unlink(missing_ok=True)
+    with open(os.open(waiting, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+        file.write(note)
+    waiting.replace(ready)
 
 
 async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str) -> int:
@@ -104,9 +143,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
         print(f"{'control':<33} {serving.control.host}:{serving.control.port}")
         print(f"ready, at {args.speed:g} times real time; Ctrl-C ends it", flush=True)
         if args.ready:
-            waiting = args.ready.with_name(args.ready.name + ".new")
-            waiting.write_text(ready_note(serving), encoding="utf-8")
-            waiting.replace(args.ready)
+            _write_ready(args.ready, ready_note(serving))
         await serving.run()
     finally:
         serving.close()

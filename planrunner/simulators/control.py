@@ -1,9 +1,16 @@
-"""The control channel of a simulated bench: requests as lines of JSON on loopback, one answer each."""
+"""The control channel of a simulated bench: requests as lines of JSON on loopback, one answer each.
+
+Every program of the computer reaches a port on loopback, the pages that its browser shows included: a page can have its browser send
+lines of its choice there. So a request that changes something carries the token that the readiness file holds, and a connection is
+closed at the first line that is refused, before anything behind it is read.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
+import secrets
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,11 +21,13 @@ Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 class Control:
-    """handle: answers a request; a `ValueError` of its is told as an error."""
+    """handle: answers a request; a `ValueError` of its is told as an error. token: what a request must carry that asks for more than an
+    answer."""
 
     def __init__(self, host: str, port: int, handle: Handler):
         self.host, self.port, self.handle = host, port, handle
         self.server: asyncio.Server | None = None
+        self.token = secrets.token_urlsafe(24)
 
     async def listen(self) -> None:
         try:
@@ -33,8 +42,10 @@ class Control:
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            while line := await reader.readline():
-                writer.write(json.dumps(self._answer(line)).encode() + b"\n")
+            answer: Mapping[str, Any] = {}
+            while "error" not in answer and (line := await reader.readline()):
+                answer = self._answer(line)
+                writer.write(json.dumps(answer).encode() + b"\n")
                 await writer.drain()
         except (OSError, ValueError):  # gone, or a line without end
             pass
@@ -46,6 +57,12 @@ class Control:
             request = json.loads(line)
             if not isinstance(request, dict):
                 raise ValueError("a request is a mapping")
+            token = request.pop("token", "")
+            if set(request) != {"ask"} and not self._knows(token):
+                raise ValueError("a request that changes something carries the `token` of the readiness file")
             return self.handle(request)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return {"error": str(error)}
+
+    def _knows(self, token: object) -> bool:
+        return isinstance(token, str) and hmac.compare_digest(token.encode(), self.token.encode())

@@ -209,7 +209,13 @@ class Serving:
 
 
 def ready_note(serving: Serving) -> str:
-    """What the readiness file says, as JSON."""
+    """What the readiness file says, as JSON; its token is for whoever may read the file."""
     control = f"{serving.control.host}:{serving.control.port}"
-    note = {"pid": os.getpid(), "control": control, "speed": serving.speed, "addresses": serving.addresses}
+    note = {
+        "pid": os.getpid(),
+        "control": control,
+        "token": serving.control.token,
+        "speed": serving.speed,
+        "addresses": serving.addresses,
+    }
     return json.dumps(note, indent=1)

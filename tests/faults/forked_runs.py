@@ -1,5 +1,6 @@
 """Processes of planrunner without the seconds that importing takes: `python forked_runs.py` has everything imported and forks one for each
-line of JSON on its standard input, `{"arguments", "folder", "told"}`; it answers with process numbers and, as they end, exit codes.
+line of JSON on its standard input, `{"arguments", "folder", "told", "environment"}`; it answers with process numbers and, as they end,
+exit codes.
 
 What is forked is a process like any other: it has its own signals, and can be killed.
 """
@@ -12,7 +13,9 @@ import select
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -75,8 +78,13 @@ class Forks:
         self.begun: list[int] = []
         self.rest = b""
 
-    def start(self, arguments: list[str], folder: Path, told: Path) -> Run:
-        request = {"arguments": arguments, "folder": str(folder), "told": str(told)}
+    def start(self, arguments: list[str], folder: Path, told: Path, environment: Mapping[str, str]) -> Run:
+        request = {
+            "arguments": arguments,
+            "folder": str(folder),
+            "told": str(told),
+            "environment": {"PLANRUNNER_LOCKS": str(folder / "locks"), **environment},
+        }
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(request).encode() + b"\n")
         while not self.begun:
@@ -154,7 +162,8 @@ def _become(asked: dict[str, Any]) -> int:
     from planrunner.cli import main
 
     os.chdir(asked["folder"])
-    os.environ["PLANRUNNER_LOCKS"] = "locks"
+    os.environ.update(asked["environment"])
+    tempfile.tempdir = None  # found anew in this environment
     break_with(Path("."))
     file = os.open(asked["told"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     nothing = os.open(os.devnull, os.O_RDONLY)

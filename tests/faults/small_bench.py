@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,7 @@ class SmallBench:
     folder: Path
     process: subprocess.Popen[str]
     control: str
+    token: str
     forks: Forks
     sensor: SmallSensor = FLEXURE
     runs: int = 0
@@ -105,12 +106,12 @@ class SmallBench:
         (folder / "truth.yaml").write_text(TRUTH + sensor.truth, encoding="utf-8")
         (folder / "asked.yaml").write_text(BENCH.replace("TIMEOUT", timeout) + sensor.bench, encoding="utf-8")
         (folder / "plan.yaml").write_text(PLAN.replace("SENSOR", sensor.plan), encoding="utf-8")
-        process, control = _served(folder, "asked.yaml", "--copy", str(folder / "bench.yaml"))
-        return cls(folder, process, control, Forks(ENVIRONMENT), sensor)
+        process, control, token = _served(folder, "asked.yaml", "--copy", str(folder / "bench.yaml"))
+        return cls(folder, process, control, token, Forks(ENVIRONMENT), sensor)
 
     def start_again(self) -> None:
         """At the same addresses, after its process was killed."""
-        self.process, self.control = _served(self.folder, "bench.yaml")
+        self.process, self.control, self.token = _served(self.folder, "bench.yaml")
 
     def stop(self) -> None:
         self.forks.close()
@@ -122,11 +123,11 @@ class SmallBench:
             raise
 
     def inject(self, fault: str) -> int:
-        return int(ask(self.control, {"inject": fault})["fault"])
+        return int(ask(self.control, {"inject": fault}, self.token)["fault"])
 
     def clear(self) -> None:
         """End all faults, and wait until their ports are back."""
-        ask(self.control, {"clear": "all"})
+        ask(self.control, {"clear": "all"}, self.token)
         until(lambda: not self.state()["faults"], "the faults are cleared")
         for address in ask(self.control, {"ask": "bench"})["addresses"].values():
             if "/" in address:
@@ -141,10 +142,10 @@ class SmallBench:
                 time.sleep(1)
         return ask(self.control, {"ask": "state"})
 
-    def planrunner(self, *arguments: str) -> Run:
+    def planrunner(self, *arguments: str, environment: Mapping[str, str] | None = None) -> Run:
         """A process of planrunner in the bench's folder."""
         self.runs += 1
-        return self.forks.start([*arguments], self.folder, self.folder / f"said-{self.runs}.txt")
+        return self.forks.start([*arguments], self.folder, self.folder / f"said-{self.runs}.txt", environment or {})
 
 
 ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -158,7 +159,7 @@ def until(condition: Callable[[], bool], what: str, patience: float = PATIENCE, 
         time.sleep(pause)
 
 
-def _served(folder: Path, bench: str, *more: str) -> tuple[subprocess.Popen[str], str]:
+def _served(folder: Path, bench: str, *more: str) -> tuple[subprocess.Popen[str], str, str]:
     ready = folder / "ready.json"
     ready.unlink(missing_ok=True)
     command = [sys.executable, "-m", "planrunner", "simulate-bench", bench, "--speed", str(SPEED)]
@@ -173,4 +174,5 @@ def _served(folder: Path, bench: str, *more: str) -> tuple[subprocess.Popen[str]
         )
     until(lambda: ready.exists() or process.poll() is not None, "the simulated bench is ready")
     assert process.poll() is None, (folder / "simulated.log").read_text(encoding="utf-8")
-    return process, str(json.loads(ready.read_text(encoding="utf-8"))["control"])
+    note = json.loads(ready.read_text(encoding="utf-8"))
+    return process, str(note["control"]), str(note["token"])

@@ -121,28 +121,87 @@ def test_the_sensor_feels_the_chamber_and_the_table(served: dict[str, Any]) -> N
 
 
 def test_faults_are_declared_while_it_runs(served: dict[str, Any]) -> None:
-    control = served["control"]
-    told = ask(control, {"inject": "{instrument: table, fault: interlock open, for: 20 s}"})
+    control, token = served["control"], served["token"]
+    told = ask(control, {"inject": "{instrument: table, fault: interlock open, for: 20 s}"}, token)
     until(control, lambda state: [item["begun"] for item in state["faults"]] == [True])
     with connected(served["addresses"]["table"]) as table:
         assert said(table, ":interlock? 1").endswith(b"Fault\n")
-        ask(control, {"clear": told["fault"]})
+        ask(control, {"clear": told["fault"]}, token)
         until(control, lambda state: not state["faults"])
         table.sendall(b":int:reset\n")
         assert said(table, ":interlock? 1").endswith(b"Open\n")
     with pytest.raises(InstrumentError, match="cannot have the fault"):
-        ask(control, {"inject": {"instrument": "gyro", "fault": "stuck"}})
+        ask(control, {"inject": {"instrument": "gyro", "fault": "stuck"}}, token)
     with pytest.raises(InstrumentError, match="one of ask"):
-        ask(control, {"dance": True})
+        ask(control, {"dance": True}, token)
+
+
+def heard(control: str, data: bytes) -> bytes:
+    """All that is answered to these bytes until the other side hangs up."""
+    host, _, port = control.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        connection.sendall(data)
+        connection.shutdown(socket.SHUT_WR)
+        return b"".join(iter(lambda: connection.recv(4096), b""))
+
+
+INJECT = b'{"inject": {"instrument": "gyro", "fault": "silent", "for": "1 s"}}\n'
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        pytest.param(
+            b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n" + INJECT, id="a page's post"
+        ),
+        pytest.param(INJECT, id="no token"),
+        pytest.param(INJECT.replace(b"{", b'{"token": "guessed", ', 1), id="a wrong token"),
+        pytest.param(INJECT.replace(b"{", b'{"token": ["a"], "ask": "dance", ', 1), id="a question beside it"),
+        pytest.param(b"[" * 60_000 + b"\n" + INJECT, id="deep"),
+        pytest.param(b'{"stop": true}\n', id="stop"),
+    ],
+)
+def test_nobody_without_the_token_changes_anything(served: dict[str, Any], lines: bytes) -> None:
+    """The connection ends at the first line that is refused: whatever follows it is not read, also with the token."""
+    command = INJECT.replace(b"{", b'{"token": "' + served["token"].encode() + b'", ', 1)
+    answer = heard(served["control"], lines + command)
+    assert answer.startswith(b'{"error": ') and answer.count(b"\n") == 1
+    assert ask(served["control"], {"ask": "state"})["faults"] == []
+
+
+def test_questions_and_the_token_keep_a_connection(served: dict[str, Any]) -> None:
+    token = json.dumps(served["token"]).encode()
+    answers = heard(served["control"], b'{"ask": "bench"}\n{"clear": "all", "token": %s}\n{"ask": "state"}\n' % token)
+    assert [*map(set, map(json.loads, answers.splitlines()))][1] == {"cleared"} and answers.count(b"\n") == 3
+
+
+def test_the_command_line_takes_the_token_from_the_readiness_file(
+    served: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ready, bench = served["folder"] / "ready.json", str(served["folder"] / "bench.yaml")
+    assert ready.stat().st_mode & 0o077 == 0
+    fault = "{instrument: gyro, fault: silent, for: 1 s}"
+    assert main(["simulate-bench", bench, "--ready", str(ready), "--inject", fault]) == 0
+    assert capsys.readouterr().out.startswith("fault: ")
+    assert main(["simulate-bench", bench, "--ready", str(ready), "--clear", "all"]) == 0
+    (tmp_path / "other.json").write_text(
+        ready.read_text(encoding="utf-8").replace("127.0.0.1:", "127.0.0.1:1"), "utf-8"
+    )
+    (tmp_path / "none.json").write_text("[]", encoding="utf-8")
+    os.mkfifo(tmp_path / "pipe.json")
+    for more in ([], *(["--ready", str(tmp_path / f"{name}.json")] for name in ("missing", "none", "other", "pipe"))):
+        assert main(["simulate-bench", bench, "--stop", *more]) == WRONG_INPUT
+        assert "error[simulation-token]" in capsys.readouterr().err
+    assert ask(served["control"], {"ask": "state"})["faults"] == []
 
 
 def test_a_port_that_refuses_comes_back(served: dict[str, Any]) -> None:
-    control, address = served["control"], served["addresses"]["chamber"]
-    number = ask(control, {"inject": {"instrument": "chamber", "fault": "refuse"}})["fault"]
+    control, address, token = served["control"], served["addresses"]["chamber"], served["token"]
+    number = ask(control, {"inject": {"instrument": "chamber", "fault": "refuse"}}, token)["fault"]
     until(control, lambda state: state["faults"] and state["faults"][0]["begun"])
     with pytest.raises(ConnectionRefusedError):
         connected(address).close()
-    ask(control, {"clear": number})
+    ask(control, {"clear": number}, token)
     until(control, lambda state: not state["faults"])
     deadline = time.monotonic() + 5
     while True:
@@ -156,11 +215,11 @@ def test_a_port_that_refuses_comes_back(served: dict[str, Any]) -> None:
 
 
 def test_a_line_that_is_unplugged_comes_back(served: dict[str, Any]) -> None:
-    control, link = served["control"], Path(served["addresses"]["gyro"])
-    number = ask(control, {"inject": {"instrument": "gyro", "fault": "unplug"}})["fault"]
+    control, link, token = served["control"], Path(served["addresses"]["gyro"]), served["token"]
+    number = ask(control, {"inject": {"instrument": "gyro", "fault": "unplug"}}, token)["fault"]
     until(control, lambda state: state["faults"] and state["faults"][0]["begun"])
     assert not link.is_symlink()
-    ask(control, {"clear": number})
+    ask(control, {"clear": number}, token)
     until(control, lambda state: not state["faults"])
     assert frames_of(str(link), 100)
 

@@ -1,0 +1,138 @@
+"""Whether a folder can be changed by nobody but its user and the administrator, along its whole path.
+
+What planrunner keeps outside the folders that it is given (compiled code, locks) must not be planted by another user of the computer: a
+cache of compiled code is executed when it is read, and a link in place of a lock file makes planrunner write elsewhere. So every folder
+from the root down, and every link on the way, must belong to the user or to the administrator, and must not be writable by others; a
+folder that all may write to passes where its sticky bit keeps each entry to its owner, as that of `/tmp` does. Access control lists
+count, since POSIX shows them in the group's bits.
+
+Windows has no such bits: there only the folders that the system itself keeps for the user, or for all users, are taken
+(`user_data`, `computer_data`), whose access control lists say the same, and no folder beneath them may be a link or a junction.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+_MOST_LINKS = 40
+ADMINISTRATOR = 0
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
+
+
+class UntrustedFolderError(Exception):
+    """Somebody else could change what lies there; the message says where and why."""
+
+
+def this_user() -> int:
+    """The user's number; on Windows, which has none, 0."""
+    return 0 if sys.platform == "win32" else os.geteuid()
+
+
+def trusted(folder: Path, user: int | None = None) -> Path:
+    """The folder itself, without links, once nobody but `user` (this one without it) and the administrator can change what the path leads
+    to. Raises `UntrustedFolderError`, and `OSError` for a folder that is not there."""
+    user = this_user() if user is None else user
+    walked = list(_components(folder))
+    for path, known in walked:
+        hold(path, known, user)
+    found, known = walked[-1]
+    if not stat.S_ISDIR(known.st_mode):
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(found))
+    return found
+
+
+def trusted_within(folder: Path, user: int | None = None) -> None:
+    """Hold everything that lies in a trusted folder to the same rule: folders and files of the user's, no links. Raises
+    `UntrustedFolderError` and `OSError`."""
+    user = this_user() if user is None else user
+    reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
+    for place, folders, files in os.walk(folder, onerror=_raise):
+        for name in (*folders, *files):
+            path = Path(place, name)
+            try:
+                known = path.lstat()
+            except FileNotFoundError:  # another process of the user's has just put something in place
+                continue
+            if not (stat.S_ISREG(known.st_mode) or stat.S_ISDIR(known.st_mode)) or _is_junction(known):
+                raise UntrustedFolderError(f"{path} is neither a file nor a folder")
+            hold(path, known, user, reachable=reachable)
+
+
+def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
+    """Raises `UntrustedFolderError` for something of another user's, or that others may write to. reachable: whether others get there."""
+    if sys.platform == "win32":
+        return
+    if known.st_uid not in (user, ADMINISTRATOR):
+        raise UntrustedFolderError(f"{path} belongs to another user (number {known.st_uid})")
+    if stat.S_ISLNK(known.st_mode) or not reachable:
+        return
+    if known.st_mode & OTHERS_WRITE and not (stat.S_ISDIR(known.st_mode) and known.st_mode & stat.S_ISVTX):
+        raise UntrustedFolderError(f"others may write to {path} (mode {stat.S_IMODE(known.st_mode):o})")
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, for the user alone. Raises `OSError`."""
+    for path in (*reversed(folder.parents), folder):
+        if not path.exists():
+            path.mkdir(mode=0o700, exist_ok=True)
+
+
+def computer_data() -> Path:
+    """Windows: where the system keeps data for all users, whatever the environment says."""
+    return _known_folder(0x23)
+
+
+def user_data() -> Path:
+    """Windows: where the system keeps this user's data on this computer, whatever the environment says."""
+    return _known_folder(0x1C)
+
+
+def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
+    import ctypes
+
+    room = ctypes.create_unicode_buffer(260)
+    shell = ctypes.windll.shell32  # type: ignore[attr-defined,unused-ignore]
+    if shell.SHGetFolderPathW(None, number, None, 0, room) != 0 or not room.value:
+        raise OSError(f"the system does not say where its folder {number:#x} is")
+    return Path(room.value)
+
+
+def _components(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
+    """Every folder from the root to `folder`, links among them included, each with what is known of it; without links behind them."""
+    path = Path(os.path.abspath(folder))
+    here, ahead, links = Path(path.anchor), list(path.parts[1:]), 0
+    yield here, here.lstat()
+    while ahead:
+        name = ahead.pop(0)
+        if name == os.pardir:
+            here = here.parent
+            continue
+        known = (here / name).lstat()
+        if not (stat.S_ISLNK(known.st_mode) or _is_junction(known)):
+            here = here / name
+            yield here, known
+            continue
+        links += 1
+        if links > _MOST_LINKS:
+            raise UntrustedFolderError(f"{folder} is a chain of links without end")
+        if _is_junction(known):
+            raise UntrustedFolderError(f"{here / name} is a junction")
+        yield here / name, known
+        target = Path(os.readlink(here / name))
+        here = Path(target.anchor) if target.is_absolute() else here
+        ahead = [*(target.parts[1:] if target.is_absolute() else target.parts), *ahead]
+
+
+def _is_junction(known: os.stat_result) -> bool:
+    attributes: int = getattr(known, "st_file_attributes", 0)
+    return bool(attributes & 0x400) and not stat.S_ISLNK(known.st_mode)
+
+
+def _raise(error: OSError) -> None:
+    raise error
