@@ -12,10 +12,12 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
+from typing import NoReturn
 
 from planrunner import __version__
-from planrunner.plan.findings import InputError
+from planrunner.plan.findings import InputError, Mark
 
 DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
@@ -42,16 +44,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The `planrunner` command. Returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
+    asked = Asked("--json" in arguments)
     try:
-        code = _run(arguments)
+        code = _run(arguments, asked)
         if sys.stdout is not None:
             sys.stdout.flush()  # what cannot be written shows here, not while the interpreter ends
         return code
-    except InputError as error:
-        from planrunner.cli.printing import print_findings
-
-        print_findings(error.findings)
-        return WRONG_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -63,7 +61,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if isinstance(error, OSError):
             _let_go_of_output()
-        return _explain(error)
+        return _fail(error, as_json=asked.json)
+
+
+@dataclass(slots=True)
+class Asked:
+    """How the command line wants to be answered. json: pure JSON on standard output, errors too."""
+
+    json: bool
+
+
+class _Parser(argparse.ArgumentParser):
+    """Wrong usage is a finding where JSON is asked for; else argparse prints it."""
+
+    asked = Asked(False)
+
+    def error(self, message: str) -> NoReturn:
+        if self.asked.json:
+            usage = " ".join(self.format_usage().split())
+            raise InputError.at(Mark("<command line>"), "command-usage", message, usage)
+        super().error(message)
+
+
+def _fail(error: Exception, *, as_json: bool) -> int:
+    """What went wrong, as text on standard error and, where asked for, as a list of findings on standard output. Returns the exit code."""
+    from planrunner.cli.failures import failure_of
+    from planrunner.cli.printing import print_json
+
+    failure = failure_of(error)
+    failure.show()
+    if as_json:
+        with contextlib.suppress(OSError):
+            print_json([finding.to_json() for finding in failure.findings])
+    return failure.code
 
 
 def _let_go_of_output() -> None:
@@ -82,8 +112,9 @@ def _print_anything() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _run(arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(
+def _run(arguments: list[str], asked: Asked) -> int:
+    _Parser.asked = asked
+    parser = _Parser(
         prog="planrunner",
         description="Declarative test plans for inertial sensors.",
         epilog="`planrunner COMMAND --help` explains a command.",
@@ -98,34 +129,8 @@ def _run(arguments: list[str]) -> int:
             module = import_module(f"planrunner.cli.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.set_defaults(run=module.run)
+    parser.set_defaults(json=False)
     parsed = parser.parse_args(arguments)
+    asked.json = parsed.json
     code: int = parsed.run(parsed)
     return code
-
-
-def _explain(error: Exception) -> int:
-    """Known kinds of failure as a message; anything else as an internal error with a file for whoever mends it."""
-    known = {
-        "IntegrityError": INTEGRITY,
-        "InstrumentError": FAULT,
-        "EstimationError": WRONG_INPUT,
-        "ReportError": WRONG_INPUT,
-        "ExportError": WRONG_INPUT,
-    }
-    for kind in type(error).__mro__:
-        if kind.__name__ in known:
-            print(f"error: {error}", file=sys.stderr)
-            return known[kind.__name__]
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
-        return WRONG_INPUT
-    import tempfile
-    import traceback
-
-    with tempfile.NamedTemporaryFile("w", prefix="planrunner-", suffix=".txt", delete=False, encoding="utf-8") as file:
-        file.write(traceback.format_exc())
-    print(
-        f"internal error: {type(error).__name__}: {error}\nPlease report it with the file {file.name}.", file=sys.stderr
-    )
-    return FAULT

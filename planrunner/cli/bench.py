@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from planrunner import cli, plugins
 from planrunner.bench.model import read_bench, shipped_benches
+from planrunner.cli.printing import print_json
 from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="the shipped benches and the installed drivers")
+    listing = actions.add_parser("list", help="the shipped benches and the installed drivers")
+    listing.add_argument("--json", action="store_true", help="print them as JSON")
     pinging = actions.add_parser("ping", help="ask every instrument of a bench who it is; nothing moves")
     pinging.add_argument("bench", help="bench file, or the name of a shipped bench")
     pinging.add_argument("--data", type=Path, metavar="DIR", help="folder that recordings lie beneath")
@@ -24,24 +26,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    return _ping(args) if args.action == "ping" else _list()
+    return _ping(args) if args.action == "ping" else _list(as_json=args.json)
 
 
-def _list() -> int:
+def _list(*, as_json: bool) -> int:
+    benches = {name: read_bench(name)[0] for name in shipped_benches()}
+    drivers = {name: plugins.load(plugins.INSTRUMENTS, name) for name in plugins.names(plugins.INSTRUMENTS)}
+    places = {name: " ".join((bench.description or bench.name).split()) for name, bench in benches.items()}
+    abouts = {name: (driver.__doc__ or driver.__name__).strip().partition("\n")[0] for name, driver in drivers.items()}
+    if as_json:
+        print_json(
+            {
+                "benches": [{"name": name, "description": text} for name, text in places.items()],
+                "drivers": [
+                    {"name": name, "role": drivers[name].role, "description": text} for name, text in abouts.items()
+                ],
+            }
+        )
+        return cli.DONE
     print("Shipped benches (use with --bench NAME, or `bench: NAME` in a plan):")
-    for name in shipped_benches():
-        bench, _, _ = read_bench(name)
-        print(f"  {name:<24} {' '.join((bench.description or bench.name).split())}")
+    for name, text in places.items():
+        print(f"  {name:<24} {text}")
     print("Instrument drivers (`driver: NAME` in a bench file):")
-    for name in plugins.names(plugins.INSTRUMENTS):
-        driver = plugins.load(plugins.INSTRUMENTS, name)
-        about = (driver.__doc__ or driver.__name__).strip().partition("\n")[0]
-        print(f"  {name:<24} {driver.role}: {about}")
+    for name, text in abouts.items():
+        print(f"  {name:<24} {drivers[name].role}: {text}")
     return cli.DONE
 
 
 def _ping(args: argparse.Namespace) -> int:
-    from planrunner.cli.printing import print_json
     from planrunner.pinging import ping
 
     bench, _, shown = read_bench(args.bench)

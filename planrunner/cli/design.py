@@ -53,14 +53,12 @@ def run(args: argparse.Namespace) -> int:
     with _progress(args.quiet) as progress:
         study: Any = kind.study(args, _seconds(args.time), progress)
     print_findings(study.checked.findings)
-    _show(args, kind.context(study), _page(kind))
-    if args.write is not None:
-        from planrunner.designed_plan import write_plan
-
-        if not study.text:
-            raise EstimationError(kind.missing(study))
-        print_findings(write_plan(study, args.write, args.bench).findings)
-        print(args.write, file=sys.stderr if args.json else sys.stdout)
+    context, page = kind.context(study), _page(kind)
+    if not args.json:
+        _show(context, page)
+    _write(args, kind, study, context, page)
+    if args.json:
+        print_json(page.to_json(context))
     return cli.DONE
 
 
@@ -86,21 +84,30 @@ def _page(kind: ModuleType) -> ModuleType:
     return {design_positions: design_page, design_rates: rates_page, design_cycle: cycle_page}[kind]
 
 
-def _show(args: argparse.Namespace, context: Any, page: ModuleType) -> None:
+def _show(context: Any, page: ModuleType) -> None:
     from planrunner.reporting import terminal
 
-    if args.json:
-        print_json(page.to_json(context))
-    else:
-        console = terminal.console()
-        console.print(printable(page.heading(context)))
-        for table in page.tables(context):
-            console.print(terminal.data_table(table))
-        for note in page.notes(context):
-            console.print(printable(f"note: {note}"), style="dim")
+    console = terminal.console()
+    console.print(printable(page.heading(context)))
+    for table in page.tables(context):
+        console.print(terminal.data_table(table))
+    for note in page.notes(context):
+        console.print(printable(f"note: {note}"), style="dim")
+
+
+def _write(args: argparse.Namespace, kind: ModuleType, study: Any, context: Any, page: ModuleType) -> None:
+    """The page and the plan, where they are asked for."""
+    out = sys.stderr if args.json else sys.stdout
     if args.html is not None:
         write_file(args.html, page.render_page(context))
-        print(args.html, file=sys.stderr if args.json else sys.stdout)
+        print(args.html, file=out)
+    if args.write is not None:
+        from planrunner.designed_plan import write_plan
+
+        if not study.text:
+            raise EstimationError(kind.missing(study))
+        print_findings(write_plan(study, args.write, args.bench).findings)
+        print(args.write, file=out)
 
 
 def _seconds(text: str | None) -> float | None:

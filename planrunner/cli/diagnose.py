@@ -77,15 +77,16 @@ def run(args: argparse.Namespace) -> int:
     found = made.to_json()
     text = _next(args, found)
     context = _context(made, found, text)
+    if args.html is not None:
+        from planrunner.reporting.diagnosis_page import render_page
+
+        write_file(args.html, render_page(context))
     if args.json:
         print_json(found)
     else:
         _show(context)
     out = sys.stderr if args.json else sys.stdout
     if args.html is not None:
-        from planrunner.reporting.diagnosis_page import render_page
-
-        write_file(args.html, render_page(context))
         print(args.html, file=out)
     if args.next is not None:
         print(args.next if text else "No plan is proposed.", file=out)

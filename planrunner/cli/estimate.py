@@ -1,4 +1,4 @@
-"""`planrunner estimate`: from the recording alone, as a new analysis beside the earlier ones."""
+"""`planrunner estimate`: from the recordings alone, as a new analysis beside the earlier ones of each run."""
 
 from __future__ import annotations
 
@@ -7,18 +7,23 @@ import json
 import sys
 from pathlib import Path
 
+from planrunner.cli.each_run import Done, add_runs, each_run
 from planrunner.cli.outcome import conclude
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    add_runs(parser)
+    parser.add_argument("--json", action="store_true", help="print a list of results as JSON, one entry a run")
 
 
 def run(args: argparse.Namespace) -> int:
+    return each_run(args.runs, lambda folder: _estimate(folder, as_json=args.json), as_json=args.json)
+
+
+def _estimate(folder: Path, *, as_json: bool) -> Done:
     from planrunner import running
 
-    analysis = running.analyse_run(args.run_folder)
+    analysis = running.analyse_run(folder)
     earlier = analysis.folder.parent / str(int(analysis.folder.name) - 1) / "results.json"
     if earlier.is_file():
         same = json.loads(earlier.read_text(encoding="utf-8")) == json.loads(
@@ -26,4 +31,4 @@ def run(args: argparse.Namespace) -> int:
         )
         verdict = "the same numbers as" if same else "OTHER NUMBERS than"
         print(f"analysis {analysis.folder.name} has {verdict} analysis {earlier.parent.name}", file=sys.stderr)
-    return conclude(analysis, as_json=args.json)
+    return conclude(analysis, as_json=as_json)

@@ -1,12 +1,15 @@
-"""`planrunner export`: coefficients of a run's newest analysis for other tools."""
+"""`planrunner export`: coefficients of the newest analysis of one or more runs, for other tools."""
 
 from __future__ import annotations
 
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 from planrunner import cli
+from planrunner.cli.each_run import Done, each_run
+from planrunner.cli.failures import COMMAND_LINE
 from planrunner.cli.printing import write_file
 from planrunner.plan.findings import InputError, Mark, closest
 
@@ -14,41 +17,83 @@ FORMS = {"csv": "csv", "matlab": "m", "yaml": "yaml", "c": "h"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
-    parser.add_argument("estimate", metavar="ESTIMATE", nargs="?", help="name of the estimate (default: the first)")
+    parser.add_argument(
+        "words",
+        metavar="RUN|ESTIMATE",
+        nargs="+",
+        type=Path,
+        help="run folder, or several; then the name of the estimate (default: the first)",
+    )
     parser.add_argument("--format", choices=FORMS, default="csv", help="csv, matlab, yaml or c (default: csv)")
     parser.add_argument("--analysis", type=int, metavar="N", help="number of the analysis (default: the newest)")
-    parser.add_argument("--output", metavar="FILE", type=Path, help="file to write (default: standard output)")
+    parser.add_argument(
+        "--output",
+        metavar="FILE",
+        type=Path,
+        help="file to write, or a folder for one file a run (default: standard output)",
+    )
+    parser.add_argument("--json", action="store_true", help="print a list of coefficients as JSON, one entry a run")
 
 
 def run(args: argparse.Namespace) -> int:
+    runs, name = _told(args.words)
+    folder = args.output is not None and args.output.is_dir()
+    if len(runs) > 1 and not args.json and not folder:
+        message = "the coefficients of several runs do not go into one file"
+        raise InputError.at(
+            Mark(COMMAND_LINE), "export-several", message, "give --json, or a folder that exists as --output"
+        )
+    return each_run(runs, lambda run: _export(run, name, args, folder=folder), as_json=args.json)
+
+
+def _told(words: list[Path]) -> tuple[list[Path], str]:
+    """The run folders, and the name of the estimate where the last word is no folder; the first is always a run."""
+    *others, last = words
+    return (others, str(last)) if others and not last.is_dir() else (words, "")
+
+
+def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) -> Done:
     from planrunner.archive.analyses import check_analysis
     from planrunner.archive.run_reader import RunReader
     from planrunner.estimators.analysis import Results
     from planrunner.reporting.export import export
 
-    reader = RunReader.open(args.run_folder)
-    folders = {int(folder.name): folder for folder in reader.analyses()}
+    reader = RunReader.open(run)
+    folders = {int(place.name): place for place in reader.analyses()}
     number = args.analysis if args.analysis is not None else max(folders, default=0)
     if number not in folders:
         message = "this run has no such analysis" if folders else "this run has no analysis yet"
         known = ", ".join(map(str, folders))
         hint = f"known here: {known}" if folders else "make one with `planrunner estimate`"
-        raise InputError.at(Mark(str(args.run_folder)), "analysis-missing", message, hint)
+        raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
     check_analysis(folders[number])
     results = Results.from_json(json.loads((folders[number] / "results.json").read_text(encoding="utf-8")))
     if not results.estimates:
         message, hint = "no estimate of this analysis came to a result", "its reports say why"
         raise InputError.at(Mark(str(folders[number])), "estimate-missing", message, hint)
-    name = args.estimate or next(iter(results.estimates), "")
+    name = asked or next(iter(results.estimates), "")
     if name not in results.estimates:
         hint = closest(name, results.estimates)
         raise InputError.at(Mark(str(folders[number])), "estimate-missing", f"there is no estimate '{name}'", hint)
-    provenance = {"run": reader.run["run"], "analysis": str(number), "plan": reader.run["plan"]}
-    text = export(results.estimates[name], args.format, provenance)
-    if args.output is None:
+    estimate = results.estimates[name]
+    whole = Results({name: estimate}).to_json()["estimates"][0]
+    found: dict[str, Any] = {
+        "analysis": number,
+        "plan": reader.run["plan"],
+        "estimate": name,
+        **{key: whole[key] for key in ("estimator", "coefficients", "covariance")},
+    }
+    target: Path | None = args.output
+    if target is None and args.json:
+        return Done(cli.DONE, found)
+    text = export(
+        estimate, args.format, {"run": reader.run["run"], "analysis": str(number), "plan": reader.run["plan"]}
+    )
+    if target is None:
         print(text, end="")
-    else:
-        write_file(args.output, text)
-        print(args.output)
-    return cli.DONE
+        return Done(cli.DONE)
+    target = target / f"{reader.run['run']}-{name}.{FORMS[args.format]}" if folder else target
+    write_file(target, text)
+    if not args.json:
+        print(target)
+    return Done(cli.DONE, {**found, "file": str(target)})

@@ -3,44 +3,90 @@
 from __future__ import annotations
 
 import argparse
-import errno
-import shutil
+import re
 from pathlib import Path
 
 from planrunner import cli
+from planrunner.cli.printing import print_json
 from planrunner.plan import source
 from planrunner.plan.findings import InputError, Mark, closest
 from planrunner.shipped import shipped
+
+SCHEMA = "plan.schema.json"
+_HEADER = re.compile(rb"^# yaml-language-server: \$schema=(\S+)", re.MULTILINE)  # by which editors find the schema
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", nargs="?", metavar="NAME", help="shipped plan to copy; without it they are listed")
     parser.add_argument("target", nargs="?", metavar="FILE", help="where to write it (default: NAME.yaml here)")
+    parser.add_argument("--json", action="store_true", help="print the list, or the files written, as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     plans = {file.stem: file for file in sorted(shipped("plans").glob("*.yaml"))}
     if args.plan is None:
-        for name, file in plans.items():
-            title = source.load(file).get("title")
-            print(f"{name:<36} {title.text if isinstance(title, source.Scalar) else ''}")
-        print("\nCopy one with: planrunner new NAME [FILE]")
-        return cli.DONE
+        return _list(plans, as_json=args.json)
     if args.plan not in plans:
         raise InputError.at(
             Mark(args.plan), "new-unknown", f"no shipped plan is called '{args.plan}'", closest(args.plan, plans)
         )
     target = Path(args.target or f"{args.plan}.yaml")
-    try:
-        with plans[args.plan].open("rb") as original, target.open("xb") as copy:
-            shutil.copyfileobj(original, copy)
-    except OSError as error:
-        if not isinstance(error, FileExistsError):
-            if error.errno == errno.ENOSPC:
-                target.unlink(missing_ok=True)
-            message = f"the file cannot be written: {error.strerror or error}"
-            hint = "make room, or name a file in another folder"
-            raise InputError.at(Mark(str(target)), "file-unwritable", message, hint) from None
-        raise InputError.at(Mark(str(target)), "new-exists", "this file exists already", "name another one") from None
+    schema = _copy(plans[args.plan], target)
+    if args.json:
+        print_json({"plan": str(target), "schema": str(schema)})
+        return cli.DONE
     print(f"{target}: check it with `planrunner check {target}`")
     return cli.DONE
+
+
+def _list(plans: dict[str, Path], *, as_json: bool) -> int:
+    titles: dict[str, str] = {}
+    for name, file in plans.items():
+        written = source.load(file).get("title")
+        titles[name] = written.text if isinstance(written, source.Scalar) else ""
+    if as_json:
+        print_json([{"name": name, "title": title} for name, title in titles.items()])
+        return cli.DONE
+    for name, title in titles.items():
+        print(f"{name:<36} {title}")
+    print("\nCopy one with: planrunner new NAME [FILE]")
+    return cli.DONE
+
+
+def _copy(original: Path, target: Path) -> Path:
+    """Copies a plan, whole or not at all, so that its first line names a schema that exists. Returns the schema's file.
+
+    The schema of the target's project is named where there is one; else the shipped one is written beside the plan. Raises `InputError`.
+    """
+    text = original.read_bytes()
+    header = _HEADER.search(text)
+    named = header.group(1).decode() if header else SCHEMA
+    place = next((name for name in (named, f"schemas/{SCHEMA}", SCHEMA) if (target.parent / name).is_file()), None)
+    schema = target.parent / (place or SCHEMA)
+    if header:
+        text = text[: header.start(1)] + (place or SCHEMA).encode() + text[header.end(1) :]
+    _write_new(target, text)
+    if place is None:
+        try:
+            _write_new(schema, (shipped("schemas") / SCHEMA).read_bytes())
+        except InputError:
+            target.unlink(missing_ok=True)
+            raise
+    return schema
+
+
+def _write_new(path: Path, text: bytes) -> None:
+    try:
+        with path.open("xb") as file:
+            try:
+                file.write(text)
+                file.flush()
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
+    except FileExistsError:
+        raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "name another one") from None
+    except OSError as error:
+        message = f"the file cannot be written: {error.strerror or error}"
+        hint = "make room, or name a file in another folder"
+        raise InputError.at(Mark(str(path)), "file-unwritable", message, hint) from None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner import cli
+from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.reporting.printable import printable
 
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
     from planrunner.running import Analysis
 
 
-def tell(folder: Path, outcome: Outcome) -> int:
-    """How a run that did not finish ended, what is kept, and how to go on."""
+def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
+    """How a run that did not finish ended, what is kept, and how to go on: on standard error, and as JSON where that is wanted."""
     for failure in outcome.failures:
         print(printable(f"error: {failure}"), file=sys.stderr)
     for unsafe in outcome.unsafe:
@@ -28,19 +29,40 @@ def tell(folder: Path, outcome: Outcome) -> int:
         print(f"Stopped {outcome.stopped} on request.", file=sys.stderr)
     print(f"{outcome.completed} of {outcome.segments} segments were recorded now and are kept.", file=sys.stderr)
     print(f"Go on with: planrunner resume {folder}", file=sys.stderr)
-    return cli.INTERRUPTED if outcome.stopped and not outcome.failures and not outcome.unsafe else cli.FAULT
-
-
-def conclude(analysis: Analysis, *, as_json: bool) -> int:
-    """The results in the terminal, the verdict's exit code, and the path of the first report (or of the analysis) as the last line."""
+    code = cli.INTERRUPTED if outcome.stopped and not outcome.failures and not outcome.unsafe else cli.FAULT
     if as_json:
-        print_json({"analysis": str(analysis.folder), **analysis.results.to_json()})
-    else:
+        print_json(
+            {
+                "run": str(folder),
+                "exit_code": code,
+                "failures": [str(failure) for failure in outcome.failures],
+                "unsafe": list(outcome.unsafe),
+                "stopped": outcome.stopped,
+                "recorded": outcome.completed,
+                "segments": outcome.segments,
+            }
+        )
+    return code
+
+
+def conclude(analysis: Analysis, *, as_json: bool) -> Done:
+    """The results in the terminal, unless they are wanted as JSON, with the path of the first report (or of the analysis) as the last
+    line; the verdict's exit code and the results as JSON."""
+    if not as_json:
         print_results(analysis.results)
         for path in reversed(analysis.reports or (analysis.folder,)):
             print(path)
     print_findings(analysis.withheld)
-    return code_of(analysis.results)
+    found = {"analysis": str(analysis.folder), **analysis.results.to_json()} if as_json else {}
+    return Done(code_of(analysis.results), found)
+
+
+def finish(analysis: Analysis, *, as_json: bool) -> int:
+    """The end of a command that made one run: its results, and the exit code."""
+    done = conclude(analysis, as_json=as_json)
+    if as_json:
+        print_json(done.found)
+    return done.code
 
 
 def code_of(results: Results) -> int:

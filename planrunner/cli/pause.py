@@ -7,11 +7,13 @@ from pathlib import Path
 
 from planrunner import cli
 from planrunner.archive import pausing
+from planrunner.cli.printing import print_json
 from planrunner.plan.findings import InputError, Mark
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,5 +26,8 @@ def run(args: argparse.Namespace) -> int:
             "give the folder of a run that is going on",
         )
     pausing.ask_to_pause(folder)
+    if args.json:
+        print_json({"run": str(folder), "asked": "pause"})
+        return cli.DONE
     print(f"The run waits after this segment, with the bench safe. Go on with: planrunner resume {folder}")
     return cli.DONE

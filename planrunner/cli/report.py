@@ -1,20 +1,25 @@
-"""`planrunner report`: the reports of a run, again, as a new analysis; a certificate; or a template of your own."""
+"""`planrunner report`: the reports of one or more runs, again, as a new analysis; a certificate; or a template of your own."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from planrunner import cli
+from planrunner.cli.each_run import Done, each_run
+from planrunner.cli.failures import COMMAND_LINE
 from planrunner.cli.printing import print_findings, write_file
-from planrunner.plan.findings import InputError, closest
-from planrunner.run_information import COMMAND_LINE, gather_for_issue
+from planrunner.plan.findings import InputError, Mark, closest
+from planrunner.run_information import gather_for_issue
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
     parser.add_argument(
-        "names", metavar="NAME", nargs="*", help="reports to write instead of the plan's, such as certificate.html"
+        "words",
+        metavar="RUN|NAME",
+        nargs="+",
+        help="run folder, or several; then reports to write instead of the plan's, such as certificate.html",
     )
     parser.add_argument(
         "--set",
@@ -29,29 +34,65 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--template", metavar="FILE", type=Path, help="a template of your own (ending in .html.j2 or .md.j2)"
     )
     parser.add_argument("--output", metavar="FILE", type=Path, help="with --template: the file to write")
+    parser.add_argument(
+        "--json", action="store_true", help="print a list of the files written as JSON, one entry a run"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    from planrunner import certifying, running
-    from planrunner.archive.run_reader import RunReader
+    runs, names = _told(args.words)
+    if len(runs) > 1:
+        _check_several(args, names)
+    return each_run(runs, lambda folder: _report(folder, names, args), as_json=args.json)
+
+
+def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
+    """Run folders, and the names of reports. The first word is always a run; a later one is a run where it is a folder. Raises
+    `InputError` for a name that no report has."""
     from planrunner.checking import report_names
 
     known = report_names()
-    for name in args.names:
-        if name not in known:
-            message = f"there is no report '{name[:60]}'"
-            raise InputError.at(COMMAND_LINE, "meaning-unknown-report", message, closest(name, known))
-    recorded = RunReader.open(args.run_folder).run["info"]
+    runs, names = [Path(words[0])], []
+    for word in words[1:]:
+        if word in known:
+            names.append(word)
+        elif Path(word).is_dir():
+            runs.append(Path(word))
+        else:
+            message = f"there is no report '{word[:60]}'"
+            raise InputError.at(Mark(COMMAND_LINE), "meaning-unknown-report", message, closest(word, known))
+    return runs, tuple(names)
+
+
+def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
+    """A certificate is issued for one item, and one file holds one report. Raises `InputError`."""
+    from planrunner.certificates import is_certificate
+
+    given = {"--set": args.set, "--info": args.info, "--before": args.before, "--template": args.template}
+    alone = [*(name for name in names if is_certificate(name)), *(option for option, value in given.items() if value)]
+    if alone:
+        message = f"{' and '.join(alone)} {'belongs' if len(alone) == 1 else 'belong'} to one run"
+        raise InputError.at(Mark(COMMAND_LINE), "report-several", message, "give one run folder at a time")
+
+
+def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done:
+    from planrunner import certifying, running
+    from planrunner.archive.run_reader import RunReader
+
+    recorded = RunReader.open(run).run["info"]
     given = gather_for_issue([*certifying.names(), *recorded], args.set, args.info)
-    issue = running.Issue(tuple(args.names), given, args.before)
+    issue = running.Issue(names, given, args.before)
     if args.template is None:
-        analysis = running.analyse_run(args.run_folder, issue)
+        analysis = running.analyse_run(run, issue)
         print_findings(analysis.withheld)
-        for path in analysis.reports:
+        written = [*analysis.reports]
+        found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}
+    else:
+        text = running.report_through(run, args.template, issue)
+        written = [args.output or Path(args.template.name.removesuffix(".j2"))]
+        write_file(written[0], text)
+        found = {}
+    if not args.json:
+        for path in written:
             print(path)
-        return cli.DONE
-    text = running.report_through(args.run_folder, args.template, issue)
-    target = args.output or Path(args.template.name.removesuffix(".j2"))
-    write_file(target, text)
-    print(target)
-    return cli.DONE
+    return Done(cli.DONE, {**found, "files": [str(path) for path in written]})

@@ -8,7 +8,8 @@ from pathlib import Path
 from planrunner import cli
 from planrunner.archive import pausing
 from planrunner.cli.operator import operator_of
-from planrunner.cli.outcome import conclude, tell
+from planrunner.cli.outcome import finish, tell
+from planrunner.cli.printing import print_json
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments
 from planrunner.plan.findings import InputError, Mark
@@ -33,7 +34,10 @@ def run(args: argparse.Namespace) -> int:
     if bool(args.retake) != bool(args.reason):
         raise InputError.at(Mark("<command line>"), "run-retake", "--retake and --reason belong together", "give both")
     if pausing.take_back(folder):
-        print("The run goes on.")
+        if args.json:
+            print_json({"run": str(folder), "asked": "go on"})
+        else:
+            print("The run goes on.")
         return cli.DONE
     from planrunner import running
     from planrunner.execution.stopping import StopRequest
@@ -49,5 +53,5 @@ def run(args: argparse.Namespace) -> int:
             retake=retake,
         )
     if not outcome.ok:
-        return tell(folder, outcome)
-    return conclude(running.analyse_run(folder), as_json=args.json)
+        return tell(folder, outcome, as_json=args.json)
+    return finish(running.analyse_run(folder), as_json=args.json)

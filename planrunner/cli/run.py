@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planrunner.cli.check import sound_plan
 from planrunner.cli.operator import add_attendance, operator_of
-from planrunner.cli.outcome import conclude, tell
+from planrunner.cli.outcome import finish, tell
 from planrunner.cli.progress import run_progress
 from planrunner.run_information import gather
 
@@ -66,5 +66,5 @@ def run(args: argparse.Namespace) -> int:
             operator=operator_of(args, notify),
         )
     if not outcome.ok:
-        return tell(folder, outcome)
-    return conclude(running.analyse_run(folder), as_json=args.json)
+        return tell(folder, outcome, as_json=args.json)
+    return finish(running.analyse_run(folder), as_json=args.json)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from planrunner import cli
 from planrunner.bench.model import safe_order
 from planrunner.cli.check import sound_plan
-from planrunner.cli.printing import write_file
+from planrunner.cli.printing import print_json, write_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN", help="plan file")
     parser.add_argument("--bench", metavar="BENCH", help="show it on this bench: a shipped name or a file")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with a picture of every orientation")
+    parser.add_argument("--json", action="store_true", help="print timeline and predicted uncertainties as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -38,7 +40,21 @@ def run(args: argparse.Namespace) -> int:
             warnings=tuple(finding.message for finding in sound.findings if finding.severity == "warning"),
         )
         write_file(args.html, render_show(context))
-        print(args.html)
+        print(args.html, file=sys.stderr if args.json else sys.stdout)
+    if args.json:
+        from planrunner.reporting.show_page import show_json
+
+        print_json(
+            {
+                "plan": sound.file,
+                "title": sound.plan.title,
+                "bench": sound.bench.name,
+                **show_json(sound.schedule, sound.designs),
+                "safe_order": list(safe_order(sound.bench)),
+                "findings": [finding.to_json() for finding in sound.findings],
+            }
+        )
+    if args.html is not None or args.json:
         return cli.DONE
     from planrunner.reporting import terminal
 

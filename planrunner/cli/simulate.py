@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from planrunner.cli.outcome import conclude, tell
+from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments, seed
@@ -58,10 +58,10 @@ def run(args: argparse.Namespace) -> int:
             made.sound, info=info, runs=args.runs, stop=stop, seed=args.seed, durability="flushed", progress=progress
         )
     if not outcome.ok:
-        return tell(folder, outcome)
+        return tell(folder, outcome, as_json=args.json)
     out = sys.stderr if args.json else sys.stdout
     for line in made.words() or ["Nothing was added."]:
         print(printable(f"added {line}" if made.additions else line), file=out)
-    code = conclude(running.analyse_run(folder), as_json=args.json)
+    code = finish(running.analyse_run(folder), as_json=args.json)
     print(folder, file=out)
     return code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from planrunner.estimators.interface import Coefficient, Design, Table
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words
 from planrunner.reporting.orientations import orientation_svg
 from planrunner.reporting.templates import render
@@ -83,6 +85,47 @@ def show_view(context: ShowContext) -> dict[str, Any]:
         "notes": list(context.notes),
         "provenance": named(context.provenance),
         "probability_percent": words.number(100 * context.probability),
+    }
+
+
+def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> dict[str, Any]:
+    """A schedule and what is expected of it as plain JSON data: total_s, segments, predicted (by estimate), in the units that the keys
+    name. None stands for what the plan leaves open."""
+    return {
+        "total_s": schedule.total,
+        "segments": [_segment_json(item) for item in schedule.segments],
+        "predicted": {
+            name: [
+                {
+                    "name": item.name,
+                    "nominal": item.value,
+                    "unit": item.unit,
+                    "standard_uncertainty": item.standard_uncertainty
+                    if math.isfinite(item.standard_uncertainty)
+                    else None,
+                }
+                for item in design.predicted
+            ]
+            for name, design in designs.items()
+        },
+    }
+
+
+def _segment_json(item: Segment) -> dict[str, Any]:
+    return {
+        "index": item.index + 1,
+        "label": item.label,
+        "start_s": item.start,
+        "transition_s": item.transition,
+        "soak_s": item.soak,
+        "settle_s": item.settle,
+        "dwell_s": item.dwell,
+        "orientation": words.orientation(item),
+        "attitude": None if item.attitude is None else item.attitude.tolist(),
+        "motion": words.motion(item.motion),
+        "rate_deg_per_s": math.degrees(item.rate),
+        "temperature_degC": None if item.temperature is None else item.temperature - ZERO_CELSIUS,
+        "ramp_to_degC": None if item.ramp_to is None else item.ramp_to - ZERO_CELSIUS,
     }
 
 

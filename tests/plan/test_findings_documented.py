@@ -22,6 +22,7 @@ PLACES = {
     "at": 1,
     "Finding": 1,
     "Remark": 0,
+    "_Known": 1,
 }
 
 

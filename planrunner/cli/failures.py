@@ -1,0 +1,76 @@
+"""What went wrong with a command: its exit code, what the terminal shows, and the findings that `--json` prints."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import traceback
+from dataclasses import dataclass
+
+from planrunner import cli
+from planrunner.cli.printing import print_findings
+from planrunner.plan.findings import Finding, InputError, Mark
+from planrunner.reporting.printable import printable
+
+COMMAND_LINE = "<command line>"
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """text: what the terminal shows in place of the findings, where they say less."""
+
+    code: int
+    findings: tuple[Finding, ...]
+    text: str = ""
+
+    def show(self) -> None:
+        """To standard error."""
+        if self.text:
+            print(printable(self.text), file=sys.stderr)
+        else:
+            print_findings(self.findings)
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """A kind of failure: its exit code and the code of its finding."""
+
+    exit_code: int
+    code: str
+
+
+_KINDS = {
+    "IntegrityError": _Known(cli.INTEGRITY, "run-integrity"),
+    "InstrumentError": _Known(cli.FAULT, "run-instrument"),
+    "EstimationError": _Known(cli.WRONG_INPUT, "estimate-failed"),
+    "ReportError": _Known(cli.WRONG_INPUT, "report-failed"),
+    "ExportError": _Known(cli.WRONG_INPUT, "export-failed"),
+}
+_SYSTEM = _Known(cli.WRONG_INPUT, "file-system")
+_INTERNAL = _Known(cli.FAULT, "internal-error")
+
+
+def failure_of(error: Exception, where: str = COMMAND_LINE) -> Failure:
+    """What an exception amounts to. where: what the command worked on, for findings that carry no place of their own.
+
+    Of an exception that no rule foresees, the traceback is kept in a temporary file that the message names.
+    """
+    if isinstance(error, InputError):
+        return Failure(cli.WRONG_INPUT, tuple(error.findings))
+    for kind in type(error).__mro__:
+        known = _KINDS.get(kind.__name__)
+        if known is not None:
+            return _failure(known, where, str(error))
+    if isinstance(error, OSError):
+        place = str(error.filename or where)
+        reason = error.strerror or str(error)
+        return _failure(_SYSTEM, place, reason, f"{error.filename}: {reason}" if error.filename else reason)
+    with tempfile.NamedTemporaryFile("w", prefix="planrunner-", suffix=".txt", delete=False, encoding="utf-8") as file:
+        file.write("".join(traceback.format_exception(error)))
+    message, hint = f"{type(error).__name__}: {error}", f"Please report it with the file {file.name}."
+    finding = Finding(Mark(where), _INTERNAL.code, "error", message, hint)
+    return Failure(_INTERNAL.exit_code, (finding,), f"internal error: {message}\n{hint}")
+
+
+def _failure(known: _Known, where: str, message: str, shown: str = "") -> Failure:
+    return Failure(known.exit_code, (Finding(Mark(where), known.code, "error", message),), f"error: {shown or message}")
