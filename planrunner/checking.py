@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
+from functools import cache
 from pathlib import Path
 from statistics import NormalDist
 
@@ -145,9 +146,10 @@ def check_plan(
     return checked
 
 
-def report_names() -> list[str]:
+@cache
+def report_names() -> tuple[str, ...]:
     """The reports that can be written of a run: the shipped templates but those of `show`, `design` and `diagnose`."""
-    return [name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis."))]
+    return tuple(name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis.")))
 
 
 def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 
+@lru_cache(maxsize=8)
 def shipped(folder: str) -> Path:
     """The folder `plans`, `schemas`, `templates` or `locales` that this installation carries. Raises FileNotFoundError when it
     has none.

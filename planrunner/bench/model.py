@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -269,11 +270,16 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
     """
     path, shown = locate(name_or_path, beside)
     data = source.read_bytes(path, shown)
-    text = source.decode(data, shown)
-    bench, log = parse_bench(source.parse(text, shown))
+    return _bench_of(data, shown), data, shown
+
+
+@lru_cache(maxsize=16)
+def _bench_of(data: bytes, shown: str) -> Bench:
+    """The bench that a file's bytes hold, kept because many plans name the same one. Raises `InputError`."""
+    bench, log = parse_bench(source.parse(source.decode(data, shown), shown))
     if bench is None or log.errors:
         raise InputError(log)
-    return bench, data, shown
+    return bench
 
 
 def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.physics.earth import Site
-from planrunner.physics.stimulus import Stimulus, segment_means
+from planrunner.physics.stimulus import Poses, Stimulus
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Segment, Spin
 from planrunner.uncertainty.influences import Influence, Inputs
@@ -24,9 +24,14 @@ Array = NDArray[np.float64]
 _STEP = 1e-5  # rad, or relative: of central differences, whose error is of the order of its square
 
 
+def mean_poses(segments: Sequence[Segment]) -> Poses:
+    """How the segments stand, spins over whole turns: at which angle recording begins in a spin is not known."""
+    return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
+
+
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
-    """What was felt on average, spins over whole turns: at which angle recording begins in a spin is not known."""
-    return segment_means(segments, site, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
+    """What was felt on average, spins over whole turns."""
+    return mean_poses(segments).felt(site)
 
 
 def stated_influences(
@@ -44,10 +49,11 @@ def stated_influences(
 
     def answer(low: Site, high: Site) -> Array:
         """Of all coefficients, (m·p, 1), to a step either way."""
-        change = model.columns(mean_stimulus(segments, high)) - model.columns(mean_stimulus(segments, low))
+        change = model.columns(poses.felt(high)) - model.columns(poses.felt(low))
         sensitivities: Array = -np.einsum("mpn,nq,mq->mp", gains, change / (2 * _STEP), coefficients).reshape(-1, 1)
         return sensitivities
 
+    poses = mean_poses(segments)
     found = []
     if latitude := inputs.get("latitude"):
         low, high = (replace(site, latitude=site.latitude + step) for step in (-_STEP, _STEP))

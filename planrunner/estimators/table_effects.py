@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import Setup
 from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.stated_influences import mean_stimulus
-from planrunner.estimators.turned_segments import DIRECTIONS, UP, turned
+from planrunner.estimators.stated_influences import mean_poses, mean_stimulus
+from planrunner.estimators.turned_segments import DIRECTIONS, UP
 from planrunner.instruments.models import TableModel
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, rotation_about
+from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
+from planrunner.physics.stimulus import Poses
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.influences import InputQuantity
@@ -35,13 +36,14 @@ def table_effects(
     """Those for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
     inputs = setup.inputs
     found: list[Effect] = []
+    poses = mean_poses(segments)
     if position := inputs.get("table position"):
-        found.append(_positions(position, model, segments, site, coefficients))
+        found.append(_positions(position, model, segments, poses, site, coefficients))
     if azimuth := inputs.get("azimuth"):
-        ends = [model.columns(mean_stimulus(turned(segments, UP, step), site)) for step in (-_STEP, _STEP)]
+        ends = [model.columns(poses.felt(site, rotation_about(UP, step))) for step in (-_STEP, _STEP)]
         found.append(_of_one(azimuth, [_slope(ends, _STEP, coefficients)]))
     if (orthogonality := inputs.get("table orthogonality")) and setup.table is not None:
-        found += _right_angles(orthogonality, setup.table, model, segments, site, coefficients)
+        found += _right_angles(orthogonality, setup.table, model, segments, poses, site, coefficients)
     if rate := inputs.get("table rate"):
         rates = np.array([one.motion.rate if isinstance(one.motion, Spin) else 0.0 for one in segments])
         ends = [model.columns(mean_stimulus(_hastened(segments, 1 + step), site)) for step in (-_STEP, _STEP)]
@@ -78,6 +80,7 @@ def orthogonality_tilts(
     `Unreachable`.
     """
     near = np.zeros(len(axes))
+    directions = [np.asarray(axis.direction) for axis in axes]
     tilts = np.empty((len(axes) - 1, len(attitudes), 3))
     for n, attitude in enumerate(attitudes):
         if attitude is None:
@@ -85,7 +88,7 @@ def orthogonality_tilts(
         near = joint_angles(axes, attitude, near, azimuth)
         inward = [rotation_about(axis.direction, -float(angle)) for axis, angle in zip(axes, near, strict=True)]
         for k in range(len(axes) - 1):
-            lean = np.cross(axes[k].direction, axes[k + 1].direction)
+            lean = cross(directions[k], directions[k + 1])
             tilt = lean - inward[k + 1] @ lean
             for turn in inward[k + 2 :]:
                 tilt = turn @ tilt
@@ -94,7 +97,12 @@ def orthogonality_tilts(
 
 
 def _positions(
-    position: InputQuantity, model: ErrorModel, segments: Sequence[Segment], site: Site, coefficients: Array
+    position: InputQuantity,
+    model: ErrorModel,
+    segments: Sequence[Segment],
+    poses: Poses,
+    site: Site,
+    coefficients: Array,
 ) -> Effect:
     """About each direction at each orientation, the same whenever that orientation is taken. It acts across a vector and not along it: an
     accelerometer that points up feels nothing of it, one that lies level all."""
@@ -104,8 +112,7 @@ def _positions(
     changes = np.zeros((m, n, len(DIRECTIONS), len(names)))
     for k, about in enumerate(DIRECTIONS.values()):
         ends = [
-            model.columns(mean_stimulus(turned(segments, about, step, axis_too=False), site))
-            for step in (-_STEP, _STEP)
+            model.columns(poses.felt(site, rotation_about(about, step), axis_too=False)) for step in (-_STEP, _STEP)
         ]
         changes[:, np.arange(n), k, place] = _slope(ends, _STEP, coefficients)
     parts = tuple(f"{name} about {word}" for word in DIRECTIONS for name in names)
@@ -117,6 +124,7 @@ def _right_angles(
     table: TableModel,
     model: ErrorModel,
     segments: Sequence[Segment],
+    poses: Poses,
     site: Site,
     coefficients: Array,
 ) -> tuple[Effect, ...]:
@@ -127,15 +135,16 @@ def _right_angles(
         tilts = orthogonality_tilts(table.axes, [segment.attitude for segment in segments], site.azimuth)
     except Unreachable:
         return ()
-    felt = mean_stimulus(segments, site)
+    felt = poses.felt(site)
     moved = []
     for tilt in tilts:
+        turning, tipping = np.cross(tilt, felt.omega), np.cross(tilt, felt.specific_force)
         ends = [
             model.columns(
                 replace(
                     felt,
-                    omega=felt.omega + step * np.cross(tilt, felt.omega),
-                    specific_force=felt.specific_force + step * np.cross(tilt, felt.specific_force),
+                    omega=felt.omega + step * turning,
+                    specific_force=felt.specific_force + step * tipping,
                 )
             )
             for step in (-_LEAN, _LEAN)

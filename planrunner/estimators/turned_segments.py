@@ -14,10 +14,8 @@ DIRECTIONS = {"east": (1.0, 0.0, 0.0), "north": (0.0, 1.0, 0.0), "up": (0.0, 0.0
 UP = DIRECTIONS["up"]
 
 
-def turned(
-    segments: Sequence[Segment], about: tuple[float, float, float], angle: float, axis_too: bool = True
-) -> tuple[Segment, ...]:
-    """The segments with the sensor turned by `angle` [rad] about a direction, East-North-Up; axis_too: the axes of spins as well.
+def turned(segments: Sequence[Segment], about: tuple[float, float, float], angle: float) -> tuple[Segment, ...]:
+    """The segments with the sensor and the axes of spins turned by `angle` [rad] about a direction, East-North-Up.
 
     On a bench whose azimuth is larger by `angle` than believed, table and sensor are turned by −angle about up.
     """
@@ -26,7 +24,7 @@ def turned(
     for segment in segments:
         attitude = None if segment.attitude is None else np.asarray(segment.attitude @ turn.T)
         motion = segment.motion
-        if axis_too and isinstance(motion, Spin):
+        if isinstance(motion, Spin):
             east, north, up = (turn @ np.asarray(motion.about, dtype=float)).tolist()
             motion = replace(motion, about=(east, north, up))
         found.append(replace(segment, attitude=attitude, motion=motion))

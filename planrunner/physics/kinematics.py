@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -65,8 +66,8 @@ def rotation_about(axis: Sequence[float], angle: float) -> Array:
     )
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """a × b; numpy's own is made for many vectors and takes ten times as long for one."""
+def cross(a: Array, b: Array) -> Array:
+    """a × b, shape (3,); numpy's own is made for many vectors and takes ten times as long for one."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
@@ -88,8 +89,15 @@ def joint_angles(
     A limited axis keeps its absolute angle, so cables unwind where they must; a continuous axis takes the shorter
     way. Raises `Unreachable` saying why.
     """
-    near = tuple(float(angle) for angle in near)
-    wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.asarray(target, dtype=float).T
+    start = np.asarray(near, dtype=float).tobytes()
+    return np.array(_joint_angles(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth))
+
+
+# Plans take the same orientations again and again. As bytes, because the sign of a zero decides between equivalent angles.
+@lru_cache(maxsize=4096)
+def _joint_angles(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azimuth: float) -> Angles:
+    near: Angles = tuple(np.frombuffer(start).tolist())
+    wanted = rotation_about((0.0, 0.0, 1.0), azimuth) @ np.frombuffer(target).reshape(3, 3).T
     candidates = {1: _one_axis, 2: _two_axes, 3: _three_axes}[len(axes)](axes, wanted, near)
     off = _misalignment(axes, candidates[0], wanted)
     if off > REACHED:
@@ -111,7 +119,7 @@ def joint_angles(
         best = choice if best is None or choice[:2] < best[:2] else best
     if best is None:
         raise Unreachable(min(reasons)[1])
-    return np.array(best[2])
+    return best[2]
 
 
 def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
@@ -199,10 +207,10 @@ def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float])
     """
     first, second, third = (np.asarray(axis.direction) for axis in axes)
     carried = wanted @ third
-    sine = float(np.linalg.norm(_cross(first, carried)))
+    sine = float(np.linalg.norm(cross(first, carried)))
     locked = sine < LOCKED
     half = math.atan2(0.0 if locked else sine, float(first @ carried))
-    zero = math.atan2(float(first @ _cross(second, third)), float(first @ third))
+    zero = math.atan2(float(first @ cross(second, third)), float(first @ third))
     found: list[Angles] = []
     for middle in {zero + half, zero - half}:
         turned = rotation_about(axes[1].direction, middle) @ third
@@ -248,7 +256,7 @@ def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
     b = end - axis * float(axis @ end)
     if min(np.linalg.norm(a), np.linalg.norm(b)) < LOCKED:
         return None
-    return math.atan2(float(axis @ _cross(a, b)), float(a @ b))
+    return math.atan2(float(axis @ cross(a, b)), float(a @ b))
 
 
 def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import cross
 from planrunner.plan.schedule import Rest, Segment, Spin
 
 Array = NDArray[np.float64]
@@ -51,36 +52,58 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
     its mean is taken over the turns that it covers; where the duration is not known, over whole turns. Raises `StimulusError` for an
     unknown attitude and for rocking or indexing, whose mean says little of what was felt.
     """
-    lasting = [segment.dwell for segment in segments] if durations is None else list(durations)
-    n = len(segments)
-    omega, force = np.empty((n, 3)), np.empty((n, 3))
-    temperature, time, angle = np.full(n, np.nan), np.empty(n), np.zeros(n)
-    for row, (segment, seconds) in enumerate(zip(segments, lasting, strict=True)):
-        attitude = _attitude(segment)
-        if isinstance(segment.motion, Spin):
-            axis = _unit(segment.motion.about)
-            turned = 0.0 if seconds is None else segment.motion.rate * seconds
-            whole = seconds is None
-            omega[row] = attitude @ (
-                mean_while_turning(site.earth_rate_enu, axis, turned, whole) + segment.motion.rate * axis
-            )
-            force[row] = attitude @ mean_while_turning(site.specific_force_enu, axis, turned, whole)
-            angle[row] = turned / 2
-        elif isinstance(segment.motion, Rest):
-            omega[row] = attitude @ site.earth_rate_enu
-            force[row] = attitude @ site.specific_force_enu
-        else:
-            kind = type(segment.motion).__name__.lower()
-            raise StimulusError(
-                f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest"
-            )
-        if segment.temperature is not None:
-            temperature[row] = (
-                segment.temperature if segment.ramp_to is None else (segment.temperature + segment.ramp_to) / 2
-            )
-        time[row] = segment.start + (seconds or 0.0) / 2
-    rates = np.array([segment.rate for segment in segments], dtype=float)
-    return Stimulus(omega, force, temperature, time, rates, angle, rates != 0)
+    return Poses.of(segments, durations).felt(site)
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """How n segments stand and spin: their mean stimulus follows from it at any site, also for a sensor that stands otherwise than planned.
+
+    attitude: (n, 3, 3). spins: row, motion and turned angle [rad] of those that spin, None over whole turns. temperature, time: as in
+    `Stimulus`.
+    """
+
+    attitude: Array
+    spins: tuple[tuple[int, Spin, float | None], ...]
+    temperature: Array
+    time: Array
+
+    @classmethod
+    def of(cls, segments: Sequence[Segment], durations: Sequence[float | None] | None = None) -> Poses:
+        """See `segment_means`. Raises `StimulusError`."""
+        n = len(segments)
+        lasting = [segment.dwell for segment in segments] if durations is None else durations
+        attitude, temperature, time = np.empty((n, 3, 3)), np.full(n, np.nan), np.empty(n)
+        spins: list[tuple[int, Spin, float | None]] = []
+        for row, (segment, seconds) in enumerate(zip(segments, lasting, strict=True)):
+            attitude[row] = _attitude(segment)
+            motion, kelvin, ramp_to = segment.motion, segment.temperature, segment.ramp_to
+            if isinstance(motion, Spin):
+                spins.append((row, motion, None if seconds is None else motion.rate * seconds))
+            elif not isinstance(motion, Rest):
+                kind = type(motion).__name__.lower()
+                message = f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest"
+                raise StimulusError(message)
+            if kelvin is not None:
+                temperature[row] = kelvin if ramp_to is None else (kelvin + ramp_to) / 2
+            time[row] = segment.start + (seconds or 0.0) / 2
+        return cls(attitude, tuple(spins), temperature, time)
+
+    def felt(self, site: Site, turn: Array | None = None, axis_too: bool = True) -> Stimulus:
+        """The mean stimulus at a site. turn: rotation (3, 3), East-North-Up, by which the sensor stands turned against what was planned;
+        axis_too: the axes of spins as well."""
+        n = len(self.time)
+        attitude = self.attitude if turn is None else self.attitude @ turn.T
+        rates, angle = np.zeros(n), np.zeros(n)
+        earth_rate, at_rest = site.earth_rate_enu, site.specific_force_enu
+        omega, force = attitude @ earth_rate, attitude @ at_rest
+        for row, motion, turned in self.spins:
+            axis = _unit(motion.about) if turn is None or not axis_too else turn @ _unit(motion.about)
+            whole, by = turned is None, turned or 0.0
+            omega[row] = attitude[row] @ (mean_while_turning(earth_rate, axis, by, whole) + motion.rate * axis)
+            force[row] = attitude[row] @ mean_while_turning(at_rest, axis, by, whole)
+            rates[row], angle[row] = motion.rate, by / 2
+        return Stimulus(omega, force, self.temperature, self.time, rates, angle, rates != 0)
 
 
 def mean_while_turning(vector: Array, axis: Array, turned: float, whole_turns: bool = False) -> Array:
@@ -92,7 +115,7 @@ def mean_while_turning(vector: Array, axis: Array, turned: float, whole_turns: b
     along = (vector @ axis) * axis
     if whole_turns:
         return along
-    across, side = vector - along, np.cross(axis, vector)
+    across, side = vector - along, cross(axis, vector)
     half = turned / 2
     mean_cos = float(np.sinc(turned / np.pi))
     mean_sin = float(np.sin(half) * np.sinc(half / np.pi))

@@ -75,7 +75,10 @@ ACCEL_Y_ACCEL_Z = Term(
 
 def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
     """One column a term, shape (n, p), SI. Raises `StimulusError` where a term has no meaning for the stimulus."""
-    return np.column_stack([term.column(stimulus) for term in terms])
+    matrix = np.empty((len(stimulus), len(terms)))
+    for k, term in enumerate(terms):
+        matrix[:, k] = term.column(stimulus)
+    return matrix
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -227,14 +228,12 @@ class _Builder:
         self._documents = 0
 
     def take(self, event: Any) -> None:
-        mark = Mark(self.file, event.start_mark.line + 1, event.start_mark.column + 1)
+        start = event.start_mark
+        mark = Mark(self.file, start.line + 1, start.column + 1)
         match event:
-            case yaml.DocumentStartEvent():
-                self._documents += 1
-                if self._documents > 1:
-                    raise InputError.at(mark, "form-documents", "a second document begins here", "one document a file")
-            case yaml.ScalarEvent():
-                self._reject_tag(event, mark)
+            case yaml.ScalarEvent():  # most events are
+                if event.tag:
+                    self._reject_tag(event, mark)
                 if len(event.value) > MAX_SCALAR:
                     message = f"a text longer than {MAX_SCALAR} characters"
                     raise InputError.at(mark, "limit-text", message, "shorten it")
@@ -256,6 +255,10 @@ class _Builder:
                 self._put(self._mapping(done.mark, done.items), done.anchor, done.size)
             case yaml.AliasEvent():
                 self._alias(str(event.anchor), mark)
+            case yaml.DocumentStartEvent():
+                self._documents += 1
+                if self._documents > 1:
+                    raise InputError.at(mark, "form-documents", "a second document begins here", "one document a file")
 
     def _reject_tag(self, event: Any, mark: Mark) -> None:
         if event.tag and event.tag != "!":
@@ -317,6 +320,7 @@ class _Builder:
         return Mapping(mark, tuple(entries))
 
 
+@lru_cache(maxsize=4096)
 def _resolve(text: str) -> str | int | float | bool | None:
     if text in _SPECIAL:
         return _SPECIAL[text]
