@@ -63,7 +63,12 @@ class Checked:
         """How the sensor is tested, as far as plan and bench say."""
         if self.plan is None or self.models is None or self.bench is None:
             return Setup()
-        return Setup(self.models.table, self.plan.mounting, stated_inputs(self.bench, self.models, self.plan.mounting))
+        return Setup(
+            self.models.table,
+            self.plan.mounting,
+            stated_inputs(self.bench, self.models, self.plan.mounting),
+            replayed=self.models.replays,
+        )
 
     @property
     def ok(self) -> bool:

@@ -12,6 +12,8 @@ from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Segment
 
 Array = NDArray[np.float64]
+IN_MODE = "sensor.in_mode_s"
+"""The reading under which the executor keeps how long the sensor has been in its mode when a record begins [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,3 +60,8 @@ class RecordedSegment:
     @property
     def label(self) -> str:
         return self.segment.label
+
+    @property
+    def in_mode(self) -> float | None:
+        """Seconds for which the sensor had been in its mode when the record began; None where nobody has recorded that."""
+        return self.readings.get(IN_MODE)

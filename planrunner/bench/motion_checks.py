@@ -146,7 +146,7 @@ def _rock(table: TableModel, motion: Rock, mark: Mark, log: Findings) -> float:
         if acceleration > axis.max_acceleration:
             message = f"rocking needs {_deg(acceleration)} deg/s^2; the {axis.name} axis gives {_deg(axis.max_acceleration)} deg/s^2"
             log.error("physics-acceleration", mark, message, "lower amplitude or frequency")
-    return 1.0 / motion.frequency
+    return motion.lead_in
 
 
 def _deg(radians: float) -> str:

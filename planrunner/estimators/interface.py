@@ -117,12 +117,13 @@ class Estimate:
 @dataclass(frozen=True, slots=True)
 class Setup:
     """How the sensor is tested, beside site and sensor: the table, the fixture that it is mounted in, what is stated of uncertainties,
-    and what was told of this run (name → text)."""
+    what was told of this run (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
     inputs: Inputs = field(default_factory=Inputs)
     information: Mapping[str, str] = field(default_factory=dict)
+    replayed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

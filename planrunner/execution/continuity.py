@@ -32,6 +32,7 @@ class Continuity:
             "attitude": None if attitude is None else attitude.tolist(),
             "soak_again": reaching.soak_again,
             "mode": reaching.mode,
+            "mode_since": reaching.mode_since,
             "moving_perhaps": reaching.moving_perhaps,
         }
         return {
@@ -67,5 +68,6 @@ class Continuity:
             self._reaching.moving_perhaps = executor["moving_perhaps"]
         if isinstance(self._bench.sensor, Resumable):
             self._reaching.mode = executor["mode"]
+            self._reaching.mode_since = executor.get("mode_since")
         if simulated_chamber:
             self._reaching.temperature, self._reaching.soak_again = executor["temperature"], executor["soak_again"]

@@ -13,6 +13,7 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 from planrunner.archive.journal import finite
+from planrunner.archive.recording import IN_MODE
 from planrunner.archive.run_folder import RunWriter
 from planrunner.execution.continuity import Continuity
 from planrunner.execution.holding import Holding, LimitPassedError
@@ -221,6 +222,7 @@ class _Execution:
             self.writer.begin(segment, self.clock.now(), self.channels)
             self.lookout.begin_segment()
             self.reaching.reach(segment)
+            in_mode = self._in_mode(segment)
             holding = Holding(self.bench, self.lookout, segment)
             try:
                 self._dwell(segment, holding)
@@ -232,13 +234,20 @@ class _Execution:
                     raise InstrumentError(f"{error}{taken}. Look at the bench, then resume the run") from None
                 self.reaching.come_to_rest(segment)
                 continue
-            self._acknowledge(segment, holding, counts)
+            self._acknowledge(segment, holding, counts, in_mode)
             return
 
-    def _acknowledge(self, segment: Segment, holding: Holding, counts: FrameCounts | None) -> None:
+    def _in_mode(self, segment: Segment) -> dict[str, float]:
+        """As a reading: how long the sensor has been in the segment's mode as its record begins."""
+        since = self.reaching.mode_since
+        return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
+
+    def _acknowledge(
+        self, segment: Segment, holding: Holding, counts: FrameCounts | None, in_mode: Mapping[str, float]
+    ) -> None:
         for text in holding.unjudged():
             self._notice("bench", text)
-        readings = self._read()
+        readings = {**in_mode, **self._read()}
         self.reaching.come_to_rest(segment)
         self.lookout.hear()
         self._say("noting the instruments' state")

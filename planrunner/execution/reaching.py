@@ -56,6 +56,8 @@ class Reaching:
         self.temperature: float | None = None
         self.attitude: Array | None = None
         self.mode: str | None = None
+        self.mode_since: float | None = None
+        """When the mode was commanded, s of the bench's clock; None after a break."""
         self.soak_again = True
         """At first, and after a break, nobody knows how long the sensor has been at its temperature."""
         self.moving_perhaps = False
@@ -63,7 +65,7 @@ class Reaching:
 
     def forget(self) -> None:
         """What was commanded no longer holds: the bench was made safe."""
-        self.temperature, self.attitude, self.mode = None, None, None
+        self.temperature, self.attitude, self.mode, self.mode_since = None, None, None, None
         self.soak_again = self.moving_perhaps = True
 
     def reach(self, segment: Segment) -> None:
@@ -146,6 +148,7 @@ class Reaching:
             return
         self._say(f"entering the mode {segment.mode}")
         self.mode = None
+        self.mode_since = self._clock.now()
         self.pause(self._sensor.set_mode(segment.mode))
         self.mode = segment.mode
 

@@ -126,7 +126,7 @@ def following(
 def _times(segment: Segment, rate: float) -> Array:
     """Sample times since the segment began: all of a ramp, else whole turns or periods for a few seconds."""
     assert segment.dwell is not None
-    span = _SAMPLED
+    span, begin = _SAMPLED, 0.0
     if segment.ramp_to is not None:
         return np.linspace(0.0, segment.dwell, max(_STUB, min(2000, round(segment.dwell * rate))))
     if isinstance(segment.motion, Spin):
@@ -134,9 +134,10 @@ def _times(segment: Segment, rate: float) -> Array:
         span = turn * math.ceil(_SAMPLED / turn)
     elif isinstance(segment.motion, Rock):
         span = math.ceil(_SAMPLED * segment.motion.frequency) / segment.motion.frequency
+        begin = segment.motion.steady
     else:
         assert isinstance(segment.motion, Rest)
-    return np.arange(max(_STUB, round(span * rate))) / rate
+    return begin + np.arange(max(_STUB, round(span * rate))) / rate
 
 
 def _temperatures(segment: Segment, now: float) -> tuple[float, float]:

@@ -23,18 +23,17 @@ def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float =
         return {"angle": start + motion.rate * since, "rate": zero + motion.rate, "acceleration": zero}
     if isinstance(motion, Rock):
         pulse = 2 * np.pi * motion.frequency
-        sine, cosine = np.sin(pulse * since + motion.phases[0]), np.cos(pulse * since + motion.phases[0])
+        still = (since < motion.steady) | (since > motion.steady + motion.duration)
+        phase = pulse * (since - motion.steady) + motion.phases[0]
+        sine, cosine = np.sin(phase), np.cos(phase)
         a, b, c = motion.amplitude, 0.0, 0.0
         if encoder is not None:
-            a, b, c = np.linalg.lstsq(np.column_stack([sine, cosine, zero + 1]), np.unwrap(encoder), rcond=None)[0]
+            terms = np.column_stack([sine, cosine, zero + 1])[~still]
+            a, b, c = np.linalg.lstsq(terms, np.unwrap(encoder)[~still], rcond=None)[0]
             a, b = a / left, b / left
-        swing = a * sine + b * cosine
-        rate = pulse * (a * cosine - b * sine) * left
-        if since[-1] > motion.duration:
-            still = since > motion.duration
-            swing, rate = np.where(still, a * np.sin(motion.phases[0]), swing), np.where(still, 0.0, rate)
-            return {"angle": swing + c, "rate": rate, "acceleration": np.where(still, 0.0, -(pulse**2) * swing)}
-        return {"angle": swing + c, "rate": rate, "acceleration": -(pulse**2) * swing}
+        swing = np.where(still, 0.0, a * sine + b * cosine)
+        rate = np.where(still, 0.0, pulse * (a * cosine - b * sine) * left)
+        return {"angle": swing + c, "rate": rate, "acceleration": np.where(still, 0.0, -(pulse**2) * swing)}
     level = zero if encoder is None else zero + float(np.angle(np.mean(np.exp(1j * encoder))))
     return {"angle": level, "rate": zero, "acceleration": zero}
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from planrunner.plan import model
@@ -24,7 +25,7 @@ _ANGLE_TOLERANCE = math.radians(1e-6)
 # Which keys of a motion belong to which form.
 _KEYS = {
     "rate": {"rate", "about", "sense"},
-    "rock": {"rock", "for"},
+    "rock": {"rock", "after", "for"},
     "cycle": {"cycle", "moves", "turn_rate", "stop", "sense"},
 }
 
@@ -69,13 +70,22 @@ def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float 
 
 
 def _rock(motion: model.Motion, rock: model.RockSpec, dwell: float | None, log: Findings) -> Rock | None:
-    duration = motion.for_.value if motion.for_ else (dwell if dwell is not None else math.inf)
-    if dwell is not None and duration > dwell:
-        message = f"rocks for {motion.for_}, longer than the dwell of {dwell:g} s"
+    phases = tuple(phase.value for phase in rock.phases) or (0.0,)
+    endless = Rock(
+        rock.amplitude.value, rock.frequency.value, phases, math.inf, motion.after.value if motion.after else 0.0
+    )
+    left = math.inf if dwell is None else dwell - endless.steady
+    if left <= 0:
+        message = f"the dwell of {dwell:g} s ends before the rocking has its full amplitude, {endless.steady:g} s after the dwell has begun"
+        log.error("meaning-rock", motion.at("after"), message, "shorten `after`, or dwell longer")
+        return None
+    duration = motion.for_.value if motion.for_ else left
+    if duration > left:
+        within = f"the {left:g} s that are left of the dwell" if motion.after else f"the dwell of {dwell:g} s"
+        message = f"rocks for {motion.for_}, longer than {within}"
         log.error("meaning-rock", motion.at("for"), message, "shorten it, or dwell longer")
         return None
-    phases = tuple(phase.value for phase in rock.phases) or (0.0,)
-    return Rock(rock.amplitude.value, rock.frequency.value, phases, duration)
+    return replace(endless, duration=duration)
 
 
 def _cycle(motion: model.Motion, sign: float, log: Findings) -> Cycle | None:

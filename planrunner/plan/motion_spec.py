@@ -36,10 +36,16 @@ class Motion(Record):
     )
     for_: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Rock for this part of the dwell only, then stand still.",
+        "Rock at full amplitude for this part of the dwell only, then stand still.",
         "8 min",
         None,
         name="for",
+    )
+    after: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Stand still for this part of the dwell, then begin to rock; without it, the rocking begins before the dwell, by one period.",
+        "60 s",
+        None,
     )
     cycle: dict[str, Quantity] | None = key(
         MapOf(QuantityOf("angle"), pattern=POSITION),

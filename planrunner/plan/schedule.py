@@ -32,12 +32,37 @@ class Spin:
 
 @dataclass(frozen=True, slots=True)
 class Rock:
-    """angle_i = amplitude·sin(2π·frequency·t + phases[i]) [rad] on the table's rings, outermost first, for `duration` s."""
+    """angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad] on the table's rings, outermost first, for `duration` s.
+
+    t: s since the record began. The rocking fades in over a period before `steady` and fades out over a period after `steady` + `duration`.
+    delay: s for which the table stands still at the beginning of the record; without one, the rocking fades in before the record begins.
+    """
 
     amplitude: float
     frequency: float
     phases: tuple[float, ...]
     duration: float
+    delay: float = 0.0
+
+    @property
+    def period(self) -> float:
+        """Seconds."""
+        return 1 / self.frequency
+
+    @property
+    def lead_in(self) -> float:
+        """Seconds from the command to the beginning of the record."""
+        return 0.0 if self.delay else self.period
+
+    @property
+    def steady(self) -> float:
+        """Seconds from the beginning of the record until the rocking has its full amplitude."""
+        return self.delay + self.period if self.delay else 0.0
+
+    @property
+    def over(self) -> float:
+        """Seconds from the beginning of the record until the table stands still again."""
+        return self.steady + self.duration + self.period
 
 
 @dataclass(frozen=True, slots=True)

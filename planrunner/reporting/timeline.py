@@ -107,10 +107,12 @@ def _rate(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
         motion = span.segment.motion
         if isinstance(motion, Rock | Cycle):
             peak = motion.amplitude * 2 * math.pi * motion.frequency if isinstance(motion, Rock) else motion.rate
-            until = span.start + motion.duration if isinstance(motion, Rock) else span.end
+            begin, until = span.start, span.end
+            if isinstance(motion, Rock):
+                begin, until = span.start + motion.steady, span.start + motion.steady + motion.duration
             size = math.degrees(peak)
             axes.fill_between(
-                [span.start / divisor, until / divisor],
+                [begin / divisor, until / divisor],
                 [-size] * 2,
                 [size] * 2,
                 color="#0b5394",

@@ -100,6 +100,7 @@ def motion(what: Motion) -> str:
             phases = ", ".join(f"{number(round(math.degrees(phase), 9))}°" for phase in what.phases)
             size = number(round(math.degrees(what.amplitude), 9))
             text = f"rocking {size}° at {number(what.frequency)} Hz for {duration(what.duration)}"
+            text += f", after {duration(what.delay)} at rest" if what.delay else ""
             return f"{text}, phases {phases}" if phases else text
         case Cycle():
             speed = number(round(math.degrees(what.rate), 9))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +62,7 @@ class World:
     latitude: float = LATITUDE
     gravity: float = GRAVITY
     release: float = 0.0  # s before the record begins
+    rest: float = 0.0  # s of a dynamic record before the base begins to rock
 
 
 def samples(
@@ -72,9 +73,10 @@ def samples(
     earth = OMEGA * np.array([0.0, math.cos(world.latitude), math.sin(world.latitude)])
     turned = Rotation.from_rotvec(np.outer(time, earth))
     released = Rotation.from_rotvec(-world.release * earth)
-    fade = np.clip((ROCKING.duration + 5.0 - time) / 5.0, 0.0, 1.0) if dynamic else np.zeros(time.size)
+    rocked = time - (world.rest + 5.0 if world.rest else 0.0)  # s since the rocking has its full amplitude
+    fade = np.clip(1 + rocked / 5.0, 0.0, 1.0) * np.clip((ROCKING.duration + 5.0 - rocked) / 5.0, 0.0, 1.0) * dynamic
     angle = np.outer(time + world.release, world.drift) + np.outer(
-        np.minimum(time, ROCKING.duration) * dynamic, world.rocking
+        np.clip(rocked, 0.0, ROCKING.duration) * dynamic, world.rocking
     )
     if world.angle_walk:
         angle = angle + np.cumsum(world.angle_walk / math.sqrt(rate) * draw.standard_normal(angle.shape), axis=0)
@@ -115,8 +117,8 @@ def input_axes(angles: Sequence[float]) -> list[np.ndarray]:
     return [turned(x, xz * z, xy * y), turned(y, yz * z, yx * x), turned(z, zy * y, zx * x)]
 
 
-def planned(state: str, name: str, index: int, dwell: float, mode: str = "navigation") -> Segment:
-    motion: Motion = ROCKING if name.startswith("dynamic") else Rest()
+def planned(state: str, name: str, index: int, dwell: float, mode: str = "navigation", rest: float = 0.0) -> Segment:
+    motion: Motion = replace(ROCKING, delay=rest) if name.startswith("dynamic") else Rest()
     label = f"{state}/{name}"
     return Segment(index, label, ATTITUDES[state], state, motion, dwell, mode=mode)
 
@@ -133,7 +135,7 @@ def recordings(
             still = np.arange(50) / 5.0
             channels = {channel: np.zeros(50) for channel in (*ACCELEROMETERS, *ENCODERS)}
             recorded.append(from_samples(caged, still, channels, units()))
-            segment = planned(state, name, len(recorded), dwell)
+            segment = planned(state, name, len(recorded), dwell, rest=world.rest)
             time, channels = samples(state, name.startswith("dynamic"), world, rate, dwell, draw)
             recorded.append(from_samples(segment, time + 1000.0 * len(recorded), channels, units()))
     return recorded

@@ -71,6 +71,8 @@ def also(key: str) -> list[tuple[str, str]]:
         ("pattern", ERROR, [("      - {label: static-2}\n", "")], "static, dynamic, dynamic, static"),
         ("caging", ERROR, [("      - {label: cage-2, mode: caged, dwell: 10 s}\n", "")], "before 'r1/vertical/dynamic-1' and 5 more"),
         ("caging", WARNING, [('segments: "*"', "segments: [static-*, dynamic-*]")], "cannot be told"),
+        ("dwell", ERROR, also("second_window: 599 s"), "the second window ends at 601 s, after the record of 600 s"),
+        ("end", ERROR, also("second_window: 400 s"), "still rocks when its second window begins at 400 s"),
         ("axes", WARNING, [HORIZONTAL, LIMIT_Y], "y is vertical in every state"),
         ("filter", WARNING, also("cutoff: 0.2 Hz"), "lets 50 % of the rocking at 0.2 Hz through"),
         ("filter", ERROR, also("cutoff: 1e-12 Hz"), "averages over 1e+12 s, and 536 s lie between the windows"),

@@ -26,6 +26,7 @@ from rocking_recordings import (
     units,
 )
 
+from planrunner.archive.recording import IN_MODE
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.instruments.models import TableModel
 from planrunner.plan.schedule import Rest, Spin
@@ -126,6 +127,75 @@ def test_a_tenth_of_a_degree_of_azimuth():
     assert abs(estimate(recorded)["drift_z"].value) < 3e-4
     alike = recordings([("vertical", azimuths(0.1 * DEG, 0.1 * DEG))])
     assert abs(estimate(alike, "{azimuth: nominal}")["drift_z"].value) < 3e-4
+
+
+def released_with_the_record() -> list:
+    return recordings([("vertical", [World()] * 4)])
+
+
+def test_records_that_begin_with_the_release():
+    """Planned runs fade the rocking in for 5 s before their record begins. Where the records begin with the release, 5 s of the Earth's
+    turn about up are 48 arcsec of azimuth: Ω cos φ · (5 s · Ω sin φ) = 0.0027 deg/h about z, in the dynamic runs alone."""
+    recorded = released_with_the_record()
+    wrong = 11.5221 * 5 * 15.041067 / 3600 * math.sin(LATITUDE) * math.pi / 180
+    assert estimate(recorded, "{azimuth: nominal}")["drift_z"].value == pytest.approx(-wrong, abs=2e-4)
+    stated = estimate(recorded, "{azimuth: nominal, released_before: 0 s}")
+    assert abs(stated["drift_z"].value) < 1e-4
+
+
+def test_the_recorded_release_goes_before_the_planned_one():
+    recorded = [replace(item, readings={IN_MODE: 0.0}) for item in released_with_the_record()]
+    assert abs(estimate(recorded, "{azimuth: nominal}")["drift_z"].value) < 1e-4
+
+
+def test_a_played_back_recording_leaves_the_release_open():
+    recorded = released_with_the_record()
+    with pytest.raises(
+        EstimationError, match="'vertical/static-1' the element was released is not known: write `released_before`"
+    ):
+        estimate(recorded, "{azimuth: nominal}", Setup(TABLE, replayed=True))
+    estimate(recorded, "{azimuth: nominal, released_before: 0 s}", Setup(TABLE, replayed=True))
+    estimate(recorded, setup=Setup(TABLE, replayed=True))  # encoders show the azimuth
+
+
+def test_a_base_that_rests_before_it_rocks(quiet):
+    """The drift before the rocking is that of the resting element; the rocking drift is the same as of a base that rocks at once, over the
+    480 s of rocking, all of which lie between the windows now. No drift about the vertical, which would leak into the others."""
+    drift, rocking = DRIFT * [1.0, 0.0, 1.0], ROCKING * [1.0, 0.0, 1.0]
+    rest = World(drift=drift)
+    rocks = World(drift=drift, rocking=rocking, rest=120.0)
+    found = estimate(recordings([("vertical", [rest, rocks, rocks, rest])], dwell=700.0))
+    assert found["drift_x"].value == pytest.approx(ROCKING[0] / PER_HOUR * 480 / 638, abs=3e-4)
+    table = next(table for table in found.tables if table.title.startswith("Static drift before"))
+    assert [row[:2] for row in table.rows] == [(f"vertical/dynamic-{n}", axis) for n in (1, 2) for axis in "xz"]
+    for _, axis, before, whole in table.rows:
+        k = "xyz".index(axis)
+        assert float(before) == pytest.approx(DRIFT[k] / PER_HOUR, abs=4e-3)  # over 57 s, 0.004 deg/h are 0.2 arcsec
+        assert float(whole) == pytest.approx((DRIFT[k] + ROCKING[k] * 480 / 638) / PER_HOUR, abs=2e-3)
+    assert not any(table.title.startswith("Static drift before") for table in estimate(quiet).tables)
+
+
+def test_the_second_window_stands_where_the_plan_says(quiet):
+    """Within the rocking its share is whole; a window beyond the record is refused."""
+    found = estimate(quiet, "{second_window: 400 s}")
+    assert found.settings["t1"] == "400 s"
+    assert found["drift_x"].value == pytest.approx(ROCKING[0] / PER_HOUR, abs=3e-4)
+    with pytest.raises(EstimationError, match="ends at 601 s, after the shortest record"):
+        estimate(quiet, "{second_window: 599 s}")
+
+
+def test_the_curve_of_the_drift_angle(quiet):
+    """A straight line of the element's drift while the base rests, and of both drifts together while it rocks."""
+    plot = next(item for item in estimate(quiet).plots if item.title.startswith("Drift angle about x, vertical"))
+    time = np.array(plot.x)
+    assert time[0] == 2.5
+    assert np.allclose(np.diff(time), 5.0)  # a rocking period
+    for name, slope in (("static 1", DRIFT[0]), ("dynamic 2", DRIFT[0] + ROCKING[0])):
+        curve = np.array(plot.series[name]) * ARCSEC
+        within = time < 470
+        found = np.polyfit(time[within], curve[within], 1)[0]
+        assert found / PER_HOUR == pytest.approx(slope / PER_HOUR, abs=1e-3)
+        assert abs(np.interp(60.9, time, curve)) < 0.5 * ARCSEC
 
 
 def test_the_return_error_of_the_table_passes_one_to_one_to_the_gimbal_method_alone():
@@ -274,7 +344,7 @@ def test_without_encoders_there_is_the_accelerometer_method_alone(quiet):
     found = estimate(without(quiet, "gimbal_inner"), "{azimuth: nominal}")
     assert [item.name for item in found.coefficients] == ["drift_x", "drift_y", "drift_z"]
     assert "gimbal_inner" in found.warnings[0]
-    assert not found.plots
+    assert all(plot.title.startswith("Drift angle") for plot in found.plots)  # nothing to pair
     other = estimate(quiet, "{azimuth: nominal}", Setup(TableModel(TABLE.axes[:2])))
     assert "2 axes" in other.warnings[0]
 
@@ -302,5 +372,5 @@ def test_memory_does_not_grow_with_the_run():
     segment = replace(planned("vertical", "static-1", 0, 36_000.0), motion=Rest())
     time, channels = samples("vertical", False, World(), 2.0, 36_000.0, np.random.default_rng(1))
     recorded = from_samples(segment, time, channels, units())
-    pieces = read_pieces(recorded, ACCELEROMETERS, Windows(60.0, 35_998.0, 2.0, 0.05))
+    pieces = read_pieces(recorded, ACCELEROMETERS, Windows(60.0, 35_998.0, 2.0, 0.05, 36_000.0))
     assert sum(len(piece.time) for piece in pieces) <= 2.0 * (60 + 2 + 60 + 62) + 2

@@ -121,9 +121,21 @@ def test_rocking() -> None:
     )
 
 
+def test_rocking_that_begins_within_the_dwell() -> None:
+    rock = "rock: {amplitude: 3 deg, frequency: 0.2 Hz}"
+    assert motion(f"motion: {{{rock}, after: 60 s, for: 8 min}}")[0] == Rock(math.radians(3), 0.2, (0.0,), 480.0, 60.0)
+    found = motion(f"motion: {{{rock}, after: 60 s}}")[0]
+    assert isinstance(found, Rock)
+    # 60 s at rest, 5 s to fade in, and the rest of 10 min
+    assert (found.lead_in, found.steady, found.duration, found.over) == (0.0, 65.0, 535.0, 605.0)
+
+
 @pytest.mark.parametrize(
     ("text", "code", "at"),
     [
+        ("motion: {rock: {amplitude: 3 deg, frequency: 0.2 Hz}, after: 2 min, for: 8 min}", "meaning-rock", "8 min"),
+        ("motion: {rock: {amplitude: 3 deg, frequency: 0.2 Hz}, after: 10 min}", "meaning-rock", "10 min"),
+        ("motion: {rate: 5 deg/s, after: 8 min}", "meaning-motion", "8 min"),
         ("motion: {rock: {amplitude: 3 deg, frequency: 0.2 Hz}, for: 11 min}", "meaning-rock", "11 min"),
         ("motion: {rate: 5 deg/s, for: 8 min}", "meaning-motion", "8 min"),
         ("motion: {rate: 5 deg/s, stop: 8 min}", "meaning-motion", "8 min"),

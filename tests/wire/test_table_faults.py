@@ -279,6 +279,25 @@ def test_rocking_ends_by_itself_after_its_duration() -> None:
         assert table.end_motion() == 0.0
 
 
+def test_rocking_begins_by_itself_within_the_record() -> None:
+    with bench() as (controller, table, _):
+        table.orient(turned(5.0))
+        assert table.begin_motion(Rock(math.radians(0.05), 10.0, (0.0,), 0.2, delay=0.3), 60.0) == 0.0
+        assert table.watch().faults == ()
+        controller.wait_for(":dem:osc 1,0.05,10,0")
+        controller.wait_for(":dem:pos 1,5")
+        assert ":dem:osc 1,0,10,0" in controller.heard
+        assert table.holding()
+
+
+def test_rocking_that_is_called_off_before_it_begins_never_begins() -> None:
+    with bench() as (controller, table, _):
+        table.orient(turned(5.0))
+        table.begin_motion(Rock(math.radians(0.05), 10.0, (0.0,), 0.2, delay=3600.0), 60.0)
+        table.end_motion()
+        assert not any(line.startswith(":dem:osc 1,0.05") for line in controller.heard)
+
+
 def test_a_mode_that_another_thread_changes_meanwhile_has_not_strayed() -> None:
     """As a cycle does: between the question for the mode and its answer the axis is sent to another."""
     with bench() as (controller, table, _):

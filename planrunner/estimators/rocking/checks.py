@@ -12,6 +12,7 @@ from itertools import pairwise
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.runs import Quadruple, Run, by_state, quadruples
+from planrunner.estimators.rocking.solution import lead_of
 from planrunner.estimators.rocking.windows import SAMPLES, passed
 from planrunner.plan.schedule import Rock
 from planrunner.plan.units import STANDARD_GRAVITY, unit
@@ -42,6 +43,7 @@ def remarks(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
         return [*found, Remark("physics-rocking-pattern", str(error), hint, error=True)]
     found += _timing(runs)
     found += _unseen(groups)
+    found += _release_time(request, runs)
     dwell = span(runs)
     if dwell is not None:
         found += _dwell(runs, dwell, parameters)
@@ -59,6 +61,19 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
         message = f"a window of {window:g} s is shorter than the 2 s that the method asks for"
         found.append(Remark("physics-rocking-window", message, "average over 2 s or more", "window"))
     return found
+
+
+def _release_time(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
+    """With a nominal azimuth the element is turned on by the Earth since its release, so the time since then must be known."""
+    parameters: RockingDriftParameters = request.parameters
+    if parameters.azimuth != "nominal":
+        return []
+    try:
+        lead_of(runs[0], parameters, request.setup)
+    except EstimationError as error:
+        hint = "`released_before: 0 s` where each record begins with the release"
+        return [Remark("physics-rocking-released", str(error), hint, "azimuth", error=True)]
+    return []
 
 
 def _encoders(request: DesignRequest) -> list[Remark]:
@@ -155,7 +170,14 @@ def _timing(runs: Sequence[Run]) -> list[Remark]:
 
 
 def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters) -> list[Remark]:
-    second = dwell - parameters.window.value
+    second = parameters.second(dwell)
+    if second + parameters.window.value > dwell + SMALL:
+        message = f"the second window ends at {second + parameters.window.value:g} s, after the record of {dwell:g} s"
+        return [
+            Remark(
+                "physics-rocking-dwell", message, "dwell longer, or let it begin earlier", "second_window", error=True
+            )
+        ]
     if parameters.release.value + parameters.window.value > second:
         message = f"the second window, from {second:g} s on, does not follow the first, which ends at {_first_end(parameters):g} s"
         return [
@@ -205,7 +227,7 @@ def count_in_words(count: float, seconds: float, parameters: RockingDriftParamet
 
 def _resolution(request: DesignRequest, dwell: float, parameters: RockingDriftParameters) -> list[Remark]:
     found = count_seconds(request, parameters)
-    between = dwell - parameters.window.value - parameters.release.value
+    between = parameters.second(dwell) - parameters.release.value
     if found is None or found[2] <= between or between <= 0:
         return []
     name, count, seconds = found

@@ -49,9 +49,22 @@ class RockingDriftParameters(Record):
     )
     window: Quantity = key(
         QuantityOf("time", "positive"),
-        "Length Δt of both windows; the second one ends with the record.",
+        "Length Δt of both windows.",
         "2 s",
         parse_quantity("2 s"),
+    )
+    second_window: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "t1, when the second window begins after the record has begun; without it, the second window ends with the shortest record.",
+        "590 s",
+        None,
+    )
+    released_before: Quantity | None = key(
+        QuantityOf("time", "not negative"),
+        "Time from the release of the element to the beginning of each record, for `azimuth: nominal`; without it, as the run recorded it. "
+        "A recording that is played back does not hold it.",
+        "5 s",
+        None,
     )
     cutoff: Quantity = key(
         QuantityOf("frequency", "positive"),
@@ -117,3 +130,7 @@ class RockingDriftParameters(Record):
         200,
     )
     pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of that draw.", 1, 1)
+
+    def second(self, end: float) -> float:
+        """t1 [s] of records that last until `end` [s]."""
+        return end - self.window.value if self.second_window is None else self.second_window.value

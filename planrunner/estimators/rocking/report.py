@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from planrunner.estimators.interface import EstimateRequest, Plot, Table
 from planrunner.estimators.rocking.checks import ARCSEC
-from planrunner.estimators.rocking.influences import DEG_PER_HOUR, azimuth_uncertainty, resolution
+from planrunner.estimators.rocking.influences import DEG_PER_HOUR, Runs, azimuth_uncertainty, resolution
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
+from planrunner.estimators.rocking.solution import Conditions, accelerometer_drift, drift_before_rocking
 from planrunner.estimators.rocking.statistics import AXES, Pairings, StateDrifts
 from planrunner.plan.units import STANDARD_GRAVITY
 
@@ -88,6 +89,21 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
                 rows.append((run.label, *shown))
     columns = ("run", "by accelerometers, deg/h", *(("by gimbal angles, deg/h",) if encoders else ()))
     return Table("Drift of each run relative to inertial space", columns, tuple(rows))
+
+
+def before_rocking_table(runs: Runs, conditions: Conditions) -> list[Table]:
+    """Drift of the dynamic runs while their base still rests, beside that of the whole run; nothing where no record has such a time."""
+    rows = []
+    for reduced in (run for state in runs for four in state for run in four):
+        before = drift_before_rocking(reduced, conditions)
+        if before is None:
+            continue
+        whole = accelerometer_drift(reduced, conditions)
+        for place, axis in enumerate(reduced.run.state.level):
+            figures = [_figure(float(drift[place]) * DEG_PER_HOUR) for drift in (before, whole)]
+            rows.append((reduced.run.label, AXES[axis], *figures))
+    columns = ("run", "axis", "before the rocking, deg/h", "from t0 to t1, deg/h")
+    return [Table("Static drift before the rocking, by accelerometers", columns, tuple(rows))] if rows else []
 
 
 def method_error(request: EstimateRequest, seconds: float) -> Table:

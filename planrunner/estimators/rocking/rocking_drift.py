@@ -23,10 +23,12 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
 )
+from planrunner.estimators.rocking.angle_curves import curve_plots, drift_curves
 from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, conditions_of, drifts_of, influences_of
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
 from planrunner.estimators.rocking.report import (
+    before_rocking_table,
     comparison,
     leak_note,
     method_error,
@@ -94,6 +96,7 @@ class RockingDrift:
         combined = combine(states)
         pairings = pair(states, parameters.pairings, parameters.pairing_seed) if encoders else []
         seconds = reduced[0][0][0].seconds
+        curves = drift_curves(reduced, recorded, conditions, parameters)
         coefficients = tuple(_coefficient(combined, m) for m in range(len(combined.axes)))
         return Estimate(
             name=request.name,
@@ -107,8 +110,9 @@ class RockingDrift:
                 quadruple_table(states),
                 method_error(request, seconds),
                 run_table(states),
+                *before_rocking_table(reduced, conditions),
             ),
-            plots=tuple(pair_plots(pairings)),
+            plots=(*pair_plots(pairings), *curve_plots(curves)),
             notes=_notes(request, states, pairings, seconds),
             warnings=(why,) if why else (),
             segments=tuple(run.label for run in runs),
@@ -118,7 +122,7 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """The same for all runs: the second window ends with the shortest one."""
+    """The same for all runs: the second window ends with the shortest one, unless the plan says when it begins."""
     for item in recorded:
         if item.truncated:
             raise EstimationError(f"'{item.label}' was cut short: repeat its quadruple")
@@ -133,9 +137,13 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
         raise EstimationError(
             f"'{short.label}' lasts {min(lasting):.1f} s; {min(planned):g} s were planned: repeat its quadruple"
         )
-    windows = Windows(
-        parameters.release.value, end - parameters.window.value, parameters.window.value, parameters.cutoff.value
-    )
+    second = parameters.second(end)
+    windows = Windows(parameters.release.value, second, parameters.window.value, parameters.cutoff.value, end)
+    if second + windows.length > end + 1e-6:
+        raise EstimationError(
+            f"the second window ends at {second + windows.length:g} s, after the shortest record, which ends at {end:g} s: let "
+            "`second_window` begin earlier"
+        )
     if windows.second < windows.first + windows.length:
         raise EstimationError(
             f"the runs last {end:g} s: too short for a window at {windows.first:g} s and one at the end"
@@ -203,7 +211,9 @@ def _notes(
     notes = [sentence(pairings)] if pairings else []
     rocking = next(run.segment for run in states[0].quadruples[0].runs if run.dynamic)
     if isinstance(rocking.motion, Rock) and math.isfinite(rocking.motion.duration):
-        rocked = rocking.motion.duration - request.parameters.release.value - request.parameters.window.value / 2
+        first = request.parameters.release.value + request.parameters.window.value / 2
+        begins, ends = rocking.motion.steady, rocking.motion.steady + rocking.motion.duration
+        rocked = min(ends, first + seconds) - max(begins, first)
         notes.append(
             f"Rocking drift is the mean from t0 to t1, {seconds:g} s; the base rocked during {rocked:g} s of them."
         )
@@ -240,7 +250,7 @@ def _extra(
 def _predicted(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwell: float) -> tuple[Coefficient, ...]:
     """Standard uncertainties to expect of stated stability, declared noise and counts, and the table's position."""
     parameters: RockingDriftParameters = request.parameters
-    seconds = dwell - parameters.window.value - parameters.release.value
+    seconds = parameters.second(dwell) - parameters.release.value
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     stability = parameters.accelerometer_stability.value if parameters.accelerometer_stability else 0.0
     noise = 0.0

@@ -34,16 +34,22 @@ class Run:
         return isinstance(self.segment.motion, Rock)
 
     @property
-    def lead(self) -> float:
-        """Planned seconds from the release to the beginning of the record: settling, and a period to fade the rocking in."""
+    def planned_lead(self) -> float:
+        """Planned seconds from the release to the beginning of the record: settling, and what the rocking fades in before it."""
         motion = self.segment.motion
-        return self.segment.settle + (1 / motion.frequency if isinstance(motion, Rock) else 0.0)
+        return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
+
+    @property
+    def rest_before(self) -> float:
+        """Seconds of the record before the base begins to rock; 0 where it rocks already, or never."""
+        motion = self.segment.motion
+        return motion.delay if isinstance(motion, Rock) else 0.0
 
     @property
     def rocking_ends(self) -> float:
         """Seconds from the beginning of the record until the rings stand, the period in which it fades out included; 0 at rest."""
         motion = self.segment.motion
-        return motion.duration + 1 / motion.frequency if isinstance(motion, Rock) else 0.0
+        return motion.over if isinstance(motion, Rock) else 0.0
 
 
 @dataclass(frozen=True, slots=True)

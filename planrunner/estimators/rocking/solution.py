@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import EstimateRequest, EstimationError
+from planrunner.estimators.interface import EstimateRequest, EstimationError, Setup
 from planrunner.estimators.rocking.attitude import (
     UP,
     earth_turn,
@@ -62,13 +62,15 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class ReducedRun:
-    """A run as its two windows. nominal_azimuth: where the azimuth at t0 is taken from the planned orientation. off: rad, by which the
-    azimuth of this run is taken to be wrong, for sensitivities."""
+    """A run as its windows. before: the one that ends as the base begins to rock, where there is one. lead: s from the release to the
+    beginning of the record; None where the azimuth at t0 is that of the encoders, else it is that of the planned orientation, turned on
+    since the release. off: rad, by which the azimuth of this run is taken to be wrong, for sensitivities."""
 
     run: Run
     first: Window
     second: Window
-    nominal_azimuth: bool
+    before: Window | None
+    lead: float | None
     off: float = 0.0
 
     @property
@@ -84,7 +86,8 @@ def reduce_run(
     parameters: RockingDriftParameters = request.parameters
     channels = [*parameters.accelerometers, *((*parameters.rings, *parameters.gimbals) if encoders else ())]
     made = []
-    for piece, begin in zip(read_pieces(recorded, channels, windows), (windows.first, windows.second), strict=True):
+    windows = windows.with_rest(run.rest_before)
+    for piece, begin in zip(read_pieces(recorded, channels, windows), windows.begins, strict=True):
         columns = piece.values
         if encoders:
             turn = _encoder_turn(run, columns[:, 3:], request)
@@ -98,22 +101,57 @@ def reduce_run(
         time = piece.time[inside]
         made.append(Window(time, filtered[:, :3], filtered[:, 3:] if encoders else None))
     _plausible(run, made[0], request)
-    return ReducedRun(run, made[0], made[1], parameters.azimuth == "nominal")
+    lead = None
+    if parameters.azimuth == "nominal" or not encoders:
+        lead = lead_of(run, parameters, request.setup, recorded.in_mode)
+    return ReducedRun(run, made[0], made[1], made[2] if len(made) > 2 else None, lead)
+
+
+def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
+    """Seconds from the release to the beginning of the record: as stated, as recorded (`in_mode`), or as planned. Raises `EstimationError`
+    where a played-back recording leaves it open."""
+    if parameters.released_before is not None:
+        return parameters.released_before.value
+    if in_mode is not None:
+        return in_mode
+    if setup.replayed:
+        raise EstimationError(
+            f"how long before the record of '{run.label}' the element was released is not known: write `released_before`, `0 s` where "
+            "records begin with the release"
+        )
+    return run.planned_lead
 
 
 def accelerometer_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
     """Steps 2 to 5: drift [rad/s] about the two level axes, in the order x, y, z, shape (2,)."""
+    return _drift_between(reduced, reduced.second, conditions)
+
+
+def drift_before_rocking(reduced: ReducedRun, conditions: Conditions) -> Array | None:
+    """The same [rad/s] from the first window to the one that ends as the base begins to rock; None without that window."""
+    return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
+
+
+def _drift_between(reduced: ReducedRun, later: Window, conditions: Conditions) -> Array:
+    angles = [drift_angles(reduced, conditions, window.time, window.readings) for window in (reduced.first, later)]
+    count = min(map(len, angles))
+    seconds = float(later.time.mean() - reduced.first.time.mean())
+    return np.asarray(np.mean(angles[1][:count] - angles[0][:count], axis=0) / seconds)
+
+
+def drift_angles(reduced: ReducedRun, conditions: Conditions, time: Array, readings: Array) -> Array:
+    """Tilts (n, 2) [rad] about the two level axes that an inertially fixed element, released as it was found at t0, does not show.
+
+    time: (n,) s from the beginning of the record. readings: (n, 3) m/s^2, of the accelerometers at these times.
+    """
     state, gravity, earth = reduced.run.state, conditions.gravity, conditions.felt_earth
-    windows = (reduced.first, reduced.second)
-    tilts = [state.tilts(conditions.compensated(window.readings), gravity) for window in windows]
     zero = float(reduced.first.time.mean())
-    start = state.attitude(tilts[0].mean(axis=0), _heading(reduced, earth, zero) + reduced.off)
-    left = []
-    for window, seen in zip(windows, tilts, strict=True):
-        fixed = start @ earth_turn(earth, window.time - zero)
-        left.append(seen - state.tilts(gravity * (fixed @ UP), gravity))
-    count = min(len(left[0]), len(left[1]))
-    return np.asarray(np.mean(left[1][:count] - left[0][:count], axis=0) / reduced.seconds)
+    tilt = state.tilts(conditions.compensated(reduced.first.readings), gravity).mean(axis=0)
+    start = state.attitude(tilt, _heading(reduced, earth, zero) + reduced.off)
+    fixed = start @ earth_turn(earth, time - zero)
+    return np.asarray(
+        state.tilts(conditions.compensated(readings), gravity) - state.tilts(gravity * (fixed @ UP), gravity)
+    )
 
 
 def gimbal_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
@@ -133,8 +171,9 @@ def gimbal_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
 def _heading(reduced: ReducedRun, earth: Array, zero: float) -> float:
     """The element's turn about the vertical at t0."""
     state, turn = reduced.run.state, reduced.first.turn
-    if reduced.nominal_azimuth or turn is None:
-        return state.heading(state.nominal @ earth_turn(earth, np.array([zero + reduced.run.lead]))[0])
+    if reduced.lead is not None or turn is None:
+        assert reduced.lead is not None  # without encoders the azimuth is nominal
+        return state.heading(state.nominal @ earth_turn(earth, np.array([zero + reduced.lead]))[0])
     return state.heading(turned_by(turn.mean(axis=0)[None])[0] @ state.nominal)
 
 

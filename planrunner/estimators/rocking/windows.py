@@ -8,7 +8,7 @@ so that the slow turn of the element against gravity does not press on the ends 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,20 +27,33 @@ LONGEST_GAP = 0.5  # s, filled on a straight line
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Where the windows lie, s from the beginning of a record."""
+    """Where the windows lie, s from the beginning of a record. before: the begin of a third window that ends as the base begins to rock,
+    between the two; None where the record has no such time. end: of the record."""
 
     first: float
     second: float
     length: float
     cutoff: float
+    end: float
+    before: float | None = None
 
     @property
-    def pieces(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def begins(self) -> tuple[float, ...]:
+        """When each window begins."""
+        return (self.first, self.second) if self.before is None else (self.first, self.second, self.before)
+
+    @property
+    def pieces(self) -> tuple[tuple[float, float], ...]:
         """The times that are read around each window."""
         reach = REACH / self.cutoff
-        end = self.second + self.length
-        first = (max(0.0, self.first - reach), min(end, self.first + self.length + reach))
-        return first, (max(0.0, self.second - reach), end)
+        return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
+
+    def with_rest(self, rest: float) -> Windows:
+        """For a run whose base stands still for the first `rest` [s] of its record: a third window, where a filter length lies between
+        it and the first one."""
+        before = rest - self.length
+        apart = before >= self.first + self.length + 1 / self.cutoff
+        return replace(self, before=before) if apart else self
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +64,17 @@ class Piece:
     values: Array
 
 
-def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> tuple[Piece, Piece]:
-    """Both pieces of a run, with the channels as columns. Raises `EstimationError` for data that cannot serve."""
-    scales = [_scale(recorded, name) for name in channels]
+def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> list[Piece]:
+    """The pieces of a run, one a window, with the channels as columns. Raises `EstimationError` for data that cannot serve."""
+    scales = [scale(recorded, name) for name in channels]
     statistics = recorded.statistics
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
     if windows.cutoff > rate / SAMPLES:
         raise EstimationError(
             f"a cutoff of {windows.cutoff:g} Hz needs {SAMPLES * windows.cutoff:g} samples a second; '{recorded.label}' has {rate:.3g}"
         )
-    times: tuple[list[Array], list[Array]] = ([], [])
-    values: tuple[list[Array], list[Array]] = ([], [])
+    times: list[list[Array]] = [[] for _ in windows.pieces]
+    values: list[list[Array]] = [[] for _ in windows.pieces]
     for block in recorded.blocks(channels):
         since = block.time - recorded.statistics.start
         for k, (begin, end) in enumerate(windows.pieces):
@@ -76,7 +89,7 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
                 f"'{recorded.label}' has no samples from {begin:g} to {end:g} s: its run was cut short"
             )
         made.append(_even(recorded.label, np.concatenate(times[k]), np.concatenate(values[k]), begin, end))
-    return made[0], made[1]
+    return made
 
 
 def low_pass(piece: Piece, cutoff: float) -> Array:
@@ -110,7 +123,8 @@ def within(piece: Piece, begin: float, length: float) -> NDArray[np.bool_]:
     return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
 
 
-def _scale(recorded: RecordedSegment, name: str) -> float:
+def scale(recorded: RecordedSegment, name: str) -> float:
+    """SI units of one unit of a channel. Raises `EstimationError` for a channel that is missing or has an unknown unit."""
     try:
         return unit(recorded.units[name]).factor
     except KeyError:

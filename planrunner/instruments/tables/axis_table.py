@@ -270,12 +270,17 @@ class AxisTable:
                 raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
         self._aim = Aim()
         self._home, self._rocking = tuple(float(joint) for joint in joints), motion
+        record = self.clock.now() + motion.lead_in
+        end = record + motion.steady + motion.duration
+        if motion.delay:
+            self._timed.begin(
+                "rocking could not be begun and ended", lambda: self._rock_between(record + motion.delay, end)
+            )
+            return motion.lead_in
         self.commands.rock(self._sines(motion, motion.amplitude))
-        steady = 1 / motion.frequency
         if math.isfinite(motion.duration):
-            end = self.clock.now() + steady + motion.duration
             self._timed.begin("rocking could not be ended", lambda: self._rock_until(end))
-        return steady
+        return motion.lead_in
 
     def _sines(self, motion: Rock, amplitude: float) -> dict[int, Sine]:
         return {
@@ -294,6 +299,15 @@ class AxisTable:
         self.commands.rock(self._sines(rocking, 0.0))
         self._stand(home, home)
         return 1 / rocking.frequency
+
+    def _rock_between(self, begin: float, end: float) -> None:
+        """The rocking begins only while the segment is recorded."""
+        rocking = self._rocking
+        assert rocking is not None
+        self._timed.until(begin)
+        self.commands.rock(self._sines(rocking, rocking.amplitude))
+        if math.isfinite(end):
+            self._rock_until(end)
 
     def _rock_until(self, end: float) -> None:
         """The duration of the rocking is over while the segment goes on."""

@@ -162,17 +162,18 @@ class Rocking:
         return joints
 
     def still(self, start: float) -> bool:
-        return start >= self._over
+        return start >= self.over
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
         # The sine, its fading, and the joints that carry one another; fading out while fading in may sum to both.
         circular = TURN * self.frequency
         pace = circular * (2 + 2 * self.amplitude * len(self.phases))
-        breaks = [self.steady - 1 / self.frequency, self.steady, self.steady + self.duration, self._over]
-        return _cut(begin, end, breaks, lambda time: pace if time < self._over else 0.0)
+        breaks = [self.steady - 1 / self.frequency, self.steady, self.steady + self.duration, self.over]
+        return _cut(begin, end, breaks, lambda time: pace if breaks[0] < time < self.over else 0.0)
 
     @property
-    def _over(self) -> float:
+    def over(self) -> float:
+        """When the joints stand still again [s since the run began]."""
         return self.steady + self.duration + 1 / self.frequency
 
 

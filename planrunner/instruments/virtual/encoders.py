@@ -39,7 +39,7 @@ class RingEncoders:
 
     def read(self, course: Course, times: Array, step: float, draw: np.random.Generator) -> list[Array]:
         """Indicated angles [rad] of each ring, outermost first, at `times`, `step` s apart."""
-        over = course.steady + course.duration + 1 / course.frequency if isinstance(course, Rocking) else math.inf
+        over = course.over if isinstance(course, Rocking) else math.inf
         readings = []
         for k, (angle, rate) in enumerate(course.follow(times)):
             wandering = self.wandered[k] + np.cumsum(self.wander * math.sqrt(step) * draw.standard_normal(times.size))

@@ -171,9 +171,11 @@ class VirtualTable:
             self._within("rocking", motion.amplitude * circular, motion.amplitude * circular**2, axis)
             if not axis.lowest <= angle - motion.amplitude <= angle + motion.amplitude <= axis.highest:
                 raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
-        steady = now + 1 / motion.frequency
-        rocking = courses.Rocking(steady, angles, motion.amplitude, motion.frequency, motion.phases, motion.duration)
-        return self._set_course(rocking, steady)
+        record = now + motion.lead_in
+        rocking = courses.Rocking(
+            record + motion.steady, angles, motion.amplitude, motion.frequency, motion.phases, motion.duration
+        )
+        return self._set_course(rocking, record)
 
     def _within(self, what: str, rate: float, acceleration: float | None, axis: TableAxis) -> None:
         if abs(rate) > axis.max_rate * (1 + 1e-9):
