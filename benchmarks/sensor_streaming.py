@@ -161,6 +161,13 @@ class Bench:
     def sign_of_life(self) -> None:
         """No watchdog listens."""
 
+    def take_control(self, *names: str) -> None:
+        """All of it is made safe."""
+
+    @property
+    def untouched(self) -> tuple[str, ...]:
+        return ()
+
     def make_safe(self) -> list[str]:
         self.safe_at = time.perf_counter()
         return []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import stat
 from pathlib import Path
 
 
@@ -14,18 +16,27 @@ class HeldError(Exception):
 class ExclusiveFile:
     """A lock on `path`, which is made when absent, held from creation to `release`.
 
-    note: who holds it and for what, for whoever finds it held. mode: permissions of a new file. Raises `HeldError` when it is held,
-    `OSError` when the file cannot be opened.
+    note: who holds it and for what, for whoever finds it held. mode: permissions of a new file. opened: a descriptor of the file, which is
+    closed with the lock, where the caller has opened it. Raises `HeldError` when it is held, `OSError` when the file cannot be opened or is
+    anything but a regular file with one name: in a folder that all may write to, a link would make the lock write into somebody's file,
+    and a pipe would wait for ever.
     """
 
-    def __init__(self, path: Path, note: str = "", mode: int = 0o644):
-        self._descriptor: int | None = _open(path, mode)
-        try:
-            _lock(self._descriptor)
-        except OSError:
-            held = _read_note(self._descriptor)
-            self._close()
-            raise HeldError(held) from None
+    def __init__(self, path: Path, note: str = "", mode: int = 0o644, *, opened: int | None = None):
+        self._descriptor: int | None = None
+        for _ in range(ATTEMPTS):
+            self._descriptor = _open(path, mode) if opened is None else opened
+            try:
+                _lock(self._descriptor)
+            except OSError:
+                held = _read_note(self._descriptor)
+                self._close()
+                raise HeldError(held) from None
+            if opened is not None or _is_still(self._descriptor, path):
+                break
+            self._close()  # removed or replaced before it was locked: whoever comes next would lock another file
+        if self._descriptor is None:
+            raise OSError(errno.EAGAIN, "the lock is removed again and again", str(path))
         if note:
             _leave_note(self._descriptor, note)
 
@@ -40,22 +51,52 @@ class ExclusiveFile:
             self._descriptor = None
 
 
+ATTEMPTS = 10
 NOTE_AT = 1
 """The note begins behind the byte that is locked, so that it can be read while the lock is held, on Windows too."""
-NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+LONGEST_NOTE = 300
+NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 
 
 def _open(path: Path, mode: int) -> int:
     """Without creating it first: a system may refuse to create what another user has in a shared folder, but lets it be opened."""
     with contextlib.suppress(FileNotFoundError):
+        _hold(os.lstat(path), path)
         try:
-            return os.open(path, os.O_RDWR | NO_LINK)
+            return _held(os.open(path, os.O_RDWR | NO_LINK), path)
         except PermissionError:
-            return os.open(path, os.O_RDONLY | NO_LINK)
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | NO_LINK, mode)
+            return _held(os.open(path, os.O_RDONLY | NO_LINK), path)
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK, mode)
+    except FileExistsError:  # somebody was quicker
+        return _open(path, mode)
     with contextlib.suppress(OSError, AttributeError):
         os.fchmod(descriptor, mode)  # whatever the process's mask
     return descriptor
+
+
+def _held(descriptor: int, path: Path) -> int:
+    try:
+        _hold(os.fstat(descriptor), path)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _hold(known: os.stat_result, path: Path) -> None:
+    """Raises `OSError` for what is no regular file with one name."""
+    if stat.S_ISLNK(known.st_mode):
+        raise OSError(errno.ELOOP, "it is a symbolic link", str(path))
+    if not stat.S_ISREG(known.st_mode) or known.st_nlink > 1:
+        raise OSError(errno.EINVAL, "it is not a regular file with one name", str(path))
+
+
+def _is_still(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
+    except FileNotFoundError:
+        return False
 
 
 def _leave_note(descriptor: int, note: str) -> None:
@@ -66,9 +107,11 @@ def _leave_note(descriptor: int, note: str) -> None:
 
 
 def _read_note(descriptor: int) -> str:
+    """Without what a terminal would obey: another user may have written it."""
     with contextlib.suppress(OSError):
         os.lseek(descriptor, NOTE_AT, os.SEEK_SET)
-        return os.read(descriptor, 1000).decode("utf-8", "replace").strip()
+        text = os.read(descriptor, LONGEST_NOTE).decode("utf-8", "replace").strip()
+        return "".join(letter if letter.isprintable() else "?" for letter in text)
     return ""
 
 

@@ -1,4 +1,4 @@
-"""A bench opened for a run: locked against other runs, guarded by a watchdog, connected, and left safe.
+"""A bench opened for a run: locked against other runs, guarded by a watchdog, connected, and left safe, in this order.
 
 A bench without real instruments needs neither lock nor watchdog.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import Bench, real_instruments, runs_on_virtual_clock
-from planrunner.bench.opening import NotSafeError, OpenBench, open_bench
+from planrunner.bench.opening import OpenBench, open_bench
 from planrunner.bench.watchdog import Watchdog
 
 
@@ -31,13 +31,8 @@ def guarded_bench(
             watchdog = Watchdog(bench_file, shown, data_root, silence)
         safe = False
         try:
-            try:
-                opened = open_bench(bench, data_root=data_root, seed=seed)
-            except NotSafeError:
-                raise
-            except Exception:
-                safe = True
-                raise
+            # Until the bench is controlled, the watchdog answers for nothing, whatever ends this process.
+            opened = open_bench(bench, data_root=data_root, seed=seed)
             opened.watchdog = watchdog
             try:
                 with opened:

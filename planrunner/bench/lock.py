@@ -1,7 +1,9 @@
-"""One run a bench: every real instrument is locked by its address, for all processes of the computer.
+"""One run a bench: every real instrument is locked, by all names of its address, for all processes of the computer.
 
-Locks are files in one folder of the computer; the operating system gives them back when a process ends, however it ends. A second
-computer that reaches the same instrument does not see them.
+Locks are files in one place of the computer, the same for every process whatever its folder for temporary files; the operating system
+gives them back when a process ends, however it ends. Beside the lock of a run stands that of its watchdog, from before the first
+instrument is connected: when a run is killed, nobody gets the bench until its watchdog has made it safe. A second computer that reaches
+the same instrument sees neither.
 """
 
 from __future__ import annotations
@@ -10,21 +12,30 @@ import contextlib
 import getpass
 import hashlib
 import os
-import tempfile
+import stat
+import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 
 from planrunner.bench.model import Bench, driver_of, real_instruments, runs_on_virtual_clock
+from planrunner.bench.same_instrument import names_of
 from planrunner.exclusive import ExclusiveFile, HeldError
 from planrunner.instruments.interfaces import Addressed
 from planrunner.plan.findings import InputError, Mark
+from planrunner.trusted_folders import UntrustedFolderError, computer_data, trusted
 
 FOLDER = "PLANRUNNER_LOCKS"
 """Environment variable that names another folder for the locks."""
-RESCUE = "a watchdog makes it safe"
+PLACES = {
+    "darwin": ("/Users/Shared", "/private/tmp"),
+    "linux": ("/run/planrunner-locks", "/run/lock", "/tmp"),
+}
+"""Where locks lie, by platform: the first of these that its users share, whatever the environment says. The first of Linux only an
+administrator can make."""
+ELSEWHERE = ("/tmp",)
 RESCUE_PATIENCE = 30.0
 """Seconds that a new run waits for the watchdog of one that was killed."""
 
@@ -34,62 +45,123 @@ def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[Non
     """Hold the bench's real instruments alone; a bench without any is shared by all.
 
     shown: the bench's file, for messages; purpose: of holding it, for whoever finds it held. Raises `InputError` when another process
-    holds one of them; the lock of a watchdog is waited for.
+    holds one of them; the watchdog of a run that has ended is waited for.
     """
-    held: list[ExclusiveFile] = []
-    deadline = time.monotonic() + RESCUE_PATIENCE
-    try:
-        for what in _locked(bench):
-            held.append(_hold(what, shown, purpose, deadline))
+    instruments = _names(bench)
+    with ExitStack() as stack:
+        _hold_all(stack, instruments, "lock", shown, purpose)
+        deadline = time.monotonic() + RESCUE_PATIENCE
+        while True:
+            try:
+                with ExitStack() as looked:
+                    _hold_all(looked, instruments, "watchdog", shown, purpose)
+                break
+            except InUseError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
         yield
-    finally:
-        for lock in held:
-            lock.release()
 
 
-def _locked(bench: Bench) -> list[str]:
-    """What is locked, in one order for all, so that two runs never wait for each other."""
+@contextmanager
+def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
+    """Keep every other run from the bench's real instruments for as long as the watchdog of this one lives. Raises `InputError`."""
+    with ExitStack() as stack:
+        _hold_all(stack, _names(bench), "watchdog", shown, "the watchdog of a run, which makes it safe")
+        yield
+
+
+class InUseError(InputError):
+    """Another process holds an instrument."""
+
+
+def lock_folder() -> Path:
+    """Where locks lie on this computer. Raises `OSError` and `UntrustedFolderError`."""
+    named = os.environ.get(FOLDER)
+    if named:
+        return _named(Path(named))
+    if sys.platform == "win32":
+        folder = computer_data() / "planrunner" / "locks"
+        folder.mkdir(parents=True, exist_ok=True)
+        return trusted(folder)
+    for place in map(Path, PLACES.get(sys.platform, ELSEWHERE)):
+        with contextlib.suppress(FileNotFoundError):
+            mode = place.lstat().st_mode
+            if stat.S_ISDIR(mode) and mode & stat.S_ISVTX and mode & stat.S_IWGRP:
+                return trusted(place)
+    raise OSError("this computer has no folder that its users share")
+
+
+def _named(folder: Path) -> Path:
+    """The folder that the environment names; made when absent, for all users by an administrator, for the user alone else."""
+    if not folder.is_absolute():
+        raise UntrustedFolderError(f"{folder} is another folder for every process: write its whole path")
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        if folder.is_symlink():
+            raise UntrustedFolderError(f"{folder} is a link: name the folder itself") from None
+    else:
+        if sys.platform != "win32" and os.geteuid() == 0:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                os.fchmod(descriptor, 0o1777)
+            finally:
+                os.close(descriptor)
+    return trusted(folder)
+
+
+def _names(bench: Bench) -> Mapping[str, str]:
+    """Every name of every real instrument → how the bench file writes it; in one order for all, so that two runs never wait for each
+    other."""
     if runs_on_virtual_clock(bench):
-        return []
-    found = set()
+        return {}
+    found: dict[str, str] = {}
     for name in real_instruments(bench):
         driver, parameters = driver_of(bench.instruments[name]), bench.instruments[name].parameters
         if issubclass(driver, Addressed):
-            found.add(str(driver.address(parameters)))
+            address = str(driver.address(parameters))
+            found |= dict.fromkeys(names_of(address), address)
         else:
-            found.add(f"bench {bench.name}: {name}")
-    return sorted(found)
+            unnamed = f"bench {bench.name}: {name}"
+            found[unnamed] = unnamed
+    return dict(sorted(found.items()))
 
 
-def _hold(what: str, shown: str, purpose: str, deadline: float) -> ExclusiveFile:
+def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
+    """Hold the locks of a kind until the stack is left; all of them or none."""
+    if not instruments:
+        return
+    folder = _usable_folder(shown)
     since = datetime.now().astimezone().isoformat(timespec="seconds")
     note = f"{purpose}, process {os.getpid()} of {_user()}, since {since}"
-    path = _folder(shown) / f"{hashlib.sha256(what.encode()).hexdigest()[:24]}.lock"
-    while True:
+    for name, written in instruments.items():
+        path = folder / f"planrunner-{hashlib.sha256(name.encode()).hexdigest()[:24]}.{kind}"
         try:
-            return ExclusiveFile(path, note, 0o666)
+            lock = ExclusiveFile(path, note, 0o666)
         except HeldError as error:
-            if RESCUE in str(error) and time.monotonic() < deadline:
-                time.sleep(0.1)
-                continue
-            message = f"this bench is in use: {what} is held by {str(error) or 'another process'}"
+            message = f"this bench is in use: {written} is held by {str(error) or 'another process'}"
             hint = "wait until that ends, or stop it; a lock ends with its process"
-            raise InputError.at(Mark(shown), "bench-in-use", message, hint) from None
+            raise InUseError.at(Mark(shown), "bench-in-use", message, hint) from None
         except OSError as error:
             message = f"the bench cannot be locked: {path}: {error.strerror or error}"
-            raise InputError.at(Mark(shown), "bench-lock", message, f"name a folder for locks in {FOLDER}") from None
+            raise InputError.at(Mark(shown), "bench-lock", message, _ELSEWHERE) from None
+        stack.callback(lock.release)
 
 
-def _folder(shown: str) -> Path:
-    folder = Path(os.environ.get(FOLDER) or Path(tempfile.gettempdir()) / "planrunner-locks")
+_ELSEWHERE = f"let an administrator make a folder that all who use the bench may write to, with the sticky bit, and name it in {FOLDER}"
+
+
+def _usable_folder(shown: str) -> Path:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        return lock_folder()
+    except UntrustedFolderError as error:
+        message = f"the folder for the locks of benches is not safe: {error}"
+        raise InputError.at(Mark(shown), "bench-lock", message, _ELSEWHERE) from None
     except OSError as error:
-        message = f"the folder for the locks of benches cannot be made: {folder}: {error.strerror or error}"
-        raise InputError.at(Mark(shown), "bench-lock", message, f"name another one in {FOLDER}") from None
-    with contextlib.suppress(OSError):  # whoever came first made it for all
-        folder.chmod(0o1777)
-    return folder
+        where = f"{error.filename}: " if error.filename else ""
+        message = f"the folder for the locks of benches cannot be used: {where}{error.strerror or error}"
+        raise InputError.at(Mark(shown), "bench-lock", message, _ELSEWHERE) from None
 
 
 def _user() -> str:

@@ -1,13 +1,14 @@
 """The connected bench: its instruments by role and name, its clock, and the way to make it safe.
 
-Connecting stops at the first instrument that fails, after those already connected were made safe and closed. Making
-safe tries every instrument in the bench's order, whatever the others do.
+What is made safe is what this process took control of, instrument by instrument, and nothing else: to connect is not to command, and an
+instrument that somebody else set going is not ours to stop. Making safe tries each of them in the bench's order, whatever the others do.
+Connecting stops at the first instrument that fails, after those already connected were let go.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -38,11 +39,11 @@ class SafetyFailure:
 
 
 class OpenBench:
-    """A bench whose instruments are connected. A context manager: leaving it makes everything safe, then closes it.
+    """A bench whose instruments are connected. A context manager: leaving it makes safe what was taken control of, then closes everything.
 
     table, chamber, sensor: the instrument of that role, or None. monitors: every other instrument by name. instruments: all of them
-    by name. limits: what the instruments are to keep to by themselves. watchdog: of a guarded bench. safe: whether the bench was
-    brought to its safe state when that was last asked.
+    by name. limits: what the instruments are to keep to by themselves. watchdog: of a guarded bench. safe: whether all that is
+    controlled was brought to its safe state when that was last asked.
     """
 
     def __init__(self, bench: Bench, clock: Clock, site: Site):
@@ -56,6 +57,7 @@ class OpenBench:
         self.instruments: Mapping[str, Any] = {}
         self.watchdog: Watchdog | None = None
         self.safe = False
+        self._controlled: set[str] = set()
 
     @property
     def limits(self) -> OwnLimits:
@@ -74,24 +76,37 @@ class OpenBench:
         else:
             self.monitors = {**self.monitors, name: instrument}
 
+    def take_control(self, *names: str) -> None:
+        """From now on this process commands these instruments, all of them without names: it makes them safe, and so does its watchdog
+        when it no longer can. To be called before the first command. Raises `InstrumentError` when the watchdog is gone."""
+        added = set(names or self.instruments) - self._controlled
+        if added and self.watchdog is not None:
+            self.watchdog.answer_for(added)
+        self._controlled |= added
+
+    @property
+    def untouched(self) -> tuple[str, ...]:
+        """The instruments that were never commanded, and so are left as they were found."""
+        return tuple(name for name in self.instruments if name not in self._controlled)
+
     def make_safe(self) -> list[SafetyFailure]:
-        """Bring every instrument to its safe state, in the bench's order; returns those that failed."""
+        """Bring every instrument that is controlled to its safe state, in the bench's order; returns those that failed."""
         self.safe = False
-        failures = self._each("make_safe")
+        failures = self._each("make_safe", self._controlled)
         self.safe = not failures
         return failures
 
     def close(self) -> list[SafetyFailure]:
         """Disconnect every instrument; returns those that failed. May be called twice."""
-        failures = self._each("close")
+        failures = self._each("close", self.instruments)
         self.instruments, self.monitors = {}, {}
         self.table = self.chamber = self.sensor = None
         return failures
 
-    def _each(self, action: str) -> list[SafetyFailure]:
+    def _each(self, action: str, names: Container[str]) -> list[SafetyFailure]:
         failures = []
         for name in safe_order(self.bench):
-            if name not in self.instruments:
+            if name not in self.instruments or name not in names:
                 continue
             with contextlib.suppress(InstrumentError):  # a lost watchdog is no reason to stop here
                 self.sign_of_life()
@@ -107,7 +122,8 @@ class OpenBench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        failures = self.make_safe() + self.close()
+        unsafe = self.make_safe()
+        failures = unsafe + [failure for failure in self.close() if failure.instrument in self._controlled]
         if failures:
             message = "not everything could be made safe: " + "; ".join(map(str, failures))
             raise NotSafeError(message) from error
@@ -133,7 +149,7 @@ def open_bench(
 
     data_root: folder that recordings must lie beneath. seed: of all that a simulated bench draws, the bench's own
     without it. clock: instead of the one that the bench names. Raises `InstrumentError` naming the instrument that
-    could not be connected; those before it are then safe and closed.
+    could not be connected; those before it are then closed, as they were found.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))
@@ -146,13 +162,13 @@ def open_bench(
             driver = driver_of(entry)
             instrument = driver.connect(entry.parameters, surroundings)
         except BaseException as error:
-            failures = opened.make_safe() + opened.close()
+            connected = tuple(opened.instruments)
+            opened.close()
             if not isinstance(error, Exception):
                 raise
-            also = "; and could not be made safe: " + "; ".join(map(str, failures)) if failures else ""
             reason = f"{error}" or type(error).__name__
-            kind = NotSafeError if failures else InstrumentError
-            raise kind(f"{name} ({entry.driver}) cannot be connected: {reason}{also}") from error
+            left = f" ({', '.join(connected)}: left as found, nothing was commanded)" if connected else ""
+            raise InstrumentError(f"{name} ({entry.driver}) cannot be connected: {reason}{left}") from error
         opened.add(name, driver.role, instrument)
         surroundings.instruments[driver.role] = instrument
     return opened

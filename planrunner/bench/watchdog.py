@@ -1,8 +1,9 @@
 """The watchdog, as planrunner sees it: a process of its own that makes the bench safe when planrunner no longer can.
 
-It is started before the first instrument is connected, hears a sign of life about every second, and ends when it is told that the
-bench is safe. Whatever else ends the connection (planrunner killed or crashed, the bench not brought to its safe state), or a silence
-longer than the bench allows, which ends planrunner, makes it act: `planrunner.bench.watchdog_process`.
+It is started before the first instrument is connected, is told which instruments the run takes control of, hears a sign of life about
+every second, and ends when it is told that the bench is safe. Whatever else ends the connection (planrunner killed or crashed, the bench
+not brought to its safe state), or a silence longer than the bench allows, which ends planrunner, makes it act, on the instruments that the
+run controlled and no others: `planrunner.bench.watchdog_process`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,6 +28,10 @@ ENDING = 120.0
 """Seconds that the watchdog may take to start, to leave when it is told to, and to make a bench safe that planrunner could not."""
 EVERY = 1.0
 """Seconds between two signs of life."""
+_GONE = (
+    "the watchdog process has ended, or made the bench safe after a silence: look whether the computer stood still or somebody ended it, "
+    "then resume the run"
+)
 REPORT = "watchdog.txt"
 """File in the run folder that tells what the watchdog did, until the run is resumed."""
 
@@ -70,10 +76,15 @@ class Watchdog:
         try:
             self._tell("alive")
         except OSError:
-            raise InstrumentError(
-                "the watchdog process has ended, or made the bench safe after a silence: look whether the computer stood still or "
-                "somebody ended it, then resume the run"
-            ) from None
+            raise InstrumentError(_GONE) from None
+
+    def answer_for(self, instruments: Collection[str]) -> None:
+        """These are commanded from now on: it makes them safe when planrunner no longer can. Raises `InstrumentError` when the watchdog
+        is gone, so that nothing is commanded unguarded."""
+        try:
+            self._tell(json.dumps({"answer_for": sorted(instruments)}))
+        except OSError:
+            raise InstrumentError(_GONE) from None
 
     def report_to(self, folder: Path) -> None:
         """The run folder that it reports in, should it have to act."""

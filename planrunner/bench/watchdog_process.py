@@ -1,9 +1,10 @@
 """The watchdog process: `python -m planrunner.bench.watchdog_process`, started by `planrunner.bench.watchdog`.
 
-It reads what to guard from its standard input, then signs of life. When they stay away for too long, it ends planrunner, which may hold
-connections that only one can have, and might go on commanding. Then, and when they end without the word `safe`, it connects to every real
-instrument anew, from the bench file alone, makes it safe, and reports to the run folder and to standard error.
-An instrument that hangs or fails does not keep it from the next.
+It reads what to guard from its standard input, then signs of life, and which instruments planrunner takes control of. When the signs stay
+away for too long, it ends planrunner, which may hold connections that only one can have, and might go on commanding. Then, and when they
+end without the word `safe`, it connects to every real instrument that planrunner controlled anew, from the bench file alone, makes it safe,
+and reports to the run folder and to standard error. Instruments that planrunner had only connected to are left as they are. An instrument
+that hangs or fails does not keep it from the next. From its start to its end no other run gets the bench (`bench.lock`).
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ import signal
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from planrunner.bench.clock import WallClock
-from planrunner.bench.lock import RESCUE, bench_lock
+from planrunner.bench.lock import watchdog_lock
 from planrunner.bench.model import Bench, driver_of, parse_bench, real_instruments, site_of
 from planrunner.bench.opening import real_clock
 from planrunner.bench.watchdog import REPORT
@@ -42,7 +43,8 @@ ENDED_WITHIN = 5.0
 
 @dataclass(slots=True)
 class Charge:
-    """What is guarded. parent: planrunner's process; report: the run folder, once there is one."""
+    """What is guarded. parent: planrunner's process; report: the run folder, once there is one; controlled: the instruments that
+    planrunner commands."""
 
     bench: Bench
     shown: str
@@ -50,21 +52,24 @@ class Charge:
     silence: float
     parent: int
     report: Path | None = None
+    controlled: set[str] = field(default_factory=set)
 
 
 def main() -> int:
     _be_deaf()
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
-    try:
-        charge = _read_charge(lines.get(timeout=PATIENCE))
-    except (queue.Empty, ValueError, KeyError, InputError) as error:
-        print(f"{error or type(error).__name__}".splitlines()[0], flush=True)
-        return 2
-    print("ready", flush=True)
-    reason = _guard(charge, lines)
-    if reason is not None:
-        _tell(charge, reason, rescue(charge))
+    with contextlib.ExitStack() as stack:
+        try:
+            charge = _read_charge(lines.get(timeout=PATIENCE))
+            stack.enter_context(watchdog_lock(charge.bench, charge.shown))
+        except (queue.Empty, ValueError, KeyError, InputError) as error:
+            print(f"{error or type(error).__name__}".splitlines()[0], flush=True)
+            return 2
+        print("ready", flush=True)
+        reason = _guard(charge, lines)
+        if reason is not None and (charge.controlled or charge.report is not None):
+            _tell(charge, reason, rescue(charge))
     return 0
 
 
@@ -108,7 +113,13 @@ def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
         if line == b"":
             return "planrunner ended without leaving the bench safe"
         if line.startswith(b"{"):
-            charge.report = Path(json.loads(line)["report"])
+            _hear(charge, json.loads(line))
+
+
+def _hear(charge: Charge, told: dict[str, Any]) -> None:
+    if "report" in told:
+        charge.report = Path(told["report"])
+    charge.controlled |= set(told.get("answer_for", ()))
 
 
 def _ended(parent: int) -> str:
@@ -125,15 +136,11 @@ def _ended(parent: int) -> str:
 
 
 def rescue(charge: Charge) -> list[str]:
-    """Make every real instrument safe, in the bench's order; a line for each, or why the bench was left alone."""
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(bench_lock(charge.bench, charge.shown, RESCUE))
-        except InputError as error:
-            text = str(error)
-            if f"process {charge.parent} of" not in text:  # planrunner itself may live and hold it
-                return [f"left alone: {text.splitlines()[0]}"]
-        return [f"{name}: {_made_safe(charge, name)}" for name in real_instruments(charge.bench)]
+    """Make every real instrument that planrunner controlled safe, in the bench's order; a line for each."""
+    return [
+        f"{name}: {_made_safe(charge, name) if name in charge.controlled else 'left as it was, never commanded'}"
+        for name in real_instruments(charge.bench)
+    ]
 
 
 def _made_safe(charge: Charge, name: str) -> str:

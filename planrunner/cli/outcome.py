@@ -23,8 +23,11 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
         print(printable(f"error: {failure}"), file=sys.stderr)
     for unsafe in outcome.unsafe:
         print(printable(f"error: NOT IN THE SAFE STATE: {unsafe}; look at the instrument now"), file=sys.stderr)
+    if outcome.untouched:
+        print(f"Never commanded, and left as they were found: {', '.join(outcome.untouched)}.", file=sys.stderr)
     if not outcome.unsafe:
-        print("The instruments are in their safe state.", file=sys.stderr)
+        which = "Every other instrument is in its" if outcome.untouched else "The instruments are in their"
+        print(f"{which} safe state.", file=sys.stderr)
     if outcome.stopped:
         print(f"Stopped {outcome.stopped} on request.", file=sys.stderr)
     print(f"{outcome.completed} of {outcome.segments} segments were recorded now and are kept.", file=sys.stderr)

@@ -8,7 +8,7 @@ plan allows. Whatever happens, the bench is brought to its safe state before any
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -51,8 +51,16 @@ class OpenBench(Protocol):
     @property
     def limits(self) -> OwnLimits: ...
 
+    def take_control(self, *names: str) -> None:
+        """These instruments are commanded from now on, all of them without names, and so are to be made safe. Called before the first
+        command; raises `InstrumentError` when nobody guards the bench."""
+
+    @property
+    def untouched(self) -> Sequence[str]:
+        """Names of the instruments that nobody took control of."""
+
     def make_safe(self) -> list[Any]:
-        """Bring every instrument to its safe state; returns what failed."""
+        """Bring every instrument that was taken control of to its safe state; returns what failed."""
 
     def sign_of_life(self) -> None:
         """Called often; raises `InstrumentError` when nobody guards the bench any more."""
@@ -134,14 +142,15 @@ class _Execution:
         complete = self._complete() and not failures
         cut, self.segment = self.segment, None
         stopped = None if complete or not self.stop.after_segment else self._how()
-        finished = False
+        finished, untouched = False, tuple(self.bench.untouched)
         try:
             self.doing = "writing the run folder"
             for failure in failures:
                 self.writer.note("failed", where=failure.where, kind=failure.kind, message=failure.message)
             if stopped is not None:
                 self.writer.note("stopped", how=stopped, reason=self.stop.reason)
-            self.writer.note("safe", failures=unsafe)
+            left = {"untouched": list(untouched)} if untouched else {}
+            self.writer.note("safe", failures=unsafe, **left)
             reason = str(failures[0]) if failures else f"stopped {stopped}: {self.stop.reason}"
             if not complete:
                 keeps = cut is not None and cut.on_break == "keep"
@@ -151,7 +160,8 @@ class _Execution:
                 finished = True
         except BaseException as error:  # the disk, or a driver's checkpoint; resuming settles what is missing
             failures.append(Failure.of(error, self.doing))
-        return Outcome(self.completed, len(self.schedule.segments), finished, stopped, tuple(failures), tuple(unsafe))
+        count = len(self.schedule.segments)
+        return Outcome(self.completed, count, finished, stopped, tuple(failures), tuple(unsafe), untouched)
 
     def _how(self) -> Any:
         return "at once" if self.stop.at_once else "after the segment"
@@ -180,6 +190,7 @@ class _Execution:
             self.continuity.restore(self.writer.resume_point)
         self.doing = "setting the instruments' own limits"
         limits = self._protect()
+        self.bench.take_control()
         self.doing = "writing the run folder"
         self.writer.note("instruments", instruments=identities)
         if limits:
@@ -190,11 +201,12 @@ class _Execution:
 
     def _protect(self) -> dict[str, list[str]]:
         """Every instrument that can is told what it shall keep to by itself; what it now keeps to, by name."""
-        return {
-            name: [str(line) for line in item.limit(self.bench.limits)]
-            for name, item in self.bench.instruments.items()
-            if isinstance(item, SelfLimiting)
-        }
+        told = {}
+        for name, item in self.bench.instruments.items():
+            if isinstance(item, SelfLimiting):
+                self.bench.take_control(name)
+                told[name] = [str(line) for line in item.limit(self.bench.limits)]
+        return told
 
     # -- one segment after the other -----------------------------------------------------------------------------------
 

@@ -34,8 +34,8 @@ class Failure:
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """completed: segments acknowledged now; segments: of the schedule. stopped: on request, and how. unsafe: what
-    could not be made
-    safe. finished: every segment is acknowledged and the folder sealed."""
+    could not be made safe; untouched: instruments that were never commanded, and so are left as they were found. finished: every segment
+    is acknowledged and the folder sealed."""
 
     completed: int
     segments: int
@@ -43,6 +43,7 @@ class Outcome:
     stopped: Literal["after the segment", "at once"] | None = None
     failures: tuple[Failure, ...] = ()
     unsafe: tuple[str, ...] = ()
+    untouched: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:

@@ -80,6 +80,7 @@ def test_instruments_by_role_and_made_safe_in_order_on_leaving():
         assert opened.sensor is opened.instruments["s"]
         assert list(opened.monitors) == ["m"]
         assert isinstance(opened.clock, VirtualClock)
+        opened.take_control()
         LOG.clear()
     safe = ["table safe", "chamber safe", "sensor safe", "monitor safe"]
     assert safe + [entry.replace("safe", "closed") for entry in safe] == LOG
@@ -89,6 +90,7 @@ def test_each_is_made_safe_whatever_the_others_do():
     opened = open_bench(
         bench("t: {driver: table, unsafe: true}, c: {driver: chamber, unsafe: true}, s: {driver: sensor}")
     )
+    opened.take_control()
     failures = opened.make_safe()
     assert [str(failure) for failure in failures] == ["t: does not stop", "c: does not stop"]
     assert LOG[-3:] == ["table safe", "chamber safe", "sensor safe"]
@@ -107,6 +109,7 @@ def test_signs_of_life_come_between_the_instruments_while_each_is_made_safe():
 
     opened = open_bench(bench("a: {driver: table}, b: {driver: chamber}, c: {driver: sensor}"))
     LOG.clear()
+    opened.take_control()
     opened.watchdog = Watchdog()
     assert opened.make_safe() == []
     assert LOG == ["alive", "table safe", "alive", "chamber safe", "alive", "sensor safe"]
@@ -115,22 +118,56 @@ def test_signs_of_life_come_between_the_instruments_while_each_is_made_safe():
 def test_leaving_says_what_could_not_be_made_safe():
     with (
         pytest.raises(InstrumentError, match="t: does not stop"),
-        open_bench(bench("t: {driver: table, unsafe: true}")),
+        open_bench(bench("t: {driver: table, unsafe: true}")) as opened,
     ):
-        pass
+        opened.take_control()
 
 
-def test_when_the_third_fails_the_first_two_are_made_safe_and_closed():
+def test_what_was_never_commanded_is_left_as_it_was_found():
+    """To connect is not to command: what fails before the first command, or beside it, touches nothing else."""
+    with open_bench(bench(ALL)) as opened:
+        assert opened.untouched == ("s", "c", "t", "m")
+        LOG.clear()
+    assert LOG == ["table closed", "chamber closed", "sensor closed", "monitor closed"]
+    assert opened.safe
+    LOG.clear()
+    opened = open_bench(bench("s: {driver: sensor}, c: {driver: chamber}, t: {driver: table, unsafe: true}"))
+    LOG.clear()
+    opened.take_control("t")
+    assert opened.untouched == ("s", "c")
+    with pytest.raises(InstrumentError, match="does not stop"):
+        opened.__exit__(OSError, OSError("the chamber does not answer"), None)
+    assert LOG == ["table safe", "table closed", "chamber closed", "sensor closed"]
+    assert not opened.safe
+
+
+def test_nothing_is_commanded_unguarded():
+    """The watchdog hears of an instrument before it is commanded; when it is gone, nothing is."""
+    told = []
+
+    class Watchdog:
+        def sign_of_life(self): ...
+
+        def answer_for(self, names):
+            told.append(sorted(names))
+            if len(told) > 2:
+                raise InstrumentError("the watchdog process has ended")
+
+    with open_bench(bench(ALL)) as opened:
+        opened.watchdog = Watchdog()
+        opened.take_control("t")
+        opened.take_control("t")
+        opened.take_control("t", "c")
+        with pytest.raises(InstrumentError, match="watchdog process has ended"):
+            opened.take_control()
+        assert told == [["t"], ["c"], ["m", "s"]] and opened.untouched == ("s", "m")
+
+
+def test_when_the_third_fails_the_first_two_are_let_go_as_they_were():
     text = "s: {driver: sensor}, t: {driver: table}, c: {driver: chamber, fails: true}, m: {driver: monitor}"
     with pytest.raises(InstrumentError, match=r"c \(chamber\) cannot be connected: no answer on the line"):
         open_bench(bench(text))
-    assert LOG == ["sensor connected", "table connected", "table safe", "sensor safe", "table closed", "sensor closed"]
-
-
-def test_an_instrument_that_fails_to_be_made_safe_then_is_named_too():
-    text = "t: {driver: table, unsafe: true}, c: {driver: chamber, fails: true}"
-    with pytest.raises(InstrumentError, match=r"no answer on the line; and could not be made safe: t: does not stop"):
-        open_bench(bench(text))
+    assert LOG == ["sensor connected", "table connected", "table closed", "sensor closed"]
 
 
 def test_clocks():

@@ -175,7 +175,16 @@ class Bench:
     safe_fails: bool = False
     limits: OwnLimits = field(default_factory=OwnLimits)
 
+    controlled: set[str] = field(default_factory=set)
+
     def sign_of_life(self) -> None: ...
+
+    def take_control(self, *names: str) -> None:
+        self.controlled |= set(names or self.instruments)
+
+    @property
+    def untouched(self) -> tuple[str, ...]:
+        return tuple(name for name in self.instruments if name not in self.controlled)
 
     def make_safe(self) -> list[str]:
         for instrument in self.instruments.values():

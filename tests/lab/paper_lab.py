@@ -69,6 +69,10 @@ class Paper:
 
     def __init__(self, parameters: PaperParameters, surroundings: Surroundings):
         self.file, self.clock = Path(parameters.file), surroundings.clock
+        if self.fault() == "refuses the connection":
+            raise InstrumentError("somebody else holds its port")
+        if self.fault() == "hangs when connected":
+            time.sleep(3600)
         self.write(connections=self.known().get("connections", 0) + 1)
 
     @classmethod
@@ -92,7 +96,8 @@ class Paper:
         aside.replace(self.file)
 
     def fault(self) -> str:
-        """What is written in the instrument's faults file: `hang`, `exit`, `refuse`, `hangs when made safe`, or words for its condition."""
+        """What is written in the instrument's faults file: `hang`, `exit`, `refuse`, `refuses the connection`, `hangs when connected`,
+        `hangs when made safe`, `refuses limits`, or words for its condition."""
         path = self.file.with_suffix(".faults")
         return path.read_text(encoding="utf-8").strip() if path.exists() else ""
 
@@ -126,6 +131,8 @@ class PaperTable(Paper):
         return TableModel((TableAxis("outer", (0.0, 0.0, 1.0), 10.0, 10.0),))
 
     def limit(self, limits: OwnLimits) -> Sequence[str]:
+        if self.fault() == "refuses limits":
+            raise InstrumentError("it keeps another limit")
         self.write(limits=[limits.rate, limits.silence], limited_before_moving=not self.known().get("moved", False))
         return [f"rate at most {limits.rate} rad/s", f"stops by itself after {limits.silence} s of silence"]
 

@@ -234,6 +234,48 @@ def test_a_driver_that_hangs_while_it_is_made_safe_keeps_nobody_from_his_turn(
     assert resumed.returncode == 130 and safe(tmp_path) and acknowledged(tmp_path) == 1
 
 
+def test_a_run_that_is_refused_an_instrument_leaves_the_others_as_they_are(
+    planrunner: Planrunner, tmp_path: Path
+) -> None:
+    """Somebody has the table turning and holds the sensor's port: connected to and let go, neither told to stop."""
+    (tmp_path / "table.json").write_text('{"rate": 5.0, "safe": false}', encoding="utf-8")
+    (tmp_path / "sensor.faults").write_text("refuses the connection", encoding="utf-8")
+    run = planrunner("run", "plan.yaml", "--quiet", "--flushed")
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == 3 and "sensor (paper_sensor) cannot be connected: somebody else holds its port" in err
+    assert "(table, chamber: left as found, nothing was commanded)" in err
+    table = state(tmp_path, "table")
+    assert table["closed"] and table["rate"] == 5.0 and not table["safe"] and table["by"] == run.pid
+    assert "safe" not in state(tmp_path, "chamber") and not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_before_it_moves_anything_makes_safe_what_it_commanded(
+    planrunner: Planrunner, tmp_path: Path
+) -> None:
+    (tmp_path / "table.faults").write_text("refuses limits", encoding="utf-8")
+    run = planrunner("run", "plan.yaml", "--quiet", "--flushed")
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == 3 and "it keeps another limit" in err
+    assert "left as they were found: chamber, sensor." in err and "Every other instrument is in its safe state" in err
+    assert state(tmp_path, "table")["safe"] and "safe" not in state(tmp_path, "chamber")
+    assert events(tmp_path, "safe")[0]["untouched"] == ["chamber", "sensor"]
+
+
+@pytest.mark.slow
+def test_killed_while_it_connects_nothing_is_touched(planrunner: Planrunner, tmp_path: Path) -> None:
+    """The table is connected, the chamber does not return: the watchdog has nothing to answer for."""
+    turning = {"rate": 5.0, "safe": False}
+    (tmp_path / "table.json").write_text(json.dumps(turning), encoding="utf-8")
+    (tmp_path / "chamber.faults").write_text("hangs when connected", encoding="utf-8")
+    run = planrunner("run", "plan.yaml", "--quiet", "--flushed")
+    wait(lambda: state(tmp_path, "table").get("by") == run.pid, run)
+    run.send_signal(signal.SIGKILL)
+    _, err = run.communicate(timeout=60)  # its standard error ends with that of the watchdog
+    assert err == ""
+    assert state(tmp_path, "table") == {**turning, "connections": 1, "by": run.pid}
+
+
 def test_two_runs_cannot_share_a_bench(planrunner: Planrunner, tmp_path: Path) -> None:
     """Not under another name either; the lock ends with its process, however that ends."""
     run = started(planrunner, tmp_path)

@@ -8,11 +8,15 @@ import time
 from pathlib import Path
 
 import pytest
-from paper_lab import bench_file, packaged, state
+from paper_lab import PaperChamber, PaperSensor, PaperTable, bench_file, packaged, state
 
-from planrunner.bench import watchdog
+from planrunner import plugins
+from planrunner.bench import lock, watchdog
+from planrunner.bench.lock import bench_lock
+from planrunner.bench.model import read_bench
 from planrunner.bench.watchdog import Watchdog
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.findings import InputError
 
 
 @pytest.fixture
@@ -75,9 +79,40 @@ def test_left_to_act_it_makes_the_bench_safe_and_is_waited_for(bench: bytes, tmp
     (tmp_path / "table.json").write_text('{"rate": 5.0, "safe": false}', encoding="utf-8")
     guard = Watchdog(bench, "lab.yaml", None, 60.0)
     guard.report_to(tmp_path)
+    guard.answer_for({"table"})
     guard.let_act()
     assert state(tmp_path, "table")["safe"] and state(tmp_path, "table")["rate"] == 0.0
-    assert "table: safe" in (tmp_path / "watchdog.txt").read_text(encoding="utf-8")
+    report = (tmp_path / "watchdog.txt").read_text(encoding="utf-8")
+    assert "table: safe" in report and "chamber: left as it was, never commanded" in report
+    assert not (tmp_path / "chamber.json").exists()  # it was not even connected to
+
+
+def test_what_its_run_never_commanded_it_leaves_alone(bench: bytes, tmp_path: Path) -> None:
+    """A run that ends while it connects has set nothing going: whatever moves was moved by somebody else."""
+    turning = '{"rate": 5.0, "safe": false}'
+    (tmp_path / "table.json").write_text(turning, encoding="utf-8")
+    guard = Watchdog(bench, "lab.yaml", None, 60.0)
+    guard.sign_of_life()
+    guard.let_act()
+    assert (tmp_path / "table.json").read_text(encoding="utf-8") == turning
+    assert not (tmp_path / "watchdog.txt").exists()
+
+
+def test_nobody_gets_the_bench_while_it_lives(bench: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lock, "RESCUE_PATIENCE", 0.2)
+    drivers = {"paper_table": PaperTable, "paper_chamber": PaperChamber, "paper_sensor": PaperSensor}
+    monkeypatch.setattr(plugins, "names", lambda group: tuple(drivers))
+    monkeypatch.setattr(plugins, "load", lambda group, name: drivers[name])
+    read = read_bench(str(tmp_path / "paper.yaml"))[0]
+    guard = Watchdog(bench, "lab.yaml", None, 60.0)
+    with (
+        pytest.raises(InputError, match=f"the watchdog of a run, which makes it safe, process {guard.pid} of"),
+        bench_lock(read, "lab.yaml"),
+    ):
+        pass
+    guard.stand_down()
+    with bench_lock(read, "lab.yaml"):
+        pass
 
 
 def test_reports_follow_one_another_and_nothing_is_left_beside_them(bench: bytes, tmp_path: Path) -> None:
@@ -85,6 +120,7 @@ def test_reports_follow_one_another_and_nothing_is_left_beside_them(bench: bytes
     for _ in range(2):
         guard = Watchdog(bench, "lab.yaml", None, 60.0)
         guard.report_to(tmp_path)
+        guard.answer_for({"table"})
         guard.let_act()
     assert (tmp_path / "watchdog.txt").read_text(encoding="utf-8").count("table: safe") == 2
     assert [path.name for path in tmp_path.glob("watchdog*")] == ["watchdog.txt"]
