@@ -58,7 +58,7 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
     calibrations: what is calibrated, in words, and its record; seconds: how long the run will last. Dates that are none are passed over:
     `check_dates` names them.
     """
-    ends = today + timedelta(days=math.ceil(seconds / 86400))
+    lasts = math.ceil(seconds / 86400)  # days; added to today they may be beyond the calendar
     for what, calibration in calibrations:
         made, due = _day(calibration.date), _day(calibration.due)
         if made is not None and made > today:
@@ -71,8 +71,8 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
             log.error(
                 "bench-calibration-expired", calibration.at("due"), message, "have it calibrated before measuring"
             )
-        elif due < ends or due - today <= SOON:
-            when = "expires during this run" if due < ends else "expires soon"
+        elif (left := due - today) <= SOON or left.days < lasts:
+            when = "expires during this run" if left.days < lasts else "expires soon"
             message = f"the calibration of {what} ({calibration.certificate}) {when}, on {due}"
             log.warning("bench-calibration-due", calibration.at("due"), message, "arrange for its calibration")
 

@@ -12,7 +12,8 @@ A driver is a class found through the entry-point group `planrunner.instruments`
         def connect(cls, parameters, surroundings) -> MyTable
 
 Commands return at once with the seconds they are expected to take; the executor waits on its clock and asks `holding()`.
-Every failure is an `InstrumentError`; whatever happens, the executor then calls `make_safe` on every instrument.
+To connect is not to command: an instrument that is only connected is closed again as it was found. Every failure is an `InstrumentError`;
+whatever happens, the executor then calls `make_safe` on every instrument that it commanded.
 """
 
 from __future__ import annotations
