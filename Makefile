@@ -3,20 +3,24 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check
 DATA ?= ../shared/data
 CASES ?= 3000
 SEED ?= 41
 JOBS ?= 2
+BUILD ?= build
+DIST ?= dist
 CAMPAIGN ?= build/blind-$(SEED)-$(CASES)
 
-.PHONY: all demo test test-slow lint schemas catalogues wheel benchmark campaign faults clean
+.PHONY: all demo test test-slow lint schemas catalogues wheel lock sbom benchmark campaign faults clean
 
 all: $(READY)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "planrunner needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(INSTALL) --require-hashes --requirement constraints.txt
+	$(INSTALL) --no-deps --no-build-isolation --editable .
 	touch $@
 
 demo: $(READY)
@@ -45,7 +49,7 @@ catalogues: $(READY)
 	    --omit-header --no-wrap --no-fuzzy-matching --ignore-obsolete; done
 
 benchmark: $(READY)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
+	$(INSTALL) --require-hashes --requirement constraints-benchmarks.txt
 	$(BIN)/python -m benchmarks
 
 # Recordings with sealed effects, answered by the diagnosis, an oracle and baselines; goes on where it stopped. See docs/blind-campaign.md.
@@ -62,7 +66,25 @@ faults: $(READY)
 	PLANRUNNER_FAULTS=all $(BIN)/pytest -n $(JOBS) -m 'slow or not slow' tests/faults
 
 wheel: $(READY)
-	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+
+# The versions and hashes that everything above installs, for every Python and platform: after a change of the dependencies in
+# pyproject.toml, or with UPGRADE=--upgrade for newer versions.
+LOCK = $(BIN)/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-emit-index-url \
+  --custom-compile-command 'make lock'
+lock: $(READY)
+	$(LOCK) $(UPGRADE) --extra dev --extra bench --output-file constraints-benchmarks.txt
+	$(LOCK) --constraint constraints-benchmarks.txt --extra dev --output-file constraints.txt
+	$(LOCK) --constraint constraints.txt --output-file constraints-runtime.txt
+
+# What planrunner runs on (components, licences, what needs what), as CycloneDX JSON.
+sbom: $(READY)
+	$(PYTHON) -m venv --clear --without-pip $(BUILD)/runtime
+	$(BIN)/pip --python $(BUILD)/runtime/bin/python install --quiet --disable-pip-version-check --require-hashes \
+	  --requirement constraints-runtime.txt
+	mkdir -p $(DIST)
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --validate \
+	  --output-file $(DIST)/planrunner.cdx.json $(BUILD)/runtime/bin/python
 
 clean:
 	rm -rf $(VENV) dist build
