@@ -15,6 +15,7 @@ from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import freedom, shown_unit, two_digits
 from planrunner.reporting.rounding import format_pair
+from planrunner.reporting.template_data import Told
 from planrunner.uncertainty.decision import coverage_factor
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
         "number": number,
         "number_css": css_string(number),
         "laboratory": {name: facts.laboratory.get(name, "") for name in _LABORATORY},
-        "told": _Told(facts.told),
+        "told": Told(facts.told),
         "corrected": list(facts.corrected.items()),
         "references": [
             {name: getattr(item, name) for name in Traced.__dataclass_fields__} for item in facts.references
@@ -106,13 +107,6 @@ def named_in(told: Mapping[str, str], name: str) -> set[str]:
 
 
 _LABORATORY = ("name", "address", "location", "contact", "accreditation", "traceability")
-
-
-class _Told(dict[str, str]):
-    """Run information by name; what was not told is empty."""
-
-    def __missing__(self, name: str) -> str:
-        return ""
 
 
 def _span(first: str, last: str) -> str:

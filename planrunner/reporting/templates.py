@@ -1,58 +1,30 @@
-"""Templates: a Jinja environment in which a template can lay out what it is given and do nothing else.
+"""Templates into pages: the shipped ones in this process, a user's own in a child process with limits on time and memory.
 
-Sandboxed; text is escaped unless it was made here; an undefined name is an error; templates are read from the shipped
-folder and, when one is named, from a user's folder that comes first, and from nowhere else. Whatever goes wrong is a
-`ReportError` that says where and what.
+Both are laid out in the sandbox. A shipped template is part of the program and is tested with it; a template that came from elsewhere may
+loop for ever or fill the memory without leaving the sandbox, and a run of hours must not end with that. So the data go to the child as
+JSON, the page or the error comes back, and whatever happens to the child is a `ReportError`.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from planrunner.reporting.language import ENGLISH, languages, spoken
-from planrunner.shipped import shipped
+from planrunner.reporting.sandbox import MAX_OUTPUT, ReportError, available, lay_out
+from planrunner.reporting.template_data import to_json
 
-if TYPE_CHECKING:
-    from jinja2 import Environment
+__all__ = ["ReportError", "available", "render"]
 
-ENDING = ".j2"
-MAX_OUTPUT = 50_000_000  # characters
-MAX_TEMPLATE = 1_000_000  # bytes
-MAX_OPERAND = 1_000_000
-TRANSLATED = ("certificate.html",)  # templates whose texts the catalogues hold
-_TEXT_METHODS = frozenset(
-    ("upper", "lower", "title", "capitalize", "strip", "lstrip", "rstrip", "split", "startswith", "endswith", "join")
-)
-_MAPPING_METHODS = frozenset(("items", "keys", "values", "get"))
-_REMOVED_FILTERS = ("center", "format", "indent", "pprint", "random", "wordwrap", "xmlattr")
-
-
-class ReportError(Exception):
-    """A report cannot be written. The message says where in which template and why, for whoever wrote the template."""
-
-
-def available(folder: Path | None = None) -> tuple[str, ...]:
-    """Names of the reports that can be asked for: templates at the top of the folders, without their ending, and `name.LANGUAGE.html`
-    of those that are translated."""
-    found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
-    for name in TRANSLATED:
-        stem, _, ending = name.partition(".")
-        found |= {f"{stem}.{language}.{ending}" for language in languages()}
-    return tuple(sorted(found))
-
-
-def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
-    """The template's file and the language of a report: `certificate.zh.html` is `certificate.html` in Chinese, unless there is a
-    template of that very name."""
-    full = name if name.endswith(ENDING) else name + ENDING
-    parts = full.split(".")
-    if len(parts) == 4 and parts[1] in languages() and not any((root / full).is_file() for root in roots):
-        return ".".join((parts[0], *parts[2:])), parts[1]
-    return full, ENGLISH
+MAX_SECONDS = 30.0
+"""Of computing time that a user's template may take."""
+MAX_MEMORY = 1 << 30
+"""Bytes of memory that laying out a user's template may take, with the program that does it."""
+PATIENCE = 10
+"""Times `MAX_SECONDS` until the child is ended from outside, on a computer that has other work."""
 
 
 def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> str:
@@ -61,126 +33,36 @@ def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> s
     A language may stand before the ending: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one.
     Raises `ReportError`.
     """
-    import jinja2
+    return lay_out(name, given) if folder is None else _lay_out_apart(name, given, folder)
 
-    roots = _roots(folder)
-    full, language = _template_of(name, roots)
-    environment = _environment(roots, not full.endswith((".md" + ENDING, ".txt" + ENDING)), language)
-    pieces: list[str] = []
-    size = 0
+
+def _lay_out_apart(name: str, given: Mapping[str, Any], folder: Path) -> str:
+    request = {
+        "name": name,
+        "folder": str(folder.resolve()),
+        "given": to_json(given),
+        "most": MAX_OUTPUT,
+        "seconds": MAX_SECONDS,
+        "memory": MAX_MEMORY,
+    }
+    command = [sys.executable, "-m", "planrunner.reporting.template_process"]
     try:
-        for piece in environment.get_template(full).generate(**given):
-            size += len(piece)
-            if size > MAX_OUTPUT:
-                raise ReportError(f"{full}: the report grows beyond {MAX_OUTPUT / 1e6:g} million characters")
-            pieces.append(piece)
-    except jinja2.TemplateNotFound as error:
-        known = ", ".join(available(folder))
-        raise ReportError(f"there is no template '{error.name}'; known here: {known}") from None
-    except jinja2.TemplateSyntaxError as error:
-        raise ReportError(f"{error.name or full}:{error.lineno}: {error.message}") from None
-    except ReportError:
-        raise
-    except Exception as error:  # whatever a template's expression may raise
-        raise ReportError(f"{_place(error, full)}: {_reason(error)}") from None
-    return "".join(pieces)
+        done = subprocess.run(
+            command, input=json.dumps(request).encode(), capture_output=True, timeout=PATIENCE * MAX_SECONDS
+        )
+    except subprocess.TimeoutExpired:
+        raise ReportError(f"{name}: the template takes longer than {PATIENCE * MAX_SECONDS:g} s; {_LOOK}") from None
+    except OSError as error:
+        raise ReportError(f"{name}: no process can be started for it: {error.strerror or error}") from None
+    try:
+        answer = json.loads(done.stdout)
+    except ValueError:  # ended by the system, most likely for its memory or its time
+        limits = f"{MAX_SECONDS:g} s of computing or {MAX_MEMORY / 1e9:.1f} GB of memory"
+        raise ReportError(f"{name}: the template takes more than {limits}; {_LOOK}") from None
+    if "page" not in answer:
+        raise ReportError(answer["error"])
+    page: str = answer["page"]
+    return page
 
 
-def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())[:300]
-    kind = "" if type(error).__module__.startswith("jinja2") else f"{type(error).__name__}: "
-    return f"{kind}{text}" or type(error).__name__
-
-
-def _place(error: Exception, name: str) -> str:
-    """`template:line` of the innermost template line that the error passed through."""
-    place, trace = name, error.__traceback__
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if file.endswith(ENDING):
-            place = f"{Path(file).name}:{trace.tb_lineno}"
-        trace = trace.tb_next
-    return place
-
-
-def _roots(folder: Path | None) -> tuple[Path, ...]:
-    own = shipped("templates").resolve()
-    if folder is None:
-        return (own,)
-    if not folder.is_dir():
-        raise ReportError(f"{folder} is not a folder of templates")
-    return (folder.resolve(), own)
-
-
-@lru_cache(maxsize=8)
-def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Environment:
-    import jinja2
-    from jinja2.exceptions import SecurityError
-    from jinja2.sandbox import ImmutableSandboxedEnvironment
-    from markupsafe import Markup
-
-    class Closed(ImmutableSandboxedEnvironment):
-        """The sandbox, with methods by permission only and no arithmetic that fills the memory."""
-
-        intercepted_binops = frozenset(("*", "**", "%"))
-
-        def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
-            if isinstance(obj, str) and callable(value):
-                return attr in _TEXT_METHODS
-            if isinstance(obj, Mapping) and callable(value):
-                return attr in _MAPPING_METHODS
-            return super().is_safe_attribute(obj, attr, value)
-
-        def wrap_str_format(self, value: Any) -> None:
-            """Formatting by methods is not allowed at all: a width fills the memory."""
-
-        def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
-            for operand in (left, right):
-                number = isinstance(operand, int | float) and abs(operand) <= MAX_OPERAND
-                if not number or operator == "**":
-                    raise SecurityError(f"'{operator}' is for numbers up to {MAX_OPERAND} and not for powers")
-            return super().call_binop(context, operator, left, right)
-
-    def escaped(value: Any) -> Any:
-        return value if isinstance(value, Markup) else markdown(str(value))
-
-    class Folders(jinja2.BaseLoader):
-        def get_source(self, environment: Any, template: str) -> tuple[str, str, Callable[[], bool]]:
-            for root in roots:
-                path = (root / template).resolve()
-                if path.is_relative_to(root) and path.is_file():
-                    if path.stat().st_size > MAX_TEMPLATE:
-                        raise ReportError(f"{path}: a template larger than {MAX_TEMPLATE / 1e6:g} MB")
-                    try:
-                        return path.read_text(encoding="utf-8"), str(path), lambda: False
-                    except UnicodeDecodeError:
-                        raise ReportError(f"{path}: the template is not UTF-8 text") from None
-            raise jinja2.TemplateNotFound(template)
-
-    environment = Closed(
-        loader=Folders(),
-        autoescape=escaping,
-        undefined=jinja2.StrictUndefined,
-        finalize=None if escaping else escaped,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        extensions=("jinja2.ext.i18n",),
-    )
-    for removed in _REMOVED_FILTERS:
-        environment.filters.pop(removed)
-    environment.globals = {"range": environment.globals["range"], "namespace": environment.globals["namespace"]}
-    environment.globals |= {"language": language, **spoken(language)}
-    # Placeholders are filled by our functions, not by formatting in the template.
-    environment.newstyle_gettext = True  # type: ignore[attr-defined]
-    environment.policies["ext.i18n.trimmed"] = True
-    return environment
-
-
-_SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
-
-
-def markdown(text: str) -> str:
-    """`text` so that Markdown shows it as it stands, on one line."""
-    one_line = " ".join(text.split())
-    return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+_LOOK = "look at its loops"

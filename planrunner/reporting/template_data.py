@@ -1,0 +1,51 @@
+"""What a template is given, as JSON, so that a user's template is filled in by another process than the one that holds the results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+
+class Told(dict[str, str]):
+    """Run information by name; what was not told is empty."""
+
+    def __missing__(self, name: str) -> str:
+        return ""
+
+
+# The only JSON objects are these, so that no name or value of the data can pass for one.
+_PAIRS, _TOLD, _HTML = "pairs", "told", "html"
+
+
+def to_json(given: Mapping[str, Any]) -> str:
+    """The data as JSON text; pictures are drawn. Raises TypeError for what is no plain data."""
+    return json.dumps(_plain(given), ensure_ascii=True)
+
+
+def from_json(text: str) -> dict[str, Any]:
+    """The data again; pictures as markup that is not escaped."""
+    given: dict[str, Any] = json.loads(text, object_hook=_restored)
+    return given
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "__html__"):
+        return {_HTML: value.__html__()}
+    if isinstance(value, Mapping):
+        pairs = [[_plain(name), _plain(item)] for name, item in value.items()]
+        return {_TOLD if isinstance(value, Told) else _PAIRS: pairs}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise TypeError(f"{type(value).__name__} is no plain data")
+
+
+def _restored(found: dict[str, Any]) -> Any:
+    from markupsafe import Markup
+
+    ((kind, value),) = found.items()
+    if kind == _HTML:
+        return Markup(value)
+    return Told(value) if kind == _TOLD else dict(value)
