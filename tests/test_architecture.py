@@ -85,6 +85,7 @@ HEAVY = (
     "markupsafe",
     "matplotlib",
     "numba",
+    "numpy.random",
     "pint",
     "pyarrow",
     "pyvisa",

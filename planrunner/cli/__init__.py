@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import io
 import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from types import ModuleType
 from typing import NoReturn
 
 from planrunner import __version__
@@ -112,6 +114,17 @@ def _print_anything() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def _imported(name: str) -> ModuleType:
+    """A module with all that it needs. What modules hold stays, so that looking for garbage among it would only take time."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        return import_module(name)
+    finally:
+        if collecting:
+            gc.enable()
+
+
 def _run(arguments: list[str], asked: Asked) -> int:
     _Parser.asked = asked
     parser = _Parser(
@@ -126,7 +139,7 @@ def _run(arguments: list[str], asked: Asked) -> int:
     for name, summary in COMMANDS.items():
         command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if name == chosen:
-            module = import_module(f"planrunner.cli.{name.replace('-', '_')}")
+            module = _imported(f"planrunner.cli.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.set_defaults(run=module.run)
     parser.set_defaults(json=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,7 @@ def rate_effects(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[E
 
     moved: (m, n), change of the observations per relative change of their rates; rates: (n,), rad/s.
     """
-    different = np.unique(rates[rates != 0])
+    different = np.array(sorted(set(rates[rates != 0].tolist())))  # np.unique loads masked arrays
     if not different.size:
         return ()
     own = rates[:, None] == different
@@ -79,13 +80,23 @@ def orthogonality_tilts(
     in its own frame, carried inwards by the joints beyond. The joints go from one attitude to the next the quickest way. Raises
     `Unreachable`.
     """
+    if any(attitude is None for attitude in attitudes):
+        raise Unreachable("the orientation is unknown")
+    return _orthogonality_tilts(
+        tuple(axes), tuple(np.asarray(one, dtype=float).tobytes() for one in attitudes), azimuth
+    )
+
+
+# Every estimate of a plan, and other plans, take the same orientations.
+@lru_cache(maxsize=256)
+def _orthogonality_tilts(
+    axes: tuple[TableAxis, ...], attitudes: tuple[bytes, ...], azimuth: float
+) -> tuple[Array, ...]:
     near = np.zeros(len(axes))
     directions = [np.asarray(axis.direction) for axis in axes]
     tilts = np.empty((len(axes) - 1, len(attitudes), 3))
     for n, attitude in enumerate(attitudes):
-        if attitude is None:
-            raise Unreachable("the orientation is unknown")
-        near = joint_angles(axes, attitude, near, azimuth)
+        near = joint_angles(axes, np.frombuffer(attitude).reshape(3, 3), near, azimuth)
         inward = [rotation_about(axis.direction, -float(angle)) for axis, angle in zip(axes, near, strict=True)]
         for k in range(len(axes) - 1):
             lean = cross(directions[k], directions[k + 1])
@@ -93,6 +104,7 @@ def orthogonality_tilts(
             for turn in inward[k + 2 :]:
                 tilt = turn @ tilt
             tilts[k, n] = tilt
+    tilts.flags.writeable = False
     return tuple(tilts)
 
 

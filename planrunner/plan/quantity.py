@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from planrunner.plan.findings import Findings, closest
 from planrunner.plan.source import Mapping, Node, Scalar
@@ -37,14 +38,12 @@ SYMMETRIC = rf"{_SPACE}{_SIGN}{_SPACE}{_VALUE}"
 _SPACE_NEEDED = _SPACE.replace("*", "+")
 _MAX_TEXT, _MAX_SWEEP = 200, 4000
 
-_PARTS = re.compile(rf"{_SPACE}{_SIGN}?{_SPACE}{_NUMBER}{_SPACE}({_UNIT})?{_SPACE}(?:{_SIGN}.*)?", re.DOTALL)
-
 _PARTS = re.compile(
     rf"{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?(?:{_SIGN}{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?)?"
 )
 _UNITLESS = re.compile(rf"{_SPACE}(?:{_SIGN})?{_BARE}")
 _SIGNED = re.compile(rf"{_SPACE}({_SIGN})(.*)", re.DOTALL)
-_FITS = {True: re.compile(BARE_OR_WITH_UNIT), False: re.compile(WITH_UNIT)}
+_FITS_WITH_UNIT, _FITS_BARE = re.compile(WITH_UNIT), re.compile(_BARE)
 # Nothing that is measured lies outside; computing with larger figures would overflow.
 _SMALLEST, _LARGEST = 1e-30, 1e30
 
@@ -89,13 +88,15 @@ def takes_bare_number(dimension: str | None) -> bool:
     return dimension in (None, "ratio")
 
 
+@lru_cache(maxsize=4096)
 def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
     """The quantity in `text`, of the named dimension (see `units.DIMENSIONS`) if one is given. Raises `QuantityError`.
 
     `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg` all mean a standard uncertainty.
     """
     match = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
-    if not match or not _FITS[takes_bare_number(dimension)].fullmatch(text):
+    fits = match and (_FITS_WITH_UNIT.fullmatch(text) or (takes_bare_number(dimension) and _FITS_BARE.fullmatch(text)))
+    if not match or not fits:
         raise _no_quantity(text, dimension)
     number, unit_text, width, width_unit = match.groups()
     unit_text = unit_text or width_unit or "1"
@@ -199,7 +200,7 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
         return QuantityError("form-quantity", f"'{shown}' is not a finite number", example)
     if len(text) > _MAX_TEXT:
         return QuantityError("form-quantity", "this text is too long for one quantity", example)
-    if re.fullmatch(_BARE, text):
+    if _FITS_BARE.fullmatch(text):
         return QuantityError("form-unit-missing", f"'{shown}' has no unit", example)
     if _SIGNED.fullmatch(text):
         return QuantityError(

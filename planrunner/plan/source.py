@@ -24,7 +24,7 @@ MAX_ALIASED_NODES = 10_000
 MAX_SCALAR = 10_000
 
 # What YAML 1.2 does not allow, and the line breaks of YAML 1.1 that editors do not count as such.
-_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
 _BREAK = re.compile("\r\n|\r|\n")
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 BLOCK = 10_000
 HEAVY = 4.0  # degrees of freedom up to which t has no finite fourth moment
 
-Draws = Callable[[np.random.Generator, int], Array]
+Draws = Callable[["np.random.Generator", int], Array]  # as text, so that checking a plan loads no generators
 """(generator, n) → draws of m coefficients, shape (m, n), in their units."""
 
 
