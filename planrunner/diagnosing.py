@@ -13,8 +13,6 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
@@ -30,6 +28,7 @@ from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.model import Plan
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
+from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.running import sound_run
 
@@ -121,7 +120,7 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
     """A segment that dwells as long as it was recorded, where the plan does not say how long."""
     if item.segment.dwell is not None:
         return item
-    return replace(item, segment=replace(item.segment, dwell=item.statistics.end - item.statistics.start))
+    return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
@@ -191,19 +190,19 @@ def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
             spans = still_spans(item, spec.segments)
         except EstimationError as error:
             raise InputError.at(spec.segments.origin.mark, "gap-unfit", str(error), "look at `channels`") from None
-        found += [_stretch(item, number, span.start, span.end) for number, span in enumerate(spans, start=1)]
+        found += [_stretch(item, number, one.span) for number, one in enumerate(spans, start=1)]
     if not found:
         hint = "raise `threshold` or shorten `at_least`"
         raise InputError.at(spec.segments.origin.mark, "gap-unfit", "no still span was found in the recording", hint)
     return tuple(found)
 
 
-def _stretch(item: RecordedSegment, number: int, start: float, end: float) -> RecordedSegment:
-    """The samples of a segment from `start` to `end`, as a segment of its own."""
+def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
+    """The samples of a segment within a span, as a segment of its own."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         for block in item.blocks(channels):
-            part = slice(*np.searchsorted(block.time, [start, end + 1e-9]))
+            part = span.of(block.time, item.statistics.period)
             if part.start < part.stop:
                 yield Block(block.time[part], {name: block.channels[name][part] for name in channels})
 

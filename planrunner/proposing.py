@@ -204,7 +204,7 @@ def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
     """Seconds between recorded segments: at one temperature, and what a change of temperature takes beyond that."""
     moves, changes = list[float](), list[float]()
     for before, after in pairwise(recording):
-        pause = after.statistics.start - before.statistics.end
+        pause = after.statistics.start - (before.statistics.start + before.statistics.duration)
         was, now = before.segment.temperature, after.segment.temperature
         changed = was is not None and now is not None and abs(was - now) > _CHANGED
         (changes if changed or before.segment.ramp_to is not None else moves).append(max(pause, 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -22,7 +23,8 @@ class Statistics:
 
     count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,).
     covariance: (k, k) between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, so
-    that noise correlated within a batch is accounted for. start, end: s; largest_gap: s between consecutive samples.
+    that noise correlated within a batch is accounted for. start, end: s, of the first and the last sample; largest_gap: s between
+    consecutive samples.
     """
 
     channels: tuple[str, ...]
@@ -37,6 +39,20 @@ class Statistics:
     start: float
     end: float
     largest_gap: float
+
+    @property
+    def period(self) -> float:
+        """Seconds from sample to sample, the largest step left out; NaN for fewer than two samples."""
+        if self.count < 2:
+            return math.nan
+        if self.count == 2:
+            return self.end - self.start
+        return (self.end - self.start - self.largest_gap) / (self.count - 2)
+
+    @property
+    def duration(self) -> float:
+        """Seconds that the samples stand for: each of them for one period, so that 12 000 at 100 Hz last 120 s; 0 for fewer than two."""
+        return self.end - self.start + self.period if self.count > 1 else 0.0
 
     def of(self, channel: str) -> int:
         """The index of a channel. Raises KeyError."""

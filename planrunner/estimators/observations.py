@@ -24,8 +24,8 @@ class Observations:
     """Means of k channels over n segments, in the channels' units.
 
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short to tell. batches: (n,)
-    from which it comes. start, end: (n,), of what was recorded, s on the run's clock. correlation: (k, k) between the channels' samples,
-    over all segments.
+    from which it comes. start, end: (n,), of what was recorded, half-open, s on the run's clock. correlation: (k, k) between the channels'
+    samples, over all segments.
     """
 
     channels: tuple[str, ...]
@@ -103,9 +103,10 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
     """Beginnings and ends [s]; beginnings as they were planned where the recorded ones are not on one clock, so that segments overlap."""
     start = np.array([recorded.statistics.start for recorded in segments])
-    length = np.array([max(recorded.statistics.end - recorded.statistics.start, 1e-9) for recorded in segments])
+    length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
-    if np.any(start[order][1:] < (start + length)[order][:-1]):
+    half = length / np.array([2 * max(recorded.statistics.count, 1) for recorded in segments])
+    if np.any(start[order][1:] < (start + length - half)[order][:-1]):
         start = np.array([recorded.segment.start for recorded in segments])
     return start, start + length
 

@@ -85,7 +85,7 @@ def _most(item: RecordedSegment) -> int:
     most = known.count // FEWEST
     period = period_of(item.segment.motion)
     if np.isfinite(period):
-        most = min(most, int(period * (known.count - 1) / (known.end - known.start) / PER_PERIOD))
+        most = min(most, int(period / known.period / PER_PERIOD))
     return max(1, most)
 
 

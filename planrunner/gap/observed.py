@@ -353,8 +353,7 @@ def _held(item: RecordedSegment, names: Sequence[str]) -> Averaged:
 def _averaged(
     item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int, encoder: str | None
 ) -> Averaged:
-    known = item.statistics
-    rate = (known.count - 1) / (known.end - known.start)
+    rate = 1 / item.statistics.period
     factors = np.array([channel.factor for channel in channels])
     counts = np.array([channel.resolution for channel in channels])
     smallest = np.maximum(counts / 2, np.array([channel.white for channel in channels]) * np.sqrt(rate) / 4)

@@ -147,7 +147,7 @@ def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findin
 def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
     short = []
     for item in recording:
-        lasted, dwell = item.statistics.end - item.statistics.start, item.segment.dwell
+        lasted, dwell = item.statistics.duration, item.segment.dwell
         if item.truncated or (dwell is not None and lasted < PRESENT * dwell):
             short.append(item.label)
     if short:
@@ -163,7 +163,7 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
         rows = known.count + known.rejected
         if known.largest_gap * rate > INTERVALS and not known.rejected:
             gaps.append((item.label, known.largest_gap))
-        elif rows > 2 and abs((known.end - known.start) * rate / (rows - 1) - 1) > RATE_TOLERANCE:
+        elif rows > 2 and abs(known.duration * rate / rows - 1) > RATE_TOLERANCE:
             other.append(item.label)
     if gaps:
         label, gap = max(gaps, key=lambda pair: pair[1])

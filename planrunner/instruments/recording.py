@@ -20,8 +20,9 @@ from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
 from planrunner.instruments.recording_pauses import stretches
-from planrunner.instruments.recording_table import SegmentTable, Span, read_segment_table
+from planrunner.instruments.recording_table import SegmentTable, read_segment_table
 from planrunner.plan.schedule import Segment
+from planrunner.plan.span import Span
 
 Array = NDArray[np.float64]
 RATE_TOLERANCE = math.log(1.25)
@@ -126,7 +127,7 @@ class RecordingPlayer:
         if segment.dwell is not None and segment.dwell > span.end - span.start + 1.5 * interval:
             raise self._too_short(segment, span.end - span.start)
         first = last = until = math.inf
-        for time, columns in self.file.rows(span.start, span.end):
+        for time, columns in self.file.rows(span):
             if math.isinf(first):
                 first = float(time[0])
                 until = math.inf if segment.dwell is None else first + segment.dwell - 0.5 * interval

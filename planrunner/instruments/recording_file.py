@@ -26,6 +26,7 @@ from planrunner.instruments.recording_bounds import (
     open_samples,
 )
 from planrunner.plan.findings import closest
+from planrunner.plan.span import EVERYTHING, Span
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
@@ -67,8 +68,8 @@ class RecordingFile(Protocol):
     @property
     def interval(self) -> float: ...
 
-    def rows(self, start: float, end: float) -> Rows:
-        """Times [s], shape (n,), and channels, each (n,), with start ≤ time ≤ end, in batches of at most `BATCH`
+    def rows(self, span: Span = EVERYTHING) -> Rows:
+        """Times [s], shape (n,), and channels, each (n,), of the samples in a span, in batches of at most `BATCH`
         rows. A missing number is NaN. Raises `InstrumentError` where time does not increase."""
 
 
@@ -90,7 +91,7 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
             raise InstrumentError(f"{name} has no column '{column}'; {_column_hint(column, known)}")
         if known.count(column) > 1:
             raise InstrumentError(f"{name} has {known.count(column)} columns called '{column}'; rename all but one")
-    for first, _ in file.rows(-np.inf, np.inf):
+    for first, _ in file.rows():
         file.origin = float(first[0])
         file.interval = float(np.median(np.diff(first))) if first.size > 1 else math.nan
         return file
@@ -110,7 +111,7 @@ class HeldRecording:
     def of(cls, file: RecordingFile, most: float = np.inf) -> HeldRecording | None:
         """All rows of a file, read once; None where there are more than `most`. Raises `InstrumentError` as the file does."""
         pieces, count = [], 0
-        for piece in file.rows(-np.inf, np.inf):
+        for piece in file.rows():
             pieces.append(piece)
             count += len(piece[0])
             if count > most:
@@ -120,11 +121,11 @@ class HeldRecording:
         columns = {name: np.concatenate([values[name] for _, values in pieces]) for name in names}
         return cls(file.origin, file.interval, time, columns)
 
-    def rows(self, start: float, end: float) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> Rows:
         """As of a file; one batch at most."""
-        low, high = np.searchsorted(self.time, start, side="left"), np.searchsorted(self.time, end, side="right")
-        if low < high:
-            yield self.time[low:high], {name: values[low:high] for name, values in self.columns.items()}
+        part = span.of(self.time, self.interval)
+        if part.start < part.stop:
+            yield self.time[part], {name: values[part] for name, values in self.columns.items()}
 
 
 def at_hand(file: RecordingFile) -> RecordingFile:
@@ -157,31 +158,29 @@ class _File:
     def columns(self) -> list[str]:
         raise NotImplementedError
 
-    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
-        """(number of the first row, counted from 1; record batch), possibly with rows outside the stretch."""
+    def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
+        """(number of the first row, counted from 1; record batch), possibly with rows outside the span."""
         raise NotImplementedError
 
-    def rows(self, start: float, end: float) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> Rows:
         import pyarrow as pa
 
         before: float | None = None
         following: int | None = None
         try:
-            for first, batch in self.batches(start, end):
+            for first, batch in self.batches(span):
                 if batch.num_rows == 0:
                     continue
                 time = self._numbers(batch, self.time, first) * self.scale
                 self._check_time(time, first, before if first == following else None)
                 before, following = float(time[-1]), first + batch.num_rows
-                low, high = np.searchsorted(time, [start, end], side="left")
-                high += int(high < time.size and time[high] == end)
-                if low < high:
+                part = span.of(time, self.interval)
+                if part.start < part.stop:
                     columns = {
-                        channel: self._numbers(batch, column, first)[low:high]
-                        for channel, column in self.channels.items()
+                        channel: self._numbers(batch, column, first)[part] for channel, column in self.channels.items()
                     }
-                    yield time[low:high], columns
-                if high < time.size:
+                    yield time[part], columns
+                if part.stop < time.size:
                     return
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError, UnicodeDecodeError) as error:
             raise self._unreadable(error) from None
@@ -239,27 +238,29 @@ class _Parquet(_File):
                 check_parquet(file, self.name, (self.time, *self.channels.values()))
                 yield file
 
-    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
         wanted = list(dict.fromkeys((self.time, *self.channels.values())))
         with self._opened() as file:
             first = 1
             for group in range(file.num_row_groups):
                 count = file.metadata.row_group(group).num_rows
-                if not self._outside(file.metadata.row_group(group), start, end):
+                if not self._outside(file.metadata.row_group(group), span):
                     row = first
                     for batch in file.iter_batches(BATCH, row_groups=[group], columns=wanted):
                         yield row, batch
                         row += batch.num_rows
                 first += count
 
-    def _outside(self, group: Any, start: float, end: float) -> bool:
+    def _outside(self, group: Any, span: Span) -> bool:
+        """By its statistics; a group that a rounded boundary may touch is read."""
         for index in range(group.num_columns):
             column = group.column(index)
             if column.path_in_schema == self.time:
                 known = column.statistics
                 if known is None or not known.has_min_max or not isinstance(known.min, int | float):
                     return False
-                return bool(known.max * self.scale < start or known.min * self.scale > end)
+                rounding = 0.0 if math.isnan(self.interval) else self.interval
+                return bool(known.max * self.scale < span.start - rounding or known.min * self.scale > span.end)
         return False
 
 
@@ -277,11 +278,11 @@ class _Spooled:
         import pyarrow.parquet as pq
 
         path = Path(tempfile.mkdtemp(prefix="planrunner-")) / "recording.parquet"
-        spooled = cls(file.origin, file.interval, _Parquet(path, path.name, "time", 1.0, {}))
+        spooled = cls(file.origin, file.interval, _Parquet(path, path.name, "time", 1.0, {}, file.origin, file.interval))
         weakref.finalize(spooled, shutil.rmtree, path.parent, ignore_errors=True)
         writer = None
         try:
-            for time, columns in file.rows(-np.inf, np.inf):
+            for time, columns in file.rows():
                 spooled.file.channels = {name: f"column {name}" for name in columns}
                 table = pa.table([time, *columns.values()], names=["time", *spooled.file.channels.values()])
                 writer = writer or pq.ParquetWriter(path, table.schema)
@@ -294,9 +295,9 @@ class _Spooled:
                 writer.close()
         return spooled
 
-    def rows(self, start: float, end: float) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> Rows:
         """As of a file."""
-        return self.file.rows(start, end)
+        return self.file.rows(span)
 
 
 class _Csv(_File):
@@ -307,7 +308,7 @@ class _Csv(_File):
             return list(batch.schema.names)
         return []
 
-    def batches(self, start: float, end: float) -> Iterator[tuple[int, Any]]:
+    def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
         return self._read(list(dict.fromkeys((self.time, *self.channels.values()))))
 
     def _read(self, wanted: list[str] | None) -> Iterator[tuple[int, Any]]:

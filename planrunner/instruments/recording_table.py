@@ -11,14 +11,7 @@ from pathlib import Path
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.findings import InputError, closest
 from planrunner.plan.source import read_text
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A stretch of a recording, in its own time, s; both ends belong to it."""
-
-    start: float
-    end: float
+from planrunner.plan.span import Span
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ def _channels(segments: Sequence[SegmentSummary]) -> list[Column]:
 def _recorded(item: SegmentSummary) -> str:
     if item.statistics is None or not item.statistics.count:
         return "–"
-    return words.number(round(item.statistics.end - item.statistics.start, 3), 9)
+    return words.number(round(item.statistics.duration, 3), 9)
 
 
 def _mean(item: SegmentSummary, channel: str) -> str:

@@ -41,7 +41,7 @@ estimates:
   sf: {{estimator: scale_factor, segments: R*, outputs: [gx]}}
 report: [summary.md]
 """
-TABLE = "label,start_s,end_s\nR10,0,9.99\nR20,10,19.99\nR30,20,29.99\n"
+TABLE = "label,start_s,end_s\nR10,0,10\nR20,10,20\nR30,20,30\n"
 TIME = np.arange(3000) / 100
 RATE = np.repeat([10.0, 20.0, 30.0], 1000) * 1.01 + np.random.default_rng(1).normal(0, 0.1, 3000)
 Ended = tuple[int, str, str]

@@ -51,9 +51,9 @@ def from_means(
     error = np.broadcast_to(np.asarray(standard_error, dtype=float), mean.shape).copy()
     covariance = np.diag(error**2 * count)
     seconds = planned.dwell or 1.0
-    statistics = Statistics(
-        tuple(means), count, 0, mean, mean, mean, covariance, error, batches, start, start + seconds, 0.1
-    )
+    period = seconds / count
+    last = start + seconds - period
+    statistics = Statistics(tuple(means), count, 0, mean, mean, mean, covariance, error, batches, start, last, period)
 
     def no_samples(channels: Sequence[str]) -> Iterator[Block]:
         raise AssertionError("this estimator must do with statistics")

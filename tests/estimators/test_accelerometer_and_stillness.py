@@ -134,7 +134,7 @@ def made_by_hand(rows: int) -> tuple[object, list[tuple[float, float]]]:
 
 
 def times(recorded: object) -> list[tuple[float, float]]:
-    return [(span.start, span.end) for span in still_spans(recorded, detection())]  # type: ignore[arg-type]
+    return [(one.span.start, one.span.end) for one in still_spans(recorded, detection())]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("rows", [1, 7, 100, 5000])
@@ -150,7 +150,7 @@ def test_span_statistics_equal_the_samples_own() -> None:
     recorded, _ = made_by_hand(64)
     first = still_spans(recorded, detection())[0]  # type: ignore[arg-type]
     (block,) = list(made_by_hand(5000)[0].blocks(CHANNELS))  # type: ignore[attr-defined]
-    inside = (block.time >= first.start) & (block.time <= first.end)
+    inside = (block.time >= first.span.start) & (block.time < first.span.end - 1e-6)
     values = np.column_stack([block.channels[name][inside] for name in CHANNELS])
     assert first.count == inside.sum()
     assert first.mean == pytest.approx(values.mean(axis=0), rel=1e-12)

@@ -146,7 +146,7 @@ def test_the_longer_constants_must_hold_the_less_certain_they_are() -> None:
 
 def test_nothing_changes_where_nothing_is_declared() -> None:
     found, without = fitted(recorded(NOISE), Setup()), fitted(recorded(NOISE, apart=0.0), Setup())
-    assert np.array_equal(found.covariance, without.covariance)
+    assert found.covariance == pytest.approx(without.covariance, rel=1e-9, abs=1e-18)
     assert any("No bias instability is declared for torquer_x, torquer_y" in note for note in found.notes)
     said = fitted(recorded(NOISE), declared(0.3)).notes
     assert not any("No bias instability" in note for note in said)

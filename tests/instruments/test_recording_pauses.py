@@ -15,11 +15,11 @@ from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording
 from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.instruments.recording_pauses import stretches
-from planrunner.instruments.recording_table import Span
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.span import EVERYTHING, Span
 
 BURSTS = np.concatenate([start + np.arange(5) / 10 for start in (3.0, 60.0, 120.0)])
 
@@ -70,12 +70,12 @@ def test_a_table_beside_pauses_is_an_error(tmp_path):
 @pytest.mark.parametrize("batch", [2, 5, 7, 100])
 def test_pauses_are_found_whatever_the_batches(batch):
     class Batches(HeldRecording):
-        def rows(self, start, end):
+        def rows(self, span=EVERYTHING):
             for low in range(0, len(self.time), batch):
                 yield self.time[low : low + batch], {}
 
     found = stretches(Batches(3.0, 0.1, BURSTS, {}), 5.0)
-    assert found == (Span(3.0, 3.4), Span(60.0, 60.4), Span(120.0, 120.4))
+    assert found == (Span(3.0, 3.5), Span(60.0, 60.5), Span(120.0, 120.5))
 
 
 def test_a_column_that_never_grows_is_refused():

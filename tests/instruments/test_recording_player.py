@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import tempfile
 from pathlib import Path
@@ -23,6 +24,7 @@ from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.span import Span
 
 DATA = Path(os.environ.get("PLANRUNNER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 real_data = pytest.mark.skipif(
@@ -93,7 +95,7 @@ def test_the_whole_recording_is_served_with_signs_and_time_from_its_first_row(tm
 @FORMATS
 @pytest.mark.parametrize(
     ("label", "dwell", "trim", "first", "last"),
-    [("A", None, "0 s", 10, 30), ("B", None, "0.5 s", 45, 85), ("B", 1.0, "0 s", 40, 49), ("A", 2.0, "0 s", 10, 29)],
+    [("A", None, "0 s", 10, 29), ("B", None, "0.5 s", 45, 84), ("B", 1.0, "0 s", 40, 49), ("A", 2.0, "0 s", 10, 29)],
 )
 def test_a_segment_is_its_stretch_trimmed_and_cut_to_the_dwell(tmp_path, name, label, dwell, trim, first, last):
     write(tmp_path, name)
@@ -128,7 +130,7 @@ def test_a_recording_at_hand_serves_the_same_stretches(tmp_path, monkeypatch, na
         (509.9, 600.0),
         (600.0, 700.0),
     ):
-        read = [list(one.rows(start, end)) for one in (file, held)]
+        read = [list(one.rows(Span(start, end))) for one in (file, held)]
         whole = [[np.concatenate([np.empty(0), *[part(row) for row in rows]]) for part in PARTS] for rows in read]
         for one, other in zip(*whole, strict=True):
             assert np.array_equal(one, other, equal_nan=True)
@@ -145,7 +147,7 @@ def test_time_and_table_may_have_units_of_their_own(tmp_path):
     (tmp_path / "s.csv").write_text("what,from,to\nA,0.05,0.1\n", encoding="utf-8")
     segments = "{table: s.csv, label: what, start: from, end: to, unit: min}"
     time, data = play(player(tmp_path, time="{column: t, unit: ms}", segments=segments))
-    assert data["x"][[0, -1]].tolist() == [30.0, 60.0]
+    assert data["x"][[0, -1]].tolist() == [30.0, 59.0]
     assert time[0] == pytest.approx(3.0)
 
 
@@ -339,7 +341,7 @@ def test_row_groups_outside_the_stretch_are_not_read(tmp_path, monkeypatch):
     )
     time, data = play(instrument)
     assert rows == [(4001, 1000)]
-    assert data["x"][[0, -1]].tolist() == [4500.0, 4600.0]
+    assert data["x"][[0, -1]].tolist() == [4500.0, 4599.0]
     assert time[0] == pytest.approx(450.0)
 
 
@@ -387,3 +389,16 @@ def test_real_hand_tumbles_come_through(name):
     assert time[-1] > 159
     size = np.sqrt(sum(data[f"accel_{axis}"] ** 2 for axis in "xyz"))
     assert np.median(size) == pytest.approx(9.8, abs=0.3)
+
+
+@FORMATS
+def test_neighbours_share_no_sample(tmp_path, name):
+    """Time stamps in milliseconds, boundaries in decimal seconds, neither of which binary fractions hold exactly."""
+    write(tmp_path, name, t=np.arange(100) * 100.1)
+    edges = [0, 1.001, 2.002, 3.303, 7.007, 10.01]
+    rows = [f"S{n},{a},{b}" for n, (a, b) in enumerate(itertools.pairwise(edges))]
+    (tmp_path / "s.csv").write_text("\n".join(["label,start_s,end_s", *rows]), encoding="utf-8")
+    instrument = player(tmp_path, file=name, time="{column: t, unit: ms}", segments="{table: s.csv}")
+    played = [play(instrument, f"S{n}")[1]["x"] for n in range(5)]
+    assert np.concatenate(played).tolist() == list(range(100))
+    assert [part[0] for part in played] == [0, 10, 20, 33, 70]

@@ -146,9 +146,9 @@ def _found(request: EstimateRequest) -> Observations:
     begun, _ = recorded_times(request.segments)
     labels, spans, late = [], [], []
     for recorded, start in zip(request.segments, begun, strict=True):
-        for number, span in enumerate(still_spans(recorded, request.detection), start=1):
+        for number, one in enumerate(still_spans(recorded, request.detection), start=1):
             labels.append(f"{recorded.label} {number}" if len(request.segments) > 1 else f"still {number}")
-            spans.append(span)
+            spans.append(one)
             late.append(start - recorded.statistics.start)
     if not labels:
         raise EstimationError(
@@ -157,11 +157,11 @@ def _found(request: EstimateRequest) -> Observations:
     return replace(
         whole,
         labels=tuple(labels),
-        mean=np.array([span.mean[order] for span in spans]),
-        standard_error=np.array([span.standard_error[order] for span in spans]),
-        batches=np.array([span.batches for span in spans]),
-        start=np.array([span.start for span in spans]) + late,
-        end=np.array([span.end for span in spans]) + late,
+        mean=np.array([one.mean[order] for one in spans]),
+        standard_error=np.array([one.standard_error[order] for one in spans]),
+        batches=np.array([one.batches for one in spans]),
+        start=np.array([one.span.start for one in spans]) + late,
+        end=np.array([one.span.end for one in spans]) + late,
         correlation=np.eye(len(outputs)),  # that of the whole recording is one of motion
     )
 

@@ -12,6 +12,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.findings import closest
 from planrunner.plan.selection import Detection
+from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, unit
 
 Array = NDArray[np.float64]
@@ -21,11 +22,10 @@ _MOST_BATCHES = 64
 
 @dataclass(frozen=True, slots=True)
 class StillSpan:
-    """One span. start, end: s. count: samples. mean, standard_error: (k,), of the detection's channels in their units; the standard
+    """One span of time. count: samples. mean, standard_error: (k,), of the detection's channels in their units; the standard
     error from `batches` consecutive batch means, NaN where there are fewer than two."""
 
-    start: float
-    end: float
+    span: Span
     count: int
     mean: Array
     standard_error: Array
@@ -48,7 +48,7 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
             if high <= low:
                 continue
             if quiet[low]:
-                current = current or _Growing(length)
+                current = current or _Growing(length, recorded.statistics.period)
                 current.add(times[low:high], values[low:high])
             elif current is not None:
                 _close(current, detection, found)
@@ -117,16 +117,22 @@ class _Growing:
     """A span that goes on: sums of batches of `size` samples; batches are joined in pairs when they become many."""
 
     size: int
+    period: float
     start: float = 0.0
-    end: float = 0.0
+    last: float = 0.0
     count: int = 0
     sums: list[Array] = field(default_factory=list)
     pending: Array | None = None
 
+    @property
+    def span(self) -> Span:
+        """From the first sample to a period after the last."""
+        return Span(self.start, self.last + self.period)
+
     def add(self, times: Array, values: Array) -> None:
         if not self.count:
             self.start = float(times[0])
-        self.end = float(times[-1])
+        self.last = float(times[-1])
         self.count += len(times)
         waiting = values if self.pending is None else np.vstack([self.pending, values])
         while len(waiting) >= self.size:
@@ -143,12 +149,12 @@ class _Growing:
         mean = total / self.count
         batches = len(self.sums)
         if batches < 2:
-            return StillSpan(self.start, self.end, self.count, mean, np.full_like(mean, np.nan), batches)
+            return StillSpan(self.span, self.count, mean, np.full_like(mean, np.nan), batches)
         means = np.array(self.sums) / self.size
         error = np.std(means, axis=0, ddof=1) / np.sqrt(batches)
-        return StillSpan(self.start, self.end, self.count, mean, error, batches)
+        return StillSpan(self.span, self.count, mean, error, batches)
 
 
 def _close(growing: _Growing, detection: Detection, found: list[StillSpan]) -> None:
-    if growing.end - growing.start >= detection.at_least.value:
+    if growing.span.seconds >= detection.at_least.value * (1 - 1e-9):
         found.append(growing.finish())

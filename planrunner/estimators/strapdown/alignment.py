@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimationError
-from planrunner.estimators.strapdown.reading import IncrementReader, Increments, duration, reference_speed
+from planrunner.estimators.strapdown.reading import IncrementReader, Increments, reference_speed
 from planrunner.instruments.models import TableModel
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import Alignment, FineAlignment, coarse
@@ -59,7 +59,7 @@ def align(
 ) -> Aligned:
     """The attitude at the end of a segment. site: with latitude, height and gravity of the place. constant: (6,), standard uncertainty of
     the constant errors, rad/s and m/s², for a unit that is turned meanwhile. Raises `EstimationError`."""
-    seconds = duration(recorded, reader.interval)
+    seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
     _check_stop(recorded, seconds, still, site)
     pieces = reader.blocks(recorded)

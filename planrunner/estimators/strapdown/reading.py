@@ -7,7 +7,6 @@ longer gap ends the matter, because where the unit turned meanwhile nobody knows
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -181,9 +180,3 @@ def _reference_unit(recorded: RecordedSegment, name: str) -> float:
 
 def _with_article(words: str) -> str:
     return ("an " if words[0] in "aeiou" else "a ") + words
-
-
-def duration(recorded: RecordedSegment, interval: float) -> float:
-    """Seconds that the samples of a segment cover."""
-    statistics = recorded.statistics
-    return statistics.end - statistics.start + interval if statistics.count and math.isfinite(statistics.start) else 0.0

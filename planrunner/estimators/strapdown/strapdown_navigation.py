@@ -22,7 +22,6 @@ from planrunner.estimators.strapdown.navigation_errors import ErrorRecord, Truth
 from planrunner.estimators.strapdown.reading import (
     IncrementReader,
     Increments,
-    duration,
     reference_mean,
     reference_speed,
 )
@@ -237,7 +236,7 @@ def _run(
     gap: float,
 ) -> Navigated:
     every = max(1, round(1 / reader.interval))
-    lasting = sum(duration(item, reader.interval) for item in moving)
+    lasting = sum(item.statistics.duration for item in moving)
     if not any(item.statistics.count for item in moving):
         raise EstimationError("the segments to navigate hold no usable samples: record them again")
     if lasting < 2 * every * reader.interval:

@@ -45,10 +45,7 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
 
 def recorded_seconds(recorded: RecordedSegment) -> float | None:
     """How long the mean was taken: each sample stands for one interval."""
-    statistics = recorded.statistics
-    if statistics.count < 2:
-        return recorded.segment.dwell
-    return (statistics.end - statistics.start) * statistics.count / (statistics.count - 1)
+    return recorded.statistics.duration if recorded.statistics.count > 1 else recorded.segment.dwell
 
 
 def part_turns(
