@@ -19,7 +19,7 @@ from planrunner.archive.statistics import statistics_of
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import Bench, driver_of, shipped_benches
 from planrunner.checking import Sound, check_plan
-from planrunner.instruments.interfaces import Block, InstrumentError
+from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording, at_hand
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
@@ -241,9 +241,11 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
-        player.file = at_hand(player.file)
         player.foresee(sound.schedule.segments)
+        player.file = at_hand(player.file)
         played = tuple(_play(player, segment) for segment in sound.schedule.segments)
+    except UnservedError as error:
+        raise InputError(error.findings) from None
     except InstrumentError as error:
         hint = "look at the bench file, at --segments and at the plan's labels"
         raise InputError.at(Mark(str(recording)), "recording-unfit", str(error), hint) from None

@@ -31,7 +31,7 @@ from planrunner.execution.operator import Operator
 from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
-from planrunner.instruments.interfaces import Foresees, InstrumentError
+from planrunner.instruments.interfaces import Foresees, InstrumentError, UnservedError
 from planrunner.plan.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext
@@ -206,6 +206,8 @@ def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[O
 def _unfit(sound: Sound, error: InstrumentError) -> Exception:
     if not sound.models.replays:
         return error
+    if isinstance(error, UnservedError):
+        return InputError(error.findings)
     hint = "look at the bench file, at --data and at the plan's labels"
     return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
 

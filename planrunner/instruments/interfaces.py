@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
+from planrunner.plan.findings import Finding
 from planrunner.plan.kinds import Record
 from planrunner.plan.schedule import Motion, Segment
 
@@ -36,6 +37,14 @@ Array = NDArray[np.float64]
 
 class InstrumentError(Exception):
     """An instrument did not do what was asked. The message says which, what and what to look at."""
+
+
+class UnservedError(InstrumentError):
+    """A schedule cannot be served. findings: everything that stands against it."""
+
+    def __init__(self, findings: Sequence[Finding]):
+        self.findings = tuple(findings)
+        super().__init__("; ".join(finding.message for finding in findings))
 
 
 class Clock(Protocol):

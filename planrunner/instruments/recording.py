@@ -15,17 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Surroundings
+from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
 from planrunner.instruments.recording_pauses import stretches
+from planrunner.instruments.recording_scan import Progress, Wanted, scan
 from planrunner.instruments.recording_table import SegmentTable, read_segment_table
+from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
 
 Array = NDArray[np.float64]
 RATE_TOLERANCE = math.log(1.25)
+_TABLE = "look at the table of segments in the bench file and at the plan's labels"
 
 
 class RecordingPlayer:
@@ -101,22 +104,46 @@ class RecordingPlayer:
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
 
     def foresee(self, segments: Sequence[Segment]) -> None:
-        """Whether the recording holds every segment, for long enough. Raises `InstrumentError`."""
-        labels = [segment.label for segment in segments]
-        if self.parted and len(labels) != len(self.parted):
-            message = f"{self.parameters.file} holds {len(self.parted)} stretches parted by pauses, and the plan has {len(labels)} segments"
-            raise InstrumentError(f"{message}: look at `pauses` in the bench file and at the plan's segments")
-        if self.spans is None and not self.parted:
+        """Whether the recording holds every segment, for long enough, and can be read to its end. Raises `UnservedError`."""
+        found = Findings()
+        self.look_over(segments, found)
+        if found.errors:
+            raise UnservedError(found.errors)
+
+    def look_over(self, segments: Sequence[Segment], log: Findings, progress: Progress | None = None) -> None:
+        """Everything that can be said of the recording before these segments are played back, in one pass over it, into `log`. progress:
+        called with the rows looked at so far."""
+        name = self.parameters.file
+        try:
+            scan(self.file, name, self.parameters.sample_rate.value, self._wanted(segments, log), log, progress)
+        except InstrumentError as error:
+            log.error("recording-unfit", Mark(name), str(error), "correct the file, or what the bench file says of it")
+
+    def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
+        """The stretches of the segments that the recording has; what is wrong with the others goes into `log`."""
+        name, labels = self.parameters.file, [segment.label for segment in segments]
+        if self.parted:
+            if len(labels) == len(self.parted):
+                parts = zip(segments, self.parted, strict=True)
+                return [Wanted(one.label, span, one.dwell, Mark(name)) for one, span in parts]
+            message = (
+                f"{name} holds {len(self.parted)} stretches parted by pauses, and the plan has {len(labels)} segments"
+            )
+            hint = "look at `pauses` in the bench file and at the plan's segments"
+            log.error("recording-labels", Mark(name), message, hint)
+            return []
+        if self.spans is None:
             if len(labels) > 1:
-                raise self._one_stretch(labels[0], labels[1])
-            return
-        for segment in segments:
-            span = self._span(segment)
-            if (
-                segment.dwell is not None
-                and segment.dwell > span.end - span.start + 1.5 / self.parameters.sample_rate.value
-            ):
-                raise self._too_short(segment, span.end - span.start)
+                log.error("recording-labels", Mark(name), str(self._one_stretch(labels[0], labels[1])), _TABLE)
+            return [Wanted(one.label, Span(self.file.origin, math.inf), one.dwell, Mark(name)) for one in segments[:1]]
+        found = []
+        for one in segments:
+            try:
+                mark = Mark(self.spans.name, self.spans.lines.get(one.label, 1))
+                found.append(Wanted(one.label, self.spans.span(one.label), one.dwell, mark))
+            except InstrumentError as error:
+                log.error("recording-labels", Mark(self.spans.name), str(error), _TABLE)
+        return found
 
     def stream(self, segment: Segment) -> Iterator[Block]:
         """The stretch of one label: its first `dwell` seconds, or all of it. Time counts from power-on where that is declared,
@@ -124,8 +151,8 @@ class RecordingPlayer:
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value
-        if segment.dwell is not None and segment.dwell > span.end - span.start + 1.5 * interval:
-            raise self._too_short(segment, span.end - span.start)
+        if segment.dwell is not None and segment.dwell > span.seconds + 0.5 * interval:
+            raise self._too_short(segment, span.seconds)
         first = last = until = math.inf
         for time, columns in self.file.rows(span):
             if math.isinf(first):

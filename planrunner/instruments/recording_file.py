@@ -72,6 +72,10 @@ class RecordingFile(Protocol):
         """Times [s], shape (n,), and channels, each (n,), of the samples in a span, in batches of at most `BATCH`
         rows. A missing number is NaN. Raises `InstrumentError` where time does not increase."""
 
+    def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
+        """Every row as it stands, in batches: number of the first, counted from 1; times [s], which may be missing or go back; channels.
+        Raises `InstrumentError` where the file cannot be read."""
+
 
 def open_recording(path: Path, name: str, time: str, scale: float, channels: Mapping[str, str]) -> RecordingFile:
     """The recording at `path`, after its columns and first row were looked at.
@@ -86,9 +90,11 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
         raise InstrumentError(f"'{name}' is neither .csv nor .parquet")
     file: _File = kind(path, name, time, scale, dict(channels))
     known = file.columns()
+    absent = [column for column in dict.fromkeys((time, *channels.values())) if column not in known]
+    if absent:
+        more = f"; nor has it {', '.join(map(repr, absent[1:]))}" if len(absent) > 1 else ""
+        raise InstrumentError(f"{name} has no column '{absent[0]}'{more}; {_column_hint(absent[0], known)}")
     for column in (time, *channels.values()):
-        if column not in known:
-            raise InstrumentError(f"{name} has no column '{column}'; {_column_hint(column, known)}")
         if known.count(column) > 1:
             raise InstrumentError(f"{name} has {known.count(column)} columns called '{column}'; rename all but one")
     for first, _ in file.rows():
@@ -126,6 +132,11 @@ class HeldRecording:
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
             yield self.time[part], {name: values[part] for name, values in self.columns.items()}
+
+    def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
+        """As of a file; one batch at most."""
+        if len(self.time):
+            yield 1, self.time, dict(self.columns)
 
 
 def at_hand(file: RecordingFile) -> RecordingFile:
@@ -182,6 +193,17 @@ class _File:
                     yield time[part], columns
                 if part.stop < time.size:
                     return
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError, UnicodeDecodeError) as error:
+            raise self._unreadable(error) from None
+
+    def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
+        import pyarrow as pa
+
+        try:
+            for first, batch in self.batches(EVERYTHING):
+                if batch.num_rows:
+                    columns = {name: self._numbers(batch, column, first) for name, column in self.channels.items()}
+                    yield first, self._numbers(batch, self.time, first) * self.scale, columns
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError, UnicodeDecodeError) as error:
             raise self._unreadable(error) from None
 
@@ -278,7 +300,9 @@ class _Spooled:
         import pyarrow.parquet as pq
 
         path = Path(tempfile.mkdtemp(prefix="planrunner-")) / "recording.parquet"
-        spooled = cls(file.origin, file.interval, _Parquet(path, path.name, "time", 1.0, {}, file.origin, file.interval))
+        spooled = cls(
+            file.origin, file.interval, _Parquet(path, path.name, "time", 1.0, {}, file.origin, file.interval)
+        )
         weakref.finalize(spooled, shutil.rmtree, path.parent, ignore_errors=True)
         writer = None
         try:
@@ -298,6 +322,10 @@ class _Spooled:
     def rows(self, span: Span = EVERYTHING) -> Rows:
         """As of a file."""
         return self.file.rows(span)
+
+    def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
+        """As of a file."""
+        return self.file.all_rows()
 
 
 class _Csv(_File):

@@ -16,10 +16,11 @@ from planrunner.plan.span import Span
 
 @dataclass(frozen=True, slots=True)
 class SegmentTable:
-    """Stretches by label, after trimming. name: of the file, for messages."""
+    """Stretches by label, after trimming, and the lines that they stand in. name: of the file, for messages."""
 
     name: str
     spans: Mapping[str, Span]
+    lines: Mapping[str, int]
 
     def span(self, label: str) -> Span:
         """The stretch of a label. Raises `InstrumentError` naming the closest label."""
@@ -45,16 +46,17 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
             hint = closest(missing[0], [field for field in reader.fieldnames or () if field])
             raise InstrumentError(f"{name} has no column '{missing[0]}'; {hint}")
         spans: dict[str, Span] = {}
+        lines: dict[str, int] = {}
         for row in reader:
             label, span = _row(row, columns, f"{name}, line {reader.line_num}", scale, trim)
             if label in spans:
                 raise InstrumentError(f"{name}, line {reader.line_num}: the label '{label}' stands twice")
-            spans[label] = span
+            spans[label], lines[label] = span, reader.line_num
     except csv.Error as error:
         raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
     if not spans:
         raise InstrumentError(f"{name} holds no segments")
-    return SegmentTable(name, spans)
+    return SegmentTable(name, spans, lines)
 
 
 def _row(

@@ -1,0 +1,204 @@
+"""A recording looked over before it is played back: one pass, bounded memory, and everything that is wrong with it at once.
+
+Time that is missing or goes back, segments that reach beyond the data, that hold no samples or too few, that overlap; gaps in time and
+missing numbers. What stands against playing back is an error; what an estimate must do without is a warning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.instruments.recording_file import RecordingFile
+from planrunner.plan.findings import Findings, Mark
+from planrunner.plan.span import ROUNDING, Span
+
+Array = NDArray[np.float64]
+Progress = Callable[[int], None]
+
+GAP = 1.5
+"""Sample periods: between samples further apart, one is missing. A segment may end so far behind the last sample, too."""
+SHOWN = 3
+"""Places that a finding names; the others are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A stretch that a plan asks for. span: as tabled, after trimming; dwell: s that are played of it, None for all. mark: where the
+    table has it."""
+
+    label: str
+    span: Span
+    dwell: float | None
+    mark: Mark
+
+    @property
+    def played(self) -> Span:
+        """What is played of it, from its beginning."""
+        end = self.span.end if self.dwell is None else min(self.span.end, self.span.start + self.dwell)
+        return Span(self.span.start, end)
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What a pass saw of one stretch. gap: the longest, s, and `at` its beginning."""
+
+    rows: int = 0
+    complete: int = 0
+    first: float = math.nan
+    last: float = math.nan
+    gaps: int = 0
+    gap: float = 0.0
+    at: float = math.nan
+
+    def take(self, time: Array, complete: NDArray[np.bool_], period: float) -> None:
+        steps = np.diff(time, prepend=self.last if self.rows else time[0])
+        if not self.rows:
+            self.first = float(time[0])
+        wide = steps > GAP * period
+        self.gaps += int(np.count_nonzero(wide))
+        k = int(np.argmax(steps))
+        if wide[k] and steps[k] > self.gap:
+            self.gap, self.at = float(steps[k]), float(time[k] - steps[k])
+        self.rows += len(time)
+        self.complete += int(np.count_nonzero(complete))
+        self.last = float(time[-1])
+
+
+@dataclass(slots=True)
+class _Pass:
+    """One pass over a recording. faults: places where time is wrong, of `wrong` in all."""
+
+    period: float
+    seen: list[_Seen]
+    rows: int = 0
+    first: float = math.nan
+    last: float = math.nan
+    wrong: int = 0
+    faults: list[str] = field(default_factory=list)
+    missing: dict[str, int] = field(default_factory=dict)
+
+    def take(self, first: int, time: Array, columns: Mapping[str, Array], wanted: Sequence[Wanted]) -> None:
+        """The next rows. first: number of the first of them."""
+        self.rows += len(time)
+        for name, values in columns.items():
+            self.missing[name] = self.missing.get(name, 0) + int(np.count_nonzero(~np.isfinite(values)))
+        known = np.isfinite(time)
+        steps = np.diff(time, prepend=time[0] - 1 if math.isnan(self.last) else self.last)
+        for k in np.flatnonzero(~known | (steps <= 0)).tolist():
+            if known[k] and not math.isfinite(steps[k]):
+                continue  # it follows a missing time
+            self.wrong += 1
+            if len(self.faults) < SHOWN:
+                earlier = time[k] - steps[k]
+                what = f"{time[k]:.9g} s after {earlier:.9g} s" if known[k] else "missing or not a number"
+                self.faults.append(f"row {first + k} ({what})")
+        if known.any():
+            self.last = float(time[known][-1])
+            self.first = float(time[known][0]) if math.isnan(self.first) else self.first
+        if self.wrong:
+            return  # where segments lie cannot be said
+        complete = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+        for one, seen in zip(wanted, self.seen, strict=True):
+            if one.span.start <= time[-1] + self.period and one.span.end > time[0]:
+                part = one.played.of(time, self.period)
+                if part.start < part.stop:
+                    seen.take(time[part], complete[part], self.period)
+
+
+def scan(
+    file: RecordingFile,
+    name: str,
+    sample_rate: float,
+    wanted: Sequence[Wanted],
+    log: Findings,
+    progress: Progress | None = None,
+) -> None:
+    """Everything that is wrong with a recording, into `log`. name: of the file, for messages; sample_rate: Hz, as declared; progress:
+    called with the rows looked at so far. Raises `InstrumentError` where the file cannot be read on."""
+    period = 1 / sample_rate if math.isnan(file.interval) else file.interval
+    found = _Pass(period, [_Seen() for _ in wanted])
+    try:
+        for first, time, columns in file.all_rows():
+            found.take(first, time, columns, wanted)
+            if progress is not None:
+                progress(found.rows)
+    finally:
+        _on_time(found, name, log)
+    if found.wrong:
+        return
+    for one, seen in zip(wanted, found.seen, strict=True):
+        _on_segment(one, seen, found, name, log)
+    _on_gaps(wanted, found, name, log)
+    _on_missing(wanted, found, name, log)
+    _on_overlaps(wanted, period, log)
+
+
+def _on_time(found: _Pass, name: str, log: Findings) -> None:
+    if not found.wrong:
+        return
+    more = f" and {found.wrong - len(found.faults)} more" if found.wrong > len(found.faults) else ""
+    message = f"{name}: time is missing or does not increase at {', '.join(found.faults)}{more}"
+    log.error("recording-time", Mark(name), message, "sort the recording by time, or remove these rows, then run again")
+
+
+def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings) -> None:
+    """Whether a stretch lies within the data and holds what is to be played."""
+    slack = GAP * found.period
+    end = found.last + found.period
+    begins, ends = (
+        one.span.start < found.first - slack,
+        math.isfinite(one.span.end) and one.span.end > end + slack / GAP,
+    )
+    if begins or ends:
+        where = f"from {one.span.start:.9g} s to {one.span.end:.9g} s"
+        message = f"'{one.label}' is tabled {where}, but {name} holds {found.first:.9g} s to {end:.9g} s"
+        log.error("recording-beyond", one.mark, message, "correct the table of segments, or its `unit` and `trim`")
+        return
+    if not seen.rows:
+        message = f"{name} has no samples between {one.played.start:.9g} s and {one.played.end:.9g} s for '{one.label}'"
+        log.error("recording-empty", one.mark, message, "correct the table of segments, or leave the segment out")
+        return
+    if not seen.complete:
+        message = f"'{one.label}' has no row without a missing number"
+        log.warning("recording-missing", one.mark, message, "leave the segment or the channel out, or record it again")
+    lasts = seen.last - seen.first + found.period
+    if one.dwell is not None and one.dwell > lasts + found.period / 2:
+        message = f"the recording is shorter than the plan: '{one.label}' dwells {one.dwell:g} s, and {name} holds {lasts:.6g} s of it"
+        log.error("recording-short", one.mark, message, "shorten the dwell or write `dwell: recorded`")
+
+
+def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:
+    holed = [(one, seen) for one, seen in zip(wanted, found.seen, strict=True) if seen.gaps]
+    if not holed:
+        return
+    one, seen = max(holed, key=lambda pair: pair[1].gap)
+    total = sum(each.gaps for _, each in holed)
+    where = f"{len(holed)} segments; the longest" if len(holed) > 1 else f"'{one.label}'; the longest"
+    message = f"{name}: samples are missing at {total} places in {where} lasts {seen.gap:.4g} s, from {seen.at:.9g} s in '{one.label}'"
+    log.warning("recording-gap", one.mark, message, "look at the logger; estimates use what is there")
+
+
+def _on_missing(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:
+    lacking = {channel: count for channel, count in found.missing.items() if count}
+    if not lacking:
+        return
+    counts = ", ".join(f"'{channel}' {count} of {found.rows}" for channel, count in lacking.items())
+    used = sum(seen.rows - seen.complete for seen in found.seen)
+    message = f"{name}: numbers are missing in {counts} rows; {used} of them lie in segments and are left out"
+    log.warning("recording-missing", Mark(name), message, "look at the logger; few missing rows do no harm")
+
+
+def _on_overlaps(wanted: Sequence[Wanted], period: float, log: Findings) -> None:
+    ordered = sorted(wanted, key=lambda one: one.span.start)
+    for one, other in pairwise(ordered):
+        shared = min(one.played.end, other.played.end) - other.played.start
+        if shared > ROUNDING * period:
+            message = f"'{one.label}' and '{other.label}' share {shared:.4g} s of the recording"
+            hint = "let one end where the other begins: samples that count twice make uncertainties too small"
+            log.warning("recording-overlap", other.mark, message, hint)
