@@ -5,10 +5,9 @@ The layers know nothing of one another; here they are put together, for the comm
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -21,15 +20,14 @@ from planrunner.bench.model import Bench, driver_of, shipped_benches
 from planrunner.checking import Sound, check_plan
 from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
 from planrunner.instruments.recording import RecordingPlayer
-from planrunner.instruments.recording_file import HeldRecording, at_hand
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
 from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.model import Plan
-from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
 from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, unit
+from planrunner.playing_back import played
 from planrunner.running import sound_run
 
 if TYPE_CHECKING:
@@ -242,15 +240,17 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     try:
         player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
         player.foresee(sound.schedule.segments)
-        player.file = at_hand(player.file)
-        played = tuple(_play(player, segment) for segment in sound.schedule.segments)
+        segments_played = played(player, sound.schedule.segments)
     except UnservedError as error:
         raise InputError(error.findings) from None
     except InstrumentError as error:
         hint = "look at the bench file, at --segments and at the plan's labels"
         raise InputError.at(Mark(str(recording)), "recording-unfit", str(error), hint) from None
     return Recorded(
-        sound, played, str(recording), _bench_for_others(bench or sound.plan.bench, plan if bench is None else None)
+        sound,
+        segments_played,
+        str(recording),
+        _bench_for_others(bench or sound.plan.bench, plan if bench is None else None),
     )
 
 
@@ -270,22 +270,6 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
     )
     hint = "name a bench that maps the recording's columns with --bench"
     raise InputError.at(Mark(plan), "recording-no-mapping", message, hint)
-
-
-def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
-    """A segment of the recording: its blocks where the recording is held, else read anew for every pass."""
-    units = dict(player.channels())
-    read = partial(player.stream, segment)
-    if isinstance(player.file, HeldRecording):
-        whole = list(player.stream(segment))
-        read = partial(iter, whole)
-    rows = sum(len(block.time) for block in read())
-    return RecordedSegment(segment, units, statistics_of(read(), tuple(units), rows), partial(_again, read))
-
-
-def _again(read: Callable[[], Iterator[Block]], channels: Sequence[str]) -> Iterator[Block]:
-    for block in read():
-        yield Block(block.time, {name: block.channels[name] for name in channels})
 
 
 def _axes(outputs: Sequence[str]) -> dict[str, str] | None:

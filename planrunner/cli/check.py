@@ -13,6 +13,7 @@ from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.checking import Checked, Sound, check_plan
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import print_findings, print_json
+from planrunner.cli.progress import RowsLookedAt
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
 
@@ -22,6 +23,13 @@ WIDE = 160  # columns, away from a terminal
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plans", nargs="+", metavar="PLAN", help="plan files")
     parser.add_argument("--bench", metavar="BENCH", help="hold the plans against this bench: a shipped name or a file")
+    parser.add_argument(
+        "--data",
+        metavar="DIR",
+        type=Path,
+        help="folder that recordings to play back lie beneath: look the recording over and try the estimates on it",
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
     add_attendance(parser)
 
@@ -31,12 +39,16 @@ def run(args: argparse.Namespace) -> int:
     for checked in checks:
         if args.unattended and checked.bench is not None and checked.schedule is not None:
             check_unattended(checked.bench, checked.schedule, checked.findings)
+        if args.data is not None and checked.models is not None and checked.models.replays:
+            from planrunner.checking_recordings import check_recording
+
+            check_recording(checked, args.data, None if args.quiet else RowsLookedAt().take)
     if args.json:
         print_json([finding.to_json() for checked in checks for finding in checked.findings])
     else:
         for checked in checks:
             print_findings(checked.findings)
-            print(summary(checked))
+            print(summary(checked, looked_over=args.data is not None))
     return cli.DONE if all(checked.ok for checked in checks) else cli.WRONG_INPUT
 
 
@@ -47,8 +59,9 @@ def sound_plan(plan: str, bench: str | None) -> Sound:
     return sound
 
 
-def summary(checked: Checked) -> str:
-    """What a reader wants to know at once: sound or not, how long, which uncertainties to expect."""
+def summary(checked: Checked, looked_over: bool = True) -> str:
+    """What a reader wants to know at once: sound or not, how long, which uncertainties to expect. looked_over: whether a recording that
+    is played back was looked at too."""
     errors = len(checked.findings.errors)
     warnings = sum(finding.severity == "warning" for finding in checked.findings)
     head = f"{checked.file}: {_count(errors, 'error')}, {_count(warnings, 'warning')}"
@@ -73,6 +86,8 @@ def summary(checked: Checked) -> str:
                     ]
                 )
             )
+    if not looked_over and checked.models is not None and checked.models.replays:
+        lines.append("  the recording was not looked at: add --data DIR")
     prompts = sum(len(segment.prompts) for segment in checked.schedule.segments)
     if prompts and not runs_on_virtual_clock(checked.bench):
         lines.append(f"  asks the operator {_count(prompts, 'time')}")

@@ -66,6 +66,21 @@ class _Lines:
             print(f"{text}, {left_text(event.time_left)}", file=sys.stderr, flush=True)
 
 
+class RowsLookedAt:
+    """How far a long recording was looked at: a line now and then, none for a short one."""
+
+    def __init__(self) -> None:
+        import time
+
+        self._now = time.monotonic
+        self._shown = self._now()
+
+    def take(self, rows: int) -> None:
+        if self._now() - self._shown >= LINES_EVERY:
+            self._shown = self._now()
+            print(f"{rows:,} rows looked at".replace(",", " "), file=sys.stderr, flush=True)
+
+
 def left_text(seconds: float | None) -> str:
     """`about 3 min left`."""
     if seconds is None:

@@ -85,8 +85,9 @@ def design_of(
         raise EstimationError(f"no segment has a label like {', '.join(_patterns(spec))}")
     estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     uses = {used: designs[used] for used in spec.uses}
+    detection = spec.segments if isinstance(spec.segments, Detection) else None
     design: Design | None = estimator.design(
-        DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup())
+        DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
     )
     return design
 

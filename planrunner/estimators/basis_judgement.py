@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import DesignBlock, EstimationError, Remark
 from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit
 
@@ -41,15 +41,28 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     if fit.available(basis):
         return
     if basis == "residual":
-        p = fit.coefficients.shape[1]
-        raise EstimationError(
-            f"{name}: {p} segments for {p} coefficients leave no residual to take an uncertainty from; "
-            "add segments or write `uncertainty: within_segment`"
-        )
+        raise EstimationError(f"{name}: {no_residual(fit.coefficients.shape[1])}; {MORE_SEGMENTS}")
     raise EstimationError(
         f"{name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to take "
         "an uncertainty from; write `uncertainty: residual` or give the output's resolution in the bench file"
     )
+
+
+def planned_basis(blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
+    """The same of planned segments: an error where they are only just as many as the coefficients. Fewer are an error of rank."""
+    for block in blocks:
+        n, p = block.matrix.shape
+        if basis == "residual" and n == p:
+            return (Remark("physics-basis", no_residual(p), MORE_SEGMENTS, "segments", error=True),)
+    return ()
+
+
+MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
+
+
+def no_residual(count: int) -> str:
+    """That so many segments are only just as many as the coefficients."""
+    return f"{count} segments for {count} coefficients leave no residual to take an uncertainty from"
 
 
 def unlike_outputs(fit: OutputsFit) -> str:

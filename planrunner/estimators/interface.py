@@ -143,7 +143,8 @@ class EstimateRequest:
 
 @dataclass(frozen=True, slots=True)
 class DesignRequest:
-    """The same before anything is recorded. `uses` holds the designs of the estimates that this one builds on."""
+    """The same before anything is recorded; where `detection` is given, spans are yet to be found. `uses` holds the designs of the
+    estimates that this one builds on."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -152,6 +153,7 @@ class DesignRequest:
     sensor: SensorModel
     uses: Mapping[str, Design] = field(default_factory=dict)
     setup: Setup = field(default_factory=Setup)
+    detection: Any = None
 
 
 @dataclass(frozen=True, slots=True)

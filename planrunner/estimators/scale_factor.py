@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
-from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.flicker import drift_span, flicker_effects
 from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
 from planrunner.estimators.interface import (
@@ -106,7 +106,9 @@ class ScaleFactor:
                 predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
         named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
         saturated = beyond_full_scale(request, named, shares_by_name(request, named))
-        return Design(blocks, tuple(predicted), remarks=tuple(saturated))
+        return Design(
+            blocks, tuple(predicted), remarks=(*saturated, *planned_basis(blocks, request.parameters.uncertainty))
+        )
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Lines through the recorded means. Raises `EstimationError`."""

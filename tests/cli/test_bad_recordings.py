@@ -215,7 +215,10 @@ TABLES: dict[str, tuple[str | None, str]] = {
     "twice": (TABLE.replace("R20", "R10"), "line 3: the label 'R10' stands twice"),
     "text": (TABLE.replace("R20,10", "R20,ten"), "line 3: 'ten' in column 'start_s' is not a number"),
     "short": (TABLE.replace("R20,10,20", "R20,10"), "line 3: '' in column 'end_s' is not a number"),
-    "outside": (TABLE.replace("R30,20,30", "R30,200,299"), "'R30' is tabled from 200 s to 299 s, but r.csv holds 0 s to 30 s"),
+    "outside": (
+        TABLE.replace("R30,20,30", "R30,200,299"),
+        "'R30' is tabled from 200 s to 299 s, but r.csv holds 0 s to 30 s",
+    ),
 }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.accelerometer import by_magnitude, by_orientation
+from planrunner.estimators.basis_judgement import planned_basis
 from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Design,
@@ -67,14 +68,15 @@ class AccelerometerMultiPosition:
     Parameters = AccelerometerMultiPositionParameters
 
     def design(self, request: DesignRequest) -> Design | None:
-        """The design of each axis at the planned attitudes; None where the attitudes are not planned. Raises `EstimationError`."""
+        """The design of each axis at the planned attitudes; remarks alone where the attitudes are not planned. Raises `EstimationError`."""
         parameters: AccelerometerMultiPositionParameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
-            return None
+            return by_magnitude.design(request)
         model = by_orientation.model_of(parameters.terms)
         matrix = by_orientation.matrix_of(model, request.segments, request.site)
-        return Design(planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes))
+        blocks = planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes)
+        return Design(blocks, remarks=planned_basis(blocks, parameters.uncertainty))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Coefficients from the recorded positions or still spans. Raises `EstimationError`."""

@@ -12,11 +12,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude
+from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.still_detection import still_spans
-from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
 from planrunner.estimators.flicker import flicker_effects
-from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Plot, Table
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Remark,
+    Table,
+)
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe, recorded_times
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
@@ -34,10 +44,27 @@ _WORDS = {
 _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 
 
+def design(request: DesignRequest) -> Design:
+    """Remarks on the number of poses, where segments are the poses; how many are found in the data is not known before."""
+    count = len(request.segments)
+    if request.detection is None and count <= len(NAMES):
+        short = count < len(NAMES)
+        message = too_few(count) if short else no_residual(len(NAMES))
+        if short or request.parameters.uncertainty == "residual":
+            hint = (
+                f"add segments in other attitudes: {len(NAMES)} are the least, 20 are usual" if short else MORE_SEGMENTS
+            )
+            return Design((), remarks=(Remark("physics-poses", message, hint, error=True),))
+    return Design(())
+
+
 def estimate(request: EstimateRequest) -> Estimate:
     """The nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
     poses = _found(request) if request.detection is not None else _recorded(request)
+    if len(poses.labels) < len(NAMES):
+        where = "raise `threshold` or shorten `at_least`, or record" if request.detection is not None else "record"
+        raise EstimationError(f"{too_few(len(poses.labels))}: {where} more poses")
     found = fit_magnitude(poses.mean * _factors(poses), request.site.gravity)
     fit = _weighted(request, poses, found)
     require_basis(fit, basis, request.name)

@@ -42,9 +42,7 @@ class GravityFit:
 def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
     """Nine parameters from mean readings (n, 3), m/s², of n ≥ 9 still poses, all of the same weight. Raises `EstimationError`."""
     if len(readings) < len(NAMES):
-        raise EstimationError(
-            f"{len(readings)} still spans cannot give {len(NAMES)} parameters: record more poses, or look at the threshold and `at_least`"
-        )
+        raise EstimationError(too_few(len(readings)))
     values = np.array([0.0, 0, 0, 1, 1, 1, 0, 0, 0])
     scale = np.array([gravity, gravity, gravity, 1, 1, 1, 1, 1, 1])
     for _ in range(_ITERATIONS):
@@ -62,6 +60,11 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
     raise EstimationError(
         "the readings do not lie near a sphere of radius g, so no calibration was found: check the channels' units and that spans are still"
     )
+
+
+def too_few(count: int) -> str:
+    """That so many poses are fewer than the parameters."""
+    return f"{count} poses cannot give {len(NAMES)} parameters"
 
 
 def _too_alike(sight: rank.Sight, readings: Array) -> str:

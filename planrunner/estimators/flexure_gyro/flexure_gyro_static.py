@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import rank
-from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro import tables
@@ -116,6 +116,7 @@ class FlexureGyroStatic:
             _predicted(request, blocks),
             (note,),
             {"determinant": determinant, "condition": sight.condition},
+            planned_basis(blocks, parameters.uncertainty),
         )
 
     def estimate(self, request: EstimateRequest) -> Estimate:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import rank
-from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.error_model import error_model, term_names
 from planrunner.estimators.fit_positions import fit_positions
@@ -122,6 +122,7 @@ class ImuMultiPosition:
             its_own = replace(request, segments=tuple(chosen))
             made = planned_blocks(its_own, channels, model.names, matrix, _magnitudes(model, matrix))
             blocks += made
+            remarks += planned_basis(made, parameters.uncertainty)
             if kind == "gyro":
                 remarks += _earth_rate_alone(request, made)
         predicted = _predicted(request, blocks)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import least_squares
-from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
@@ -122,7 +122,7 @@ class FixtureAngles:
             blocks.append(block)
             expected = _expected(request, model, axes, k, block)
             predicted += [expected] if expected is not None else []
-        remarks = tuple(_remarks(model, how))
+        remarks = (*_remarks(model, how), *planned_basis(blocks, request.parameters.uncertainty))
         if len(predicted) < len(axes.names):
             return Design(tuple(blocks), remarks=remarks)
         covariance, influences = independent([one.covariance for one in predicted]), _padded(predicted)

@@ -1,0 +1,35 @@
+"""Segments of a recording that is played back, as a run would record them, without a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.statistics import statistics_of
+from planrunner.instruments.interfaces import Block
+from planrunner.instruments.recording import RecordingPlayer
+from planrunner.instruments.recording_file import HeldRecording, at_hand
+from planrunner.plan.schedule import Segment
+
+
+def played(player: RecordingPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
+    """The segments of a player, whose recording is then at hand for many passes. Raises `InstrumentError`."""
+    player.file = at_hand(player.file)
+    return tuple(_play(player, segment) for segment in segments)
+
+
+def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
+    """A segment of the recording: its blocks where the recording is held, else read anew for every pass."""
+    units = dict(player.channels())
+    read = partial(player.stream, segment)
+    if isinstance(player.file, HeldRecording):
+        whole = list(player.stream(segment))
+        read = partial(iter, whole)
+    rows = sum(len(block.time) for block in read())
+    return RecordedSegment(segment, units, statistics_of(read(), tuple(units), rows), partial(_again, read))
+
+
+def _again(read: Callable[[], Iterator[Block]], channels: Sequence[str]) -> Iterator[Block]:
+    for block in read():
+        yield Block(block.time, {name: block.channels[name] for name in channels})
