@@ -129,7 +129,7 @@ def _start() -> subprocess.Popen[bytes]:
         # Nor is the closing of the console, which ends every process that is attached to it.
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW  # type: ignore[attr-defined,unused-ignore]
         apart = {"creationflags": flags}
-    command = [sys.executable, "-m", "planrunner.bench.watchdog_process"]
+    command = [sys.executable, "-m", "planrunner.bench.watchdog_start"]
     pipe = subprocess.PIPE
     try:
         return subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, **apart)

@@ -1,4 +1,4 @@
-"""The watchdog process: `python -m planrunner.bench.watchdog_process`, started by `planrunner.bench.watchdog`.
+"""The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
 It reads what to guard from its standard input, then signs of life, and which instruments planrunner takes control of. When the signs stay
 away for too long, it ends planrunner, which may hold connections that only one can have, and might go on commanding. Then, and when they
@@ -21,7 +21,7 @@ import time
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from planrunner.bench.clock import WallClock
 from planrunner.bench.lock import watchdog_lock
@@ -56,7 +56,6 @@ class Charge:
 
 
 def main() -> int:
-    _be_deaf()
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
     with contextlib.ExitStack() as stack:
@@ -71,14 +70,6 @@ def main() -> int:
         if reason is not None and (charge.controlled or charge.report is not None):
             _tell(charge, reason, rescue(charge))
     return 0
-
-
-def _be_deaf() -> None:
-    """Signals that end planrunner are not for the process that is to make up for it."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
-        number = getattr(signal, name, None)
-        if number is not None:
-            signal.signal(number, signal.SIG_IGN)
 
 
 def _listen(lines: queue.SimpleQueue[bytes]) -> None:
@@ -202,7 +193,8 @@ def _append(report: Path, text: str) -> None:
     os.replace(beside, report)
 
 
-if __name__ == "__main__":
+def live() -> NoReturn:
+    """Be the watchdog process to its end."""
     code = main()
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()

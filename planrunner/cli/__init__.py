@@ -1,7 +1,7 @@
 """The command line: one module a command, each with arguments, progress and printing only.
 
 A command's module is imported when the command is used, so that `check` stays quick. Whatever goes wrong ends here as a message and
-an exit code: 0 done, 1 a limit failed, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 interrupted.
+an exit code: 0 done, 1 a limit failed, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 ended by a signal.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from types import ModuleType
 from typing import NoReturn
 
 from planrunner import __version__
+from planrunner.interruption import INTERRUPTED as INTERRUPTED
+from planrunner.interruption import Interruption
 from planrunner.plan.findings import InputError, Mark
 
-DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
+DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY = 0, 1, 2, 3, 4
 
 COMMANDS = {
     "check": "check plans and benches before anything moves",
@@ -47,23 +49,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
     asked = Asked("--json" in arguments)
-    try:
-        code = _run(arguments, asked)
-        if sys.stdout is not None:
-            sys.stdout.flush()  # what cannot be written shows here, not while the interpreter ends
-        return code
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:
-        _let_go_of_output()
-        return DONE
-    except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else WRONG_INPUT
-    except Exception as error:
-        if isinstance(error, OSError):
+    with Interruption() as interruption:
+        try:
+            code = _run(arguments, asked)
+            if sys.stdout is not None:
+                sys.stdout.flush()  # what cannot be written shows here, not while the interpreter ends
+            return code
+        except KeyboardInterrupt:
+            return interruption.tell()
+        except BrokenPipeError:
             _let_go_of_output()
-        return _fail(error, as_json=asked.json)
+            return DONE
+        except SystemExit as stop:
+            return stop.code if isinstance(stop.code, int) else WRONG_INPUT
+        except Exception as error:
+            if isinstance(error, OSError):
+                _let_go_of_output()
+            if interruption.reason:  # what a library made of it
+                return interruption.tell()
+            return _fail(error, as_json=asked.json)
 
 
 @dataclass(slots=True)

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.bench.calibration import check_validity
 from planrunner.bench.inputs import stated_inputs
 from planrunner.bench.model import models, parse_bench
 from planrunner.checking import check_plan
 from planrunner.plan import source
+from planrunner.plan.findings import Findings
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.quantity import parse_quantity
 from planrunner.uncertainty.influences import InputQuantity, Inputs
@@ -143,6 +145,22 @@ def test_an_expired_calibration_stops_a_run_and_a_short_one_is_announced(tmp_pat
     assert message == "the calibration of 'table' (RT-0042 / 117) expired on 2027-03-01; it is 2027-03-02"
     assert "expires during this run" in findings(tmp_path, "2027-01-15", "1500 h")[0][3]
     assert findings(tmp_path, "2026-02-25")[0][:2] == ("bench-calibration-future", "error")
+
+
+def test_at_the_end_of_the_calendar_a_calibration_is_judged_as_ever() -> None:
+    """A run may last beyond the last day that the calendar has."""
+
+    def judged(due: str, days: float) -> list[str]:
+        bench, _ = parse_bench(source.parse(BENCH.replace("due: 2027-03-01", f"due: {due}"), "bench.yaml"))
+        assert bench is not None
+        log = Findings()
+        check_validity(bench.calibrations(), date(9998, 6, 1), days * 86400, log)
+        return [item.message.split(") ")[1] for item in log]
+
+    assert judged("9999-12-31", 500) == []
+    assert judged("9999-12-31", 600) == ["expires during this run, on 9999-12-31"]
+    assert judged("9999-12-31", 1e12) == ["expires during this run, on 9999-12-31"]
+    assert judged("9998-06-20", 1) == ["expires soon, on 9998-06-20"]
 
 
 @pytest.mark.parametrize(
