@@ -22,6 +22,7 @@ from planrunner import __version__
 from planrunner.interruption import INTERRUPTED as INTERRUPTED
 from planrunner.interruption import Interruption
 from planrunner.plan.findings import InputError, Mark
+from planrunner.reporting.printable import printable_streams
 
 DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY = 0, 1, 2, 3, 4
 
@@ -48,6 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The `planrunner` command. Returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _print_anything()
+    with printable_streams():
+        return _main(arguments)
+
+
+def _main(arguments: list[str]) -> int:
     asked = Asked("--json" in arguments)
     with Interruption() as interruption:
         try:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from planrunner import cli, plugins
 from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli.printing import print_json
-from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.pinging import Ping
@@ -62,7 +61,7 @@ def _ping(args: argparse.Namespace) -> int:
         print_json({"bench": bench.name, "instruments": [answer.to_json() for answer in answers]})
     else:
         for answer in answers:
-            print(printable(_row(answer)))
+            print(_row(answer))
     return cli.FAULT if any(answer.failure for answer in answers) else cli.DONE
 
 

@@ -21,7 +21,7 @@ from planrunner.cli import design_cycle, design_positions, design_rates
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, parse_quantity
-from planrunner.reporting.printable import printable
+from planrunner.reporting.printable import beneath
 
 PATIENCE = 2.0
 """Seconds before progress is shown."""
@@ -88,11 +88,11 @@ def _show(context: Any, page: ModuleType) -> None:
     from planrunner.reporting import terminal
 
     console = terminal.console()
-    console.print(printable(page.heading(context)))
+    console.print(page.heading(context))
     for table in page.tables(context):
         console.print(terminal.data_table(table))
     for note in page.notes(context):
-        console.print(printable(f"note: {note}"), style="dim")
+        console.print(f"note: {note}", style="dim")
 
 
 def _write(args: argparse.Namespace, kind: ModuleType, study: Any, context: Any, page: ModuleType) -> None:
@@ -126,7 +126,8 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
         yield None
         return
     begun = time.monotonic()
-    terminal = sys.stderr.isatty()
+    out = beneath(sys.stderr)
+    terminal = out.isatty()
     last = [begun]
 
     def take(stage: str, fraction: float) -> None:
@@ -135,8 +136,8 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
             return
         last[0] = now
         print(f"\r\033[K{stage}: {fraction:.0%}" if terminal else f"{stage}: {fraction:.0%}",
-              end="" if terminal else "\n", file=sys.stderr, flush=True)  # fmt: skip
+              end="" if terminal else "\n", file=out, flush=True)  # fmt: skip
 
     yield take
     if terminal:
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
+        print("\r\033[K", end="", file=out, flush=True)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from planrunner import cli
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.plan.findings import InputError, Mark, closest
-from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.diagnosing import Diagnosed, Recorded
@@ -160,11 +159,11 @@ def _show(context: DiagnosisContext) -> None:
 
     found = context.diagnosis
     console = terminal.console()
-    console.print(printable(diagnosis_page.verdict(found)), style="bold")
-    console.print(printable(diagnosis_page.closure_words(found)))
+    console.print(diagnosis_page.verdict(found), style="bold")
+    console.print(diagnosis_page.closure_words(found))
     for table in diagnosis_page.tables(found).values():
         console.print(terminal.data_table(table))
     expected = diagnosis_page.expected_words(found)
     if expected:
-        console.print(printable(f"next: {expected}"))
-    console.print(printable(diagnosis_page.priors_words(found)), style="dim")
+        console.print(f"next: {expected}")
+    console.print(diagnosis_page.priors_words(found), style="dim")

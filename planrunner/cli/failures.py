@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from planrunner import cli
 from planrunner.cli.printing import print_findings
 from planrunner.plan.findings import Finding, InputError, Mark
-from planrunner.reporting.printable import printable
 
 COMMAND_LINE = "<command line>"
 
@@ -26,7 +25,7 @@ class Failure:
     def show(self) -> None:
         """To standard error."""
         if self.text:
-            print(printable(self.text), file=sys.stderr)
+            print(self.text, file=sys.stderr)
         else:
             print_findings(self.findings)
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from planrunner import cli
 from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json
-from planrunner.reporting.printable import printable
 
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
@@ -20,9 +19,9 @@ if TYPE_CHECKING:
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
     """How a run that did not finish ended, what is kept, and how to go on: on standard error, and as JSON where that is wanted."""
     for failure in outcome.failures:
-        print(printable(f"error: {failure}"), file=sys.stderr)
+        print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
-        print(printable(f"error: NOT IN THE SAFE STATE: {unsafe}; look at the instrument now"), file=sys.stderr)
+        print(f"error: NOT IN THE SAFE STATE: {unsafe}; look at the instrument now", file=sys.stderr)
     if outcome.untouched:
         print(f"Never commanded, and left as they were found: {', '.join(outcome.untouched)}.", file=sys.stderr)
     if not outcome.unsafe:
@@ -86,11 +85,11 @@ def print_results(results: Results) -> None:
             if table.title in estimate.settings.get("terminal_tables", ()):
                 console.print(terminal.data_table(table))
         for text in estimate.warnings:
-            console.print(printable(f"warning: {text}"), style="yellow")
+            console.print(f"warning: {text}", style="yellow")
         for text in estimate.notes:
-            console.print(printable(f"note: {text}"), style="dim")
+            console.print(f"note: {text}", style="dim")
         console.print()
     if results.limits:
         console.print(terminal.limits_table(results.limits))
     for name, message in results.failures.items():
-        print(printable(f"error: {name}: {message}"), file=sys.stderr)
+        print(f"error: {name}: {message}", file=sys.stderr)

@@ -23,8 +23,9 @@ def run_progress(quiet: bool) -> Iterator[tuple[Callable[[Any], None] | None, Ca
 
 
 def _bar() -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
+
+    from planrunner.reporting import terminal
 
     columns = (
         TextColumn("{task.fields[count]}"),
@@ -33,7 +34,7 @@ def _bar() -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
         TextColumn("{task.fields[left]}", style="cyan"),
         TextColumn("{task.description}", style="dim"),
     )
-    console = Console(stderr=True, markup=False, highlight=False)
+    console = terminal.console(file=sys.stderr)
     with Progress(*columns, console=console, transient=False) as progress:
         task = progress.add_task("", total=1.0, count="", left="")
 

@@ -10,7 +10,6 @@ from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments, seed
-from planrunner.reporting.printable import printable
 from planrunner.run_information import gather
 
 
@@ -61,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         return tell(folder, outcome, as_json=args.json)
     out = sys.stderr if args.json else sys.stdout
     for line in made.words() or ["Nothing was added."]:
-        print(printable(f"added {line}" if made.additions else line), file=out)
+        print(f"added {line}" if made.additions else line, file=out)
     code = finish(running.analyse_run(folder), as_json=args.json)
     print(folder, file=out)
     return code

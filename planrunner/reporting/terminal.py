@@ -6,20 +6,22 @@ Text from files is shown as it stands: no markup is read from it and control cha
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, TextIO
 
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.plan.schedule import Schedule
 from planrunner.reporting import words
-from planrunner.reporting.printable import printable
+from planrunner.reporting.printable import beneath, printable
 from planrunner.reporting.show_page import timeline_table, totals
 from planrunner.reporting.view import coefficient_row, limit_row, named, table_view
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
     from rich.table import Table as RichTable
     from rich.text import Text
 
@@ -28,9 +30,10 @@ _MOST_TEXT = 24  # characters of a text column that are kept on one line on a na
 _VERDICT = {"pass": "bold green", "fail": "bold red"}
 
 
-def console(width: int | None = None, file: Any = None) -> Console:
+def console(width: int | None = None, file: TextIO | None = None) -> Console:
     """A console for these tables. Away from a terminal it is wide enough not to break rows, and has no colour."""
     from rich.console import Console
+    from rich.segment import Segment
 
     class Piped(Console):
         """A reader that went away, such as `head`, is the caller's affair, not the end of the process."""
@@ -38,7 +41,15 @@ def console(width: int | None = None, file: Any = None) -> Console:
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
-    made = Piped(file=file, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
+        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+            """Whatever is printed shows characters that would steer the terminal as codes; rich's own steering is beside the text."""
+            for segment in super().render(renderable, options):
+                text = segment.text if segment.control else printable(segment.text)
+                yield segment if text == segment.text else Segment(text, segment.style)
+
+    made = Piped(
+        file=beneath(file or sys.stdout), width=width, highlight=False, markup=False, emoji=False, soft_wrap=False
+    )
     if width is None and not made.is_terminal:
         made.width = 160
     return made

@@ -14,7 +14,7 @@ from planrunner.estimators.interface import Table
 from planrunner.reporting import terminal
 from planrunner.reporting.report import render_report
 from planrunner.reporting.show_page import timeline_table
-from planrunner.reporting.templates import markdown
+from planrunner.reporting.sandbox import markdown
 
 
 def printed(*shown: RenderableType, width: int = 100) -> str:
