@@ -13,6 +13,7 @@ from pathlib import Path
 
 from planrunner.archive.analyses import add_analysis
 from planrunner.archive.formats import to_bytes
+from planrunner.archive.lock import FolderLock
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
@@ -104,7 +105,37 @@ def resume(
     operator: Operator | None = None,
     retake: Retake | None = None,
 ) -> Outcome:
-    """Go on with a run that was cut short, from its own plan and bench; or take segments of it again, whether it is finished or not."""
+    """Go on with a run that was cut short, from its own plan and bench; or take segments of it again, whether it is finished or not.
+
+    The folder is locked first, then the bench, and only then is anything connected: of two that resume a run, one is refused before it has
+    looked at an instrument.
+    """
+    RunReader.open(run)  # no lock is left in what is no run folder
+    lock = _lock(run)
+    try:
+        return _resume(run, lock, stop, data_root, progress, operator, retake)
+    finally:
+        lock.release()
+
+
+def _lock(run: Path) -> FolderLock:
+    """Raises `InputError` for a folder that another process writes, or that cannot be written."""
+    try:
+        return FolderLock(run)
+    except OSError as error:
+        message = f"the run folder cannot be written: {error.strerror or error}"
+        raise InputError.at(Mark(str(run)), "run-unwritable", message, "change its permissions") from None
+
+
+def _resume(
+    run: Path,
+    lock: FolderLock,
+    stop: StopRequest,
+    data_root: Path | None,
+    progress: ProgressCallback | None,
+    operator: Operator | None,
+    retake: Retake | None,
+) -> Outcome:
     reader = RunReader.open(run)
     seed = reader.run["seed"]
     sound = sound_run(run, date.today())
@@ -113,7 +144,7 @@ def resume(
     reason = None if retake is None else retake.reason
 
     def reopen() -> RunWriter:
-        writer = RunWriter.reopen(run, reason=reason)
+        writer = RunWriter.reopen(run, reason=reason, lock=lock)
         try:
             _take_report(writer)
             for index in again:

@@ -138,10 +138,12 @@ class RunWriter:
         reason: str | None = None,
         durability: Durability | None = None,
         storage: Storage | None = None,
+        lock: FolderLock | None = None,
     ) -> RunWriter:
         """Go on with a run that was cut short: repairs a torn last line, and settles the segment that was in progress.
 
-        reason: why a finished, sealed run is opened again; without it, that is refused. Raises `InputError` (in use,
+        reason: why a finished, sealed run is opened again; without it, that is refused. lock: of the folder, where the caller holds it
+        already; it is given away. Raises `InputError` (in use,
         finished, unwritable) and `IntegrityError`.
         """
         if not (path / journal_lines.NAME).is_file():
@@ -151,9 +153,8 @@ class RunWriter:
         run = formats.read_json(path / "run.json", "run", "planrunner_run", formats.RUN_FORMAT)
         storage = storage or Storage(durability or run["durability"])
         file: FileIO | None = None
-        lock: FolderLock | None = None
         try:
-            lock = FolderLock(path)
+            lock = lock or FolderLock(path)
             state, scan = read_state(path / journal_lines.NAME)
             seal = seals.read_seal(path)
             if seal is not None:

@@ -143,6 +143,45 @@ def test_the_bench_is_kept_to_its_protection(
     assert told in outcome.failures[0].message
 
 
+def test_control_is_taken_before_the_first_command_and_no_sooner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that fails before answers for the instruments that it has commanded by then, and for no others."""
+    bench = make_watched_bench()
+    monkeypatch.setattr(bench.chamber, "identify", lambda: {}[0])
+    outcome, reader = carry_out(tmp_path / "asked", bench, plan(None))
+    assert outcome.untouched == ("table", "chamber", "sensor") and bench.controlled == set()
+    assert events(reader, "safe")[0]["untouched"] == ["table", "chamber", "sensor"]
+
+    bench = make_watched_bench()
+    known: list[set[str]] = []
+
+    def refuses(limits: OwnLimits) -> list[str]:
+        known.append(set(bench.controlled))
+        raise InstrumentError("it keeps another limit")
+
+    monkeypatch.setattr(bench.table, "limit", refuses)
+    outcome, reader = carry_out(tmp_path / "limited", bench, plan(None))
+    assert known == [{"table"}] and outcome.untouched == ("chamber", "sensor")
+
+    bench = make_watched_bench()
+    outcome, reader = carry_out(tmp_path / "whole", bench, plan(None))
+    assert outcome.ok and outcome.untouched == () and "untouched" not in events(reader, "safe")[0]
+
+
+def test_nothing_is_commanded_when_nobody_guards_the_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = make_watched_bench()
+
+    def gone(*names: str) -> None:
+        raise InstrumentError("the watchdog process has ended")
+
+    monkeypatch.setattr(bench, "take_control", gone)
+    outcome, _ = carry_out(tmp_path, bench, plan(None))
+    assert "watchdog process has ended" in outcome.failures[0].message
+    commands = ("table.limit", "table.orient", "table.begin", "chamber.set", "sensor.block")
+    assert not [call for call in bench.calls if call.startswith(commands)]
+
+
 def test_own_limits_are_set_before_the_first_move_and_kept_in_the_journal(tmp_path: Path) -> None:
     bench = make_watched_bench()
     bench.limits = OwnLimits(rate=5.5, silence=30.0)

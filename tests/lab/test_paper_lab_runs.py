@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +35,16 @@ Planrunner = Callable[..., "subprocess.Popen[str]"]
 
 @pytest.fixture
 def planrunner(tmp_path: Path) -> Planrunner:
-    environment = packaged(tmp_path)
+    surroundings = packaged(tmp_path)
     bench_file(tmp_path)
     (tmp_path / "plan.yaml").write_text(PLAN.replace("DWELL", "60 s"), encoding="utf-8")
 
-    def run(*arguments: str) -> subprocess.Popen[str]:
+    def run(*arguments: str, environment: Mapping[str, str] | None = None) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "planrunner", *arguments]
         pipe = subprocess.PIPE
+        here = {**surroundings, **(environment or {})}
         return subprocess.Popen(
-            command, text=True, env=environment, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe
+            command, text=True, env=here, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe
         )
 
     return run
@@ -260,6 +261,21 @@ def test_a_run_that_fails_before_it_moves_anything_makes_safe_what_it_commanded(
     assert "left as they were found: chamber, sensor." in err and "Every other instrument is in its safe state" in err
     assert state(tmp_path, "table")["safe"] and "safe" not in state(tmp_path, "chamber")
     assert events(tmp_path, "safe")[0]["untouched"] == ["chamber", "sensor"]
+
+
+@pytest.mark.slow
+def test_a_second_resume_is_refused_before_it_connects(planrunner: Planrunner, tmp_path: Path) -> None:
+    """The folder's lock comes first: also where the two see different locks of the bench."""
+    run = started(planrunner, tmp_path)
+    connections = state(tmp_path, "table")["connections"]
+    for more in ({}, {"PLANRUNNER_LOCKS": str(tmp_path / "other-locks")}):
+        second = planrunner("resume", str(the_run(tmp_path)), "--quiet", environment=more)
+        _, err = second.communicate(timeout=60)
+        assert second.returncode == 2 and "error[run-in-use]" in err, err
+    table = state(tmp_path, "table")
+    assert table["connections"] == connections and table["rate"] > 0.3 and table["by"] == run.pid
+    run.send_signal(signal.SIGTERM)
+    run.communicate(timeout=60)
 
 
 @pytest.mark.slow
