@@ -151,9 +151,15 @@ def _run(arguments: list[str], asked: Asked) -> int:
         if name == chosen:
             module = _imported(f"planrunner.cli.{name.replace('-', '_')}")
             module.add_arguments(command)
+            command.add_argument(
+                "--no-excerpt", action="store_true", help="print findings without the line that they point at"
+            )
             command.set_defaults(run=module.run)
     parser.set_defaults(json=False)
     parsed = parser.parse_args(arguments)
     asked.json = parsed.json
+    from planrunner.cli.printing import EXCERPTS
+
+    EXCERPTS.set(not parsed.no_excerpt)
     code: int = parsed.run(parsed)
     return code

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
 
@@ -12,12 +11,10 @@ from planrunner.attendance import check_unattended
 from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.checking import Checked, Sound, check_plan
 from planrunner.cli.operator import add_attendance
-from planrunner.cli.printing import print_findings, print_json
+from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import RowsLookedAt
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
-
-WIDE = 160  # columns, away from a terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,8 +59,9 @@ def sound_plan(plan: str, bench: str | None) -> Sound:
 def summary(checked: Checked, looked_over: bool = True) -> str:
     """What a reader wants to know at once: sound or not, how long, which uncertainties to expect. looked_over: whether a recording that
     is played back was looked at too."""
-    errors = len(checked.findings.errors)
-    warnings = sum(finding.severity == "warning" for finding in checked.findings)
+    errors, warnings = (
+        sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
+    )
     head = f"{checked.file}: {_count(errors, 'error')}, {_count(warnings, 'warning')}"
     if not checked.ok or checked.schedule is None or checked.bench is None:
         return head
@@ -99,8 +97,7 @@ def _columns(pairs: list[tuple[str, str]]) -> str:
     """Three pairs a line, or as many as the terminal has room for."""
     wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
-    width = shutil.get_terminal_size((WIDE, 24)).columns if sys.stdout.isatty() else WIDE
-    across = max(1, min(3, (width - 1) // (sum(wide) + 4)))
+    across = max(1, min(3, (columns(sys.stdout) - 1) // (sum(wide) + 4)))
     return "\n".join("    " + "   ".join(cells[row : row + across]).rstrip() for row in range(0, len(cells), across))
 
 

@@ -1,32 +1,56 @@
-"""How the command line prints findings: one line each as `file:line:column: error[code]: …`, then the hint."""
+"""How the command line prints findings: `file:line:column: error[code]: …`, the line it points at with a caret, then the hint."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from collections.abc import Iterable
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TextIO
 
+from planrunner.cli.excerpt import excerpt
 from planrunner.plan.findings import Finding, InputError, Mark
 from planrunner.reporting.printable import beneath, printable
 
 _COLOURS = {"error": "31;1", "warning": "33;1", "note": "36"}
 
+WIDE = 160
+"""Columns, away from a terminal."""
+
+EXCERPTS = ContextVar("EXCERPTS", default=True)
+"""Whether findings are printed with the line that they point at (`--no-excerpt`)."""
+
+
+def columns(stream: TextIO) -> int:
+    """How wide a line may be: that of the terminal, or `WIDE` for a pipe or a file."""
+    return shutil.get_terminal_size((WIDE, 24)).columns if stream.isatty() else WIDE
+
 
 def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> None:
-    """To standard error unless `file` is given; coloured on a terminal. Each finding is one line, whatever its text holds."""
+    """To standard error unless `file` is given; coloured on a terminal. Each finding is one line, whatever its text holds, with the line of
+    the file that it points at and a hint beneath."""
     out = beneath(file or sys.stderr)
     colour = out.isatty() and not os.environ.get("NO_COLOR")
+    width = columns(out)
     for finding in findings:
         text = printable(str(finding), keep="")
         if colour:
             word = f"{finding.severity}[{finding.code}]"
-            text = text.replace(word, f"\033[{_COLOURS[finding.severity]}m{word}\033[0m", 1)
+            text = text.replace(word, _coloured(word, finding), 1)
         print(text, file=out)
+        shown = excerpt(finding.mark, width, out.encoding or "utf-8") if EXCERPTS.get() else None
+        if shown is not None:
+            print(f"{shown.gutter}{shown.line}".rstrip(), file=out)
+            print(f"{shown.blank}{_coloured(shown.carets, finding) if colour else shown.carets}", file=out)
         if finding.hint:
             print(printable(f"    hint: {finding.hint}", keep=""), file=out)
+
+
+def _coloured(text: str, finding: Finding) -> str:
+    return f"\033[{_COLOURS[finding.severity]}m{text}\033[0m"
 
 
 def write_file(path: Path, text: str) -> None:

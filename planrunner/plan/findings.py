@@ -2,13 +2,17 @@
 
 Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all of them in one run. The codes
 are documented in `docs/findings.md`, and a test holds the two together.
+
+A check that builds on other parts of the file names them with `Findings.resting_on`. What it finds is then a consequence where one of
+these parts holds an error already: the list keeps it, with its cause, and shows the cause alone.
 """
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -17,11 +21,23 @@ Severity = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place in a file. Lines and columns count from 1, as editors show them."""
+    """A place in a file. Lines and columns count from 1, as editors show them.
+
+    end: line and column just after what stands there, where that is known. text: all of the file as it was read, for excerpts.
+    """
 
     file: str
     line: int = 1
     column: int = 1
+    end: tuple[int, int] | None = field(default=None, compare=False, repr=False)
+    text: str | None = field(default=None, compare=False, repr=False)
+
+    def covers(self, other: Mark) -> bool:
+        """Whether another place lies within what stands here."""
+        if self.file != other.file:
+            return False
+        begin, there = (self.line, self.column), (other.line, other.column)
+        return begin == there if self.end is None else begin <= there < max(self.end, (self.line, self.column + 1))
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}:{self.column}"
@@ -29,29 +45,43 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One finding; `str()` gives the line that the terminal shows, without the hint."""
+    """One finding; `str()` gives the line that the terminal shows, without the hint.
+
+    cause: the error that this one follows from; such a finding is kept but not shown.
+    """
 
     mark: Mark
     code: str
     severity: Severity
     message: str
     hint: str = ""
+    cause: Finding | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         return f"{self.mark}: {self.severity}[{self.code}]: {self.message}"
 
     def to_json(self) -> dict[str, Any]:
-        row = asdict(self)
-        return {**row.pop("mark"), **row}
+        place = {"file": self.mark.file, "line": self.mark.line, "column": self.mark.column}
+        return {
+            **place,
+            "code": self.code,
+            "severity": self.severity,
+            "message": self.message,
+            "hint": self.hint,
+        }
 
 
 @dataclass(slots=True)
 class Findings:
-    """A growing list of findings; identical ones are kept once. Iterating gives them in the order of the file."""
+    """A growing list of findings; identical ones are kept once.
+
+    Iterating gives those to show, in the order of the file: what follows from an error in the list is left out.
+    """
 
     items: list[Finding] = field(default_factory=list)
     _seen: set[Finding] = field(default_factory=set, repr=False, compare=False)
     _errors: list[Finding] = field(default_factory=list, repr=False, compare=False)
+    _cause: Finding | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         given, self.items = self.items, []
@@ -70,7 +100,27 @@ class Findings:
         for finding in findings:
             self._add(finding)
 
+    @contextmanager
+    def resting_on(self, *parts: Mark) -> Iterator[None]:
+        """What is added inside supposes that these parts are right: it follows from the first error that one of them holds on entry.
+
+        A check therefore runs after those of the parts that it builds on. A part may also be the mark of an error that is known.
+        """
+        before = self._cause
+        self._cause = before or self.error_in(*parts)
+        try:
+            yield
+        finally:
+            self._cause = before
+
+    def error_in(self, *parts: Mark) -> Finding | None:
+        """The first error within these parts (or what that one follows from); None where there is none."""
+        found = next((error for error in self._errors if any(part.covers(error.mark) for part in parts)), None)
+        return found if found is None or found.cause is None else found.cause
+
     def _add(self, finding: Finding) -> None:
+        if self._cause is not None and finding.cause is None:
+            finding = replace(finding, cause=self._cause)
         if finding not in self._seen:
             self._seen.add(finding)
             self.items.append(finding)
@@ -79,11 +129,12 @@ class Findings:
 
     @property
     def errors(self) -> list[Finding]:
-        """The errors among them, in the order in which they were found."""
+        """The errors among them, in the order in which they were found, with those that follow from another."""
         return self._errors
 
     def __iter__(self) -> Iterator[Finding]:
-        return iter(sorted(self.items, key=lambda item: (item.mark.file, item.mark.line, item.mark.column)))
+        shown = [item for item in self.items if item.cause is None]
+        return iter(sorted(shown, key=lambda item: (item.mark.file, item.mark.line, item.mark.column)))
 
     def __len__(self) -> int:
         return len(self.items)

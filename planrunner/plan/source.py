@@ -7,7 +7,7 @@ events without recursion, within limits on size, depth, nodes and aliases, so th
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -134,7 +134,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
             message,
             "remove it, or save the file as plain text",
         )
-    builder = _Builder(file)
+    builder = _Builder(file, text)
     try:
         for event in yaml.parse(text, Loader=_Loader):
             builder.take(event)
@@ -142,7 +142,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
         raise _syntax_error(error, text, file) from None
     except (yaml.YAMLError, UnicodeError, ValueError):
         raise InputError.at(
-            Mark(file), "syntax", "this is not readable as YAML", "check brackets, quotes and escapes"
+            Mark(file, text=text), "syntax", "this is not readable as YAML", "check brackets, quotes and escapes"
         ) from None
     if builder.root is None or (isinstance(builder.root, Scalar) and builder.root.value is None):
         raise InputError.at(
@@ -160,7 +160,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
 def _mark_at(text: str, position: int, file: str) -> Mark:
     breaks = [match.end() for match in _BREAK.finditer(text, 0, position)]
-    return Mark(file, len(breaks) + 1, position - (breaks[-1] if breaks else 0) + 1)
+    return Mark(file, len(breaks) + 1, position - (breaks[-1] if breaks else 0) + 1, text=text)
 
 
 # libyaml's words, and what a reader who has never heard of tokens needs to know instead.
@@ -188,7 +188,7 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
     tab = here.find("\t")
     if tab >= 0 and not here[:tab].strip(" -?:"):
         message = "a tab is used for indentation"
-        return InputError.at(Mark(file, line + 1, tab + 1), "syntax-tab", message, "indent with spaces")
+        return InputError.at(Mark(file, line + 1, tab + 1, text=text), "syntax-tab", message, "indent with spaces")
     problem = str(error.problem or "cannot be read")[:200]
     opened = (
         f" (it began on line {error.context_mark.line + 1})"
@@ -197,7 +197,7 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
     )
     hint = "check indentation, brackets, quotes and the space after ':'"
     return InputError.at(
-        Mark(file, line + 1, column + 1),
+        Mark(file, line + 1, column + 1, text=text),
         "syntax",
         f"not valid YAML: {_PLAIN_WORDS.get(problem, problem)}{opened}",
         hint,
@@ -217,8 +217,9 @@ class _Open:
 class _Builder:
     """Takes parser events, one by one, and builds nodes on a stack of its own."""
 
-    def __init__(self, file: str):
+    def __init__(self, file: str, text: str):
         self.file = file
+        self.text = text
         self.findings = Findings()
         self.root: Node | None = None
         self._stack: list[_Open] = []
@@ -228,8 +229,7 @@ class _Builder:
         self._documents = 0
 
     def take(self, event: Any) -> None:
-        start = event.start_mark
-        mark = Mark(self.file, start.line + 1, start.column + 1)
+        mark = self._mark(event.start_mark, event.end_mark)
         match event:
             case yaml.ScalarEvent():  # most events are
                 if event.tag:
@@ -249,16 +249,21 @@ class _Builder:
                 self._stack.append(_Open(mark, event.anchor))
             case yaml.SequenceEndEvent():
                 done = self._stack.pop()
-                self._put(Sequence(done.mark, tuple(done.items)), done.anchor, done.size)
+                whole = replace(done.mark, end=mark.end)
+                self._put(Sequence(whole, tuple(done.items)), done.anchor, done.size)
             case yaml.MappingEndEvent():
                 done = self._stack.pop()
-                self._put(self._mapping(done.mark, done.items), done.anchor, done.size)
+                whole = replace(done.mark, end=mark.end)
+                self._put(self._mapping(whole, done.items), done.anchor, done.size)
             case yaml.AliasEvent():
                 self._alias(str(event.anchor), mark)
             case yaml.DocumentStartEvent():
                 self._documents += 1
                 if self._documents > 1:
                     raise InputError.at(mark, "form-documents", "a second document begins here", "one document a file")
+
+    def _mark(self, start: yaml.Mark, end: yaml.Mark) -> Mark:
+        return Mark(self.file, start.line + 1, start.column + 1, (end.line + 1, end.column + 1), self.text)
 
     def _reject_tag(self, event: Any, mark: Mark) -> None:
         if event.tag and event.tag != "!":
