@@ -30,7 +30,7 @@ from planrunner.plan.channels import check_channels
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.findings import Findings, InputError, Mark, closest
 from planrunner.plan.meaning import check_meaning
-from planrunner.plan.model import Limit, Plan
+from planrunner.plan.model import EstimateSpec, Limit, Plan
 from planrunner.plan.quantity import parse_symmetric
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
@@ -141,9 +141,12 @@ def check_plan(
     reports = report_names()
     check_meaning(plan, stated, reports, log)
     if _find_bench(checked, plan, path, bench, bench_path):
-        _check_physics(checked, plan, stated)
+        named = plan.origin.parts("bench") if bench is None and bench_path is None else ()
+        with log.resting_on(*named):
+            _check_physics(checked, plan, stated)
         if checked.bench is not None:
-            check_certificate(plan, checked.bench, checked.schedule, reports, log)
+            with log.resting_on(*named, *plan.origin.parts("record")):
+                check_certificate(plan, checked.bench, checked.schedule, reports, log)
             seconds = checked.schedule.total if checked.schedule else 0.0
             check_validity(checked.bench.calibrations(), today or date.today(), seconds, log)
             if checked.models is not None:
@@ -182,11 +185,13 @@ def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) ->
     _check_sensor(plan, checked.models, log)
     if not stated:
         return
-    schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log, plan.mounting)
-    if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
-        checked.schedule = schedule
-        if checked.models.sensor is not None and "mounting" not in plan.origin.broken:
-            _check_estimates(checked, plan, log)
+    # A bench for another kind of sensor is the wrong bench: what else it cannot do follows from that.
+    with log.resting_on(*plan.sensor.origin.parts("kind"), *plan.origin.meant.get("defaults", ())):
+        schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log, plan.mounting)
+        if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
+            checked.schedule = schedule
+            if checked.models.sensor is not None:
+                _check_estimates(checked, plan, log)
 
 
 def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
@@ -201,46 +206,58 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
         log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, "use a bench with such a sensor")
         return
     outputs = [output.name for output in sensor.outputs]
-    for name in plan.sensor.outputs:
+    for index, name in enumerate(plan.sensor.outputs):
         if name not in outputs:
             message = f"the sensor of this bench has no output '{name}'"
-            log.error("meaning-sensor-output", plan.sensor.at("outputs"), message, closest(name, outputs))
+            log.error("meaning-sensor-output", plan.sensor.at(f"outputs[{index}]"), message, closest(name, outputs))
 
 
 def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
     assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
     outputs = None if checked.models.replays else [output.name for output in checked.models.sensor.outputs]
+    shared = (*plan.origin.parts("segments"), *plan.origin.parts("defaults"), *plan.origin.parts("mounting"))
+    parts: dict[str, tuple[Mark, ...]] = {}
     for name, spec in plan.estimates.items():
-        before = len(log.errors)
-        check_channels(spec.parameters, outputs, log)
-        if len(log.errors) > before or any(other not in checked.designs for other in spec.uses):
-            continue
-        try:
-            design = design_of(
-                name,
-                spec,
-                checked.schedule.segments,
-                checked.models.site,
-                checked.models.sensor,
-                checked.designs,
-                checked.setup,
-            )
-        except EstimationError as error:
-            log.error(
-                "physics-estimate", spec.origin.mark, f"'{name}': {error}", "choose other segments or another estimator"
-            )
-            continue
-        if design is None:
-            continue
-        checked.designs[name] = design
-        for remark in design.remarks:
-            add = log.error if remark.error else log.warning
-            add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
-        checked.judged[name] = identify(design)
-        for judged in checked.judged[name]:
-            _report(name, judged, spec.at("segments"), log)
+        used = [part for other in spec.uses for part in parts.get(other, ())]
+        parts[name] = (spec.origin.mark, *used)
+        with log.resting_on(*shared, *parts[name]):
+            _check_estimate(name, spec, outputs, checked, log)
     for limit in plan.limits:
-        _check_limit(limit, checked.designs, log)
+        estimate = limit.quantity.partition(".")[0]
+        with log.resting_on(limit.origin.mark, *shared, *parts.get(estimate, ())):
+            _check_limit(limit, checked.designs, log)
+
+
+def _check_estimate(name: str, spec: EstimateSpec, outputs: list[str] | None, checked: Checked, log: Findings) -> None:
+    assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
+    before = log.raised
+    check_channels(spec.parameters, outputs, log)
+    if log.raised > before or any(other not in checked.designs for other in spec.uses):
+        return
+    try:
+        design = design_of(
+            name,
+            spec,
+            checked.schedule.segments,
+            checked.models.site,
+            checked.models.sensor,
+            checked.designs,
+            checked.setup,
+        )
+    except EstimationError as error:
+        log.error(
+            "physics-estimate", spec.origin.mark, f"'{name}': {error}", "choose other segments or another estimator"
+        )
+        return
+    if design is None:
+        return
+    checked.designs[name] = design
+    for remark in design.remarks:
+        add = log.error if remark.error else log.warning
+        add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
+    checked.judged[name] = identify(design)
+    for judged in checked.judged[name]:
+        _report(name, judged, spec.at("segments"), log)
 
 
 def _report(name: str, judged: Identifiability, mark: Mark, log: Findings) -> None:

@@ -18,7 +18,7 @@ from planrunner.physics.kinematics import Array, Unreachable, joint_angles, tran
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.findings import Findings, Mark, closest
+from planrunner.plan.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
@@ -43,7 +43,14 @@ def build_schedule(
         segment = planner.segment(len(segments), item)
         if segment is not None:
             segments.append(segment)
+    planner.report_missing()
     return Schedule(tuple(segments), planner.time + planner.return_time())
+
+
+def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
+    """Where the first of some segments stands, and what all of them lack; segments as place → label."""
+    first, label = next(iter(segments.items()))
+    return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
 
 class _Planner:
@@ -61,9 +68,11 @@ class _Planner:
         self._mounted: Orientation | None = None
         self._reached: dict[Any, Array] = {}
         self._complained: set[tuple[Any, ...]] = set()
+        self._without_orientation: dict[Mark, str] = {}
+        self._without_dwell: dict[Mark, str] = {}
 
     def segment(self, index: int, item: StatedSegment) -> Segment | None:
-        before = len(self.log.errors)
+        before = self.log.raised
         state, marks = item.state, item.marks
         orientation = self._orientation(item)
         dwell = self._dwell(item)
@@ -82,7 +91,7 @@ class _Planner:
         self._check_mode(item)
         self._check_samples(item, dwell)
         check_measured(state, marks, self.models, self._once)
-        if len(self.log.errors) > before:
+        if self.log.raised > before:
             return None
         settle, stable = wait_of(state, "settle")
         start = self.time + transition + soak + settle
@@ -113,6 +122,15 @@ class _Planner:
             marks={**marks, "": item.mark, "prompt": item.prompts[0][1] if item.prompts else item.mark},
         )
 
+    def report_missing(self) -> None:
+        """One finding for what segments lack, however many: a key missing in `defaults` is missing in each of them."""
+        if self._without_orientation:
+            hint = "add for example `orientation: {x: up, y: north, z: west}` there or to `defaults`, or `orientation: unknown`"
+            self.log.error("meaning-no-orientation", *_lacking(self._without_orientation, "orientation"), hint)
+        if self._without_dwell:
+            hint = "add for example `dwell: 2 min` there or to `defaults`"
+            self.log.error("meaning-no-dwell", *_lacking(self._without_dwell, "dwell"), hint)
+
     def return_time(self) -> float:
         """From the last segment to the safe state: the chamber back at ambient, the table at rest where it is."""
         chamber = self.models.chamber
@@ -125,19 +143,13 @@ class _Planner:
     def _orientation(self, item: StatedSegment) -> Orientation | None:
         orientation: Orientation | None = item.state.get("orientation")
         if orientation is None:
-            hint = "add for example `orientation: {x: up, y: north, z: west}`, or `orientation: unknown`"
-            self._once("meaning-no-orientation", item.mark, f"the segment '{item.label}' has no orientation", hint)
+            self._without_orientation.setdefault(item.mark, item.label)
         return orientation
 
     def _dwell(self, item: StatedSegment) -> float | None:
         dwell = item.state.get("dwell")
         if dwell is None:
-            self._once(
-                "meaning-no-dwell",
-                item.mark,
-                f"the segment '{item.label}' has no dwell",
-                "add for example `dwell: 2 min`",
-            )
+            self._without_dwell.setdefault(item.mark, item.label)
         elif isinstance(dwell, Quantity):
             return dwell.value
         elif isinstance(dwell, Turns):

@@ -77,7 +77,9 @@ def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> t
         inner = room - 2 * len(_CUT)
         begin = first
         taken = 0
-        while begin > 0 and taken + widths[begin - 1] <= inner // 3:  # a third of the room for what stands before the place
+        while (
+            begin > 0 and taken + widths[begin - 1] <= inner // 3
+        ):  # a third of the room for what stands before the place
             begin -= 1
             taken += widths[begin]
         end = begin

@@ -48,9 +48,9 @@ class AxesKind:
         self._list = ListOf(RecordOf(spec), minimum=1)
 
     def read(self, node: source.Node, log: Findings) -> tuple[AxisSpec, ...] | None:
-        before = len(log.errors)
+        before = log.raised
         specs: tuple[AxisSpec, ...] | None = self._list.read(node, log)
-        if specs is None or len(log.errors) > before:
+        if specs is None or log.raised > before:
             return None
         for spec in specs:
             if spec.lowest is not None and spec.highest is not None and spec.lowest.value >= spec.highest.value:
@@ -68,7 +68,7 @@ class AxesKind:
             check_geometry([spec.axis() for spec in specs])
         except Unreachable as error:
             log.error("meaning-table-axes", node.mark, str(error), "list the axes outermost first")
-        return None if len(log.errors) > before else specs
+        return None if log.raised > before else specs
 
     def schema(self) -> Schema:
         return {**self._list.schema(), "maxItems": 3}

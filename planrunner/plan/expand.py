@@ -51,7 +51,8 @@ def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
     marks: dict[str, Mark] = {}
     if plan.defaults is not None:
         _inherit(plan.defaults, state, marks)
-        for name in plan.defaults.origin.broken if _one_motion(plan.defaults, log) else ("rate", "motion"):
+        unreadable = plan.defaults.origin.broken.union(plan.defaults.origin.meant).intersection(STATE_KEYS)
+        for name in sorted(unreadable) if _one_motion(plan.defaults, log) else ("rate", "motion"):
             _set(name, UNREADABLE, plan.defaults.at(name), state, marks)
     segments = [segment for spec in plan.segments for segment in _expand(spec, (), state, marks, log)]
     _check_unique(segments, log)

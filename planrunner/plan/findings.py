@@ -10,7 +10,7 @@ these parts holds an error already: the list keeps it, with its cause, and shows
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -82,6 +82,8 @@ class Findings:
     _seen: set[Finding] = field(default_factory=set, repr=False, compare=False)
     _errors: list[Finding] = field(default_factory=list, repr=False, compare=False)
     _cause: Finding | None = field(default=None, repr=False, compare=False)
+    raised: int = field(default=0, init=False, repr=False, compare=False)
+    """How many errors were added, repeated ones too: whether a check found any is seen from this, not from the list."""
 
     def __post_init__(self) -> None:
         given, self.items = self.items, []
@@ -121,6 +123,7 @@ class Findings:
     def _add(self, finding: Finding) -> None:
         if self._cause is not None and finding.cause is None:
             finding = replace(finding, cause=self._cause)
+        self.raised += finding.severity == "error"
         if finding not in self._seen:
             self._seen.add(finding)
             self.items.append(finding)
@@ -152,21 +155,42 @@ class InputError(Exception):
         return cls([Finding(mark, code, "error", message, hint)])
 
 
+def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
+    """Where else one finding holds, for its message: ' (also on lines 12 and 13)'; nothing where it holds in one line alone."""
+    lines = sorted({mark.line for mark in marks} - {first.line})
+    if not lines:
+        return ""
+    shown = [str(line) for line in lines[:_MOST_LINES]]
+    if len(lines) > _MOST_LINES:
+        shown.append(f"{len(lines) - _MOST_LINES} more")
+    return f" (also on line{'s' if len(lines) > 1 else ''} {' and '.join([', '.join(shown[:-1]), shown[-1]] if shown[1:] else shown)})"
+
+
+_MOST_LINES = 8
+
+
 def closest(word: str, known: Iterable[str]) -> str:
     """A hint naming the closest known word, or all of them when none is close."""
-    return _closest(word[:80], tuple(sorted(known)))
+    names = tuple(sorted(known))
+    near = _nearest(word[:80], names)
+    if near is not None:
+        return f"did you mean '{near}'?"
+    shown = names if len(names) <= _MOST_NAMES else (*names[:_MOST_NAMES], f"and {len(names) - _MOST_NAMES} more")
+    return f"known here: {', '.join(shown)}" if names else ""
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that a misspelt one is most likely meant for; None where none is close."""
+    return _nearest(word[:80], tuple(sorted(known)))
 
 
 @lru_cache(maxsize=1024)
-def _closest(word: str, names: tuple[str, ...]) -> str:
+def _nearest(word: str, names: tuple[str, ...]) -> str | None:
     letters = set(word.lower())
     # Comparing sequences is slow; a word that shares less than half of its letters cannot be close.
     likely = {name.lower(): name for name in names if 2 * len(letters & set(name.lower())) >= len(letters)}
     match = difflib.get_close_matches(word.lower(), likely, n=1, cutoff=0.6)
-    if match:
-        return f"did you mean '{likely[match[0]]}'?"
-    shown = names if len(names) <= _MOST_NAMES else (*names[:_MOST_NAMES], f"and {len(names) - _MOST_NAMES} more")
-    return f"known here: {', '.join(shown)}" if names else ""
+    return likely[match[0]] if match else None
 
 
 _MOST_NAMES = 25

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, dataclass_transform
 
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan.values import (
     CHANNEL,
     Boolean,
@@ -63,12 +63,18 @@ class Origin:
     """Where a record stands in its file, key by key. Empty for records made in code.
 
     keys: `report` is where that key's value begins, `report[1]` where the second entry of its list does, `limits.x` where the value
-    of `x` in its mapping does. broken: the keys of whose values not all could be read.
+    of `x` in its mapping does. broken: the keys of whose values not all could be read. meant: absent key → the unknown keys that it may
+    be hidden in, being misspelt.
     """
 
     mark: Mark = field(default_factory=lambda: Mark("<code>"))
     keys: Mapping[str, Mark] = field(default_factory=dict)
     broken: frozenset[str] = frozenset()
+    meant: Mapping[str, tuple[Mark, ...]] = field(default_factory=dict)
+
+    def parts(self, key: str) -> tuple[Mark, ...]:
+        """What the value of a key rests on: where it is written, or else the unknown keys that may be meant for it."""
+        return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
         """The mark of a key or of an entry of its list or mapping; that of the key, else of the record, where there is none."""
@@ -137,24 +143,66 @@ def read_keys(
     values: dict[str, Any] = {}
     broken: set[str] = set()
     known = [*fields, *passed]
+    missing = [name for name, item in fields.items() if is_required(item) and node.get(name) is None]
+    meant, hints = _meant(node, known, missing)
     for name, item in node.entries:
         if name.text in fields:
-            before = len(log.errors)
+            before = log.raised
             value = fields[name.text].metadata["kind"].read(item, log)
-            if len(log.errors) > before or value is None:  # what an alias repeats was found where it stands first
+            if log.raised > before or value is None:  # what an alias repeats was found where it stands first
                 broken.add(name.text)
             if value is not None:
                 values[fields[name.text].name] = value
         elif name.text not in known:
-            log.error("form-unknown-key", name.mark, f"unknown key '{name.text[:60]}'", closest(name.text, known))
-    present = {name.text for name, _ in node.entries}
+            log.error("form-unknown-key", name.mark, f"unknown key '{name.text[:60]}'", hints[name.text])
     for name_, item_ in fields.items():
-        if is_required(item_) and name_ not in present:
+        if name_ in missing:
             hint = f"add for example `{name_}: {inline(item_.metadata['example'])}`"
-            log.error("form-missing-key", node.mark, f"the key '{name_}' is missing", hint)
+            with log.resting_on(*meant.get(name_, ())):
+                log.error("form-missing-key", node.mark, f"the key '{name_}' is missing", hint)
         if is_required(item_) and item_.name not in values and item_.metadata["fallback"] is not None:
             values[item_.name] = item_.metadata["fallback"]
-    return values, _origin(node, frozenset(broken))
+    return values, _origin(node, frozenset(broken), meant)
+
+
+def _meant(
+    node: source.Mapping, known: Sequence[str], missing: Sequence[str]
+) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
+    """Absent key → the unknown keys that may be meant for it; and what to say of each unknown key.
+
+    An unknown key is meant for the absent one that it resembles. One that resembles none may be meant for any optional key, and for a
+    missing one where no more are missing than there are such keys.
+    """
+    unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
+    if not unknown:
+        return {}, {}
+    absent = [name for name in known if node.get(name) is None]
+    meant: dict[str, tuple[Mark, ...]] = {}
+    hints: dict[str, str] = {}
+    strange: list[str] = []
+    for text, mark in unknown.items():
+        near = nearest(text, absent)
+        if near is None:
+            strange.append(text)
+            hints[text] = closest(text, known)
+        else:
+            meant[near] = (*meant.get(near, ()), mark)
+            hints[text] = f"did you mean '{near}'?"
+    open_ = [name for name in absent if name not in meant]
+    lacking = [name for name in missing if name not in meant]
+    if len(lacking) > len(strange):
+        open_ = [name for name in open_ if name not in lacking]
+    elif lacking:
+        words = " or ".join(f"'{name}'" for name in lacking)
+        hints.update(
+            {
+                text: f"{words} {'is' if len(lacking) == 1 else 'are'} missing here: did you mean that?"
+                for text in strange
+            }
+        )
+    if strange:
+        meant.update({name: tuple(unknown[text] for text in strange) for name in open_})
+    return meant, hints
 
 
 def inline(example: Any) -> str:
@@ -169,7 +217,7 @@ def inline(example: Any) -> str:
     return f'"{text}"' if isinstance(example, str) and (", " in text or text[:1] in "*&!%@`#") else text
 
 
-def _origin(node: source.Mapping, broken: frozenset[str]) -> Origin:
+def _origin(node: source.Mapping, broken: frozenset[str], meant: Mapping[str, tuple[Mark, ...]]) -> Origin:
     marks: dict[str, Mark] = {}
     for name, item in node.entries:
         marks[name.text] = item.mark
@@ -177,7 +225,7 @@ def _origin(node: source.Mapping, broken: frozenset[str]) -> Origin:
             marks.update({f"{name.text}[{index}]": entry.mark for index, entry in enumerate(item.items)})
         elif isinstance(item, source.Mapping):
             marks.update({f"{name.text}.{entry.text}": value.mark for entry, value in item.entries})
-    return Origin(node.mark, marks, broken)
+    return Origin(node.mark, marks, broken, meant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,14 +240,14 @@ class RecordOf:
             names = ", ".join(list(keys_of(self.record))[:6])
             log.error("form-type", node.mark, "a mapping of keys is expected here", f"with keys such as {names}")
             return None
-        before = len(log)
+        before = log.raised
         fields = keys_of(self.record)
         values, origin = read_keys(node, fields, log)
         if any(is_required(item) and item.name not in values for item in fields.values()):
             return None
         make: Any = self.record
         record = make(origin=origin, **values)
-        if self.check and len(log) == before:
+        if self.check and log.raised == before:
             self.check(record, log)
         return record
 
@@ -259,10 +307,10 @@ class Plugged:
             return None
         own = keys_of(plugin.Parameters)
         fields = {**common, **own}
-        before = len(log.errors)
+        before = log.raised
         values, origin = read_keys(node, fields, log)
         # A plug-in is not asked what it makes of parameters of which some are missing.
-        if len(log.errors) > before or any(is_required(item) and item.name not in values for item in fields.values()):
+        if log.raised > before or any(is_required(item) and item.name not in values for item in fields.values()):
             return None
         own_names = {item.name for item in own.values()}
         make_parameters: Any = plugin.Parameters
@@ -275,7 +323,15 @@ class Plugged:
         chosen = node.get(self.selector)
         known = ", ".join(self.names())
         if chosen is None:
-            log.error("form-missing-key", node.mark, f"the key '{self.selector}' is missing", f"known here: {known}")
+            # Which other keys are right depends on the plug-in; one that resembles the selector is taken for it.
+            alike = [name for name, _ in node.entries if nearest(name.text, [self.selector]) is not None]
+            for name in alike:
+                message = f"unknown key '{name.text[:60]}'"
+                log.error("form-unknown-key", name.mark, message, f"did you mean '{self.selector}'?")
+            with log.resting_on(*(name.mark for name in alike)):
+                log.error(
+                    "form-missing-key", node.mark, f"the key '{self.selector}' is missing", f"known here: {known}"
+                )
         elif not isinstance(chosen, source.Scalar) or not isinstance(chosen.value, str):
             log.error(
                 "form-type", chosen.mark, f"the name of one {self.selector} is expected here", f"known here: {known}"

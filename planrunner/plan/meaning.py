@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.findings import Findings, Mark, closest
+from planrunner.plan.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.model import EstimateSpec, Limit, Plan
 from planrunner.plan.selection import Detection, Labels
 
@@ -21,20 +21,20 @@ def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iter
     )
     complete = bool(segments) and all(spec.sound for spec in plan.segments)
     labels = Labels([segment.label for segment in segments])
-    used: set[int] = set()
-    resolved = len(plan.estimates) == len(names)
     for name, spec in plan.estimates.items():
         _check_uses(name, spec, names, log)
-        if complete:
-            before = len(log.errors)
-            used.update(_check_selection(spec, labels, log))
-            resolved = resolved and len(log.errors) == before
-    if plan.diagnosis is not None and complete:
-        used.update(_check_selection(plan.diagnosis, labels, log))
-    if plan.estimates and complete and resolved:
-        _check_unused(segments, used, log)
+    _check_names(plan, names, log)
+    if complete:
+        selections: list[EstimateSpec | DiagnosisSpec] = list(plan.estimates.values())
+        if plan.diagnosis is not None:
+            selections.append(plan.diagnosis)
+        used = _check_selections(selections, labels, log)
+        if plan.estimates:
+            with log.resting_on(*plan.origin.parts("estimates"), *plan.origin.parts("diagnosis")):
+                _check_unused(segments, used, log)
     for limit in plan.limits:
-        _check_limit(limit, names, log)
+        with log.resting_on(limit.origin.mark):
+            _check_limit(limit, log)
     known = sorted(templates)
     for index, report in enumerate(plan.report):
         if report not in known:
@@ -50,8 +50,8 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
     for index, other in enumerate(spec.uses):
         at = spec.at(f"uses[{index}]")
         if other not in names:
-            log.error("meaning-unknown-estimate", at, f"'{other}' is no estimate of this plan", closest(other, names))
-        elif other in spec.uses[:index]:
+            continue  # `_check_names` says so
+        if other in spec.uses[:index]:
             log.error("meaning-estimate-twice", at, f"'{name}' uses '{other}' twice", "name each estimate once")
         elif other == name:
             log.error("meaning-estimate-order", at, f"'{name}' uses itself", "name an estimate that stands above it")
@@ -60,27 +60,42 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
             log.error("meaning-estimate-order", at, message, f"put '{other}' above '{name}'")
 
 
-def _check_selection(spec: EstimateSpec | DiagnosisSpec, labels: Labels, log: Findings) -> set[int]:
-    """The segments chosen; a pattern that means none of them is a finding."""
-    detected = isinstance(spec.segments, Detection)
-    patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
+def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
+    """One finding for each name that is no estimate, however often it is used."""
+    unknown: dict[str, list[Mark]] = {}
+    for spec in plan.estimates.values():
+        for index, other in enumerate(spec.uses):
+            if other not in names:
+                unknown.setdefault(other, []).append(spec.at(f"uses[{index}]"))
+    for limit in plan.limits:
+        estimate = limit.quantity.split(".", 1)[0]
+        if estimate not in names:
+            unknown.setdefault(estimate, []).append(limit.at("quantity"))
+    with log.resting_on(*plan.origin.meant.get("estimates", ())):
+        for name, marks in unknown.items():
+            message = f"'{name}' is no estimate of this plan{elsewhere(marks, marks[0])}"
+            log.error("meaning-unknown-estimate", marks[0], message, closest(name, names))
+
+
+def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Labels, log: Findings) -> set[int]:
+    """The segments chosen; a pattern that means none of them is one finding, however often it is written."""
     chosen: set[int] = set()
-    for index, pattern in enumerate(patterns):
-        found = labels.meant_by(pattern)
-        if not found:
-            at = (
-                spec.segments.at(f"within[{index}]")
-                if isinstance(spec.segments, Detection)
-                else spec.at(f"segments[{index}]")
-            )
-            hint = closest(pattern, labels.parts[:50])
-            log.error("meaning-undefined-label", at, f"no segment is labelled '{pattern}'", hint)
-        chosen.update(found)
-    if not patterns:
-        at = spec.segments.at("within") if detected else spec.at("segments")  # type: ignore[union-attr]
-        log.error(
-            "meaning-undefined-label", at, "no segment is chosen", "leave the key out for all of them, or name some"
-        )
+    undefined: dict[str, list[Mark]] = {}
+    for spec in specs:
+        # The record that holds the patterns, and under which key.
+        holder, key = (spec.segments, "within") if isinstance(spec.segments, Detection) else (spec, "segments")
+        patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
+        for index, pattern in enumerate(patterns):
+            found = labels.meant_by(pattern)
+            if not found:
+                undefined.setdefault(pattern, []).append(holder.at(f"{key}[{index}]"))
+            chosen.update(found)
+        if not patterns:
+            hint = "leave the key out for all of them, or name some"
+            log.error("meaning-undefined-label", holder.at(key), "no segment is chosen", hint)
+    for pattern, marks in undefined.items():
+        message = f"no segment is labelled '{pattern}'{elsewhere(marks, marks[0])}"
+        log.error("meaning-undefined-label", marks[0], message, closest(pattern, labels.parts[:50]))
     return chosen
 
 
@@ -106,11 +121,7 @@ def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findin
 _UNUSED_HINT = "name it in the 'segments' of an estimate, or leave it out"
 
 
-def _check_limit(limit: Limit, names: list[str], log: Findings) -> None:
-    estimate = limit.quantity.split(".", 1)[0]
-    if estimate not in names:
-        at = limit.at("quantity")
-        log.error("meaning-unknown-estimate", at, f"'{estimate}' is no estimate of this plan", closest(estimate, names))
+def _check_limit(limit: Limit, log: Findings) -> None:
     given = [name for name in ("within", "at_least", "at_most") if name in limit.origin.keys]
     if not given:
         log.error(

@@ -40,6 +40,13 @@ def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float 
         return Rest()
     if motion.origin.broken:
         return None
+    with log.resting_on(motion.origin.mark):
+        return _stated_motion(motion, marks, dwell, log)
+
+
+def _stated_motion(
+    motion: model.Motion, marks: Mapping[str, Mark], dwell: float | None, log: Findings
+) -> Motion | None:
     stated = [name for name in _KEYS if getattr(motion, name) is not None]
     if len(stated) != 1:
         what = " and ".join(stated) if stated else "none of them"
@@ -99,34 +106,45 @@ def _cycle(motion: model.Motion, sign: float, log: Findings) -> Cycle | None:
         return None
     moves: list[Move] = []
     net = 0.0
-    errors = len(log.errors)
-    for number, text in enumerate(motion.moves, start=1):
+    errors = log.raised
+    for text in motion.moves:
         match = re.fullmatch(model.MOVE, text)
         assert match is not None
         turn = math.radians(float(match["turn"].replace("−", "-")))
-        move = Move(match["start"], sign * turn, match["end"])
-        _check_move(number, text.strip(), move, turn, positions, motion.at(f"moves[{number - 1}]"), log)
-        if moves and move.start != moves[-1].end:
-            message = f"move {number} starts at {move.start}, but the one before ends at {moves[-1].end}"
-            log.error("meaning-cycle-start", motion.at(f"moves[{number - 1}]"), message, f"start it at {moves[-1].end}")
         net += turn
-        moves.append(move)
-    if len(log.errors) == errors:
+        moves.append(Move(match["start"], sign * turn, match["end"]))
+    _check_positions(moves, positions, motion, log)
+    for index, move in enumerate(moves):
+        at, before = motion.at(f"moves[{index}]"), moves[index - 1]
+        _check_move(index + 1, motion.moves[index].strip(), move, sign * move.turn, positions, at, log)
+        if index and move.start != before.end and {move.start, before.end} <= set(positions):
+            message = f"move {index + 1} starts at {move.start}, but the one before ends at {before.end}"
+            log.error("meaning-cycle-start", at, message, f"start it at {before.end}")
+    if log.raised == errors:
         _check_cycle(moves, net, motion, log)
-    if len(log.errors) > errors:
+    if log.raised > errors:
         return None
     signed = {name: sign * angle for name, angle in positions.items()}
     return Cycle(signed, tuple(moves), motion.turn_rate.value, motion.stop.value)
 
 
+def _check_positions(moves: list[Move], positions: Mapping[str, float], motion: model.Motion, log: Findings) -> None:
+    """One finding for each name that is no position, however many moves use it."""
+    users: dict[str, list[int]] = {}
+    for index, move in enumerate(moves):
+        for name in dict.fromkeys((move.start, move.end)):
+            if name not in positions:
+                users.setdefault(name, []).append(index)
+    for name, found in users.items():
+        others = f", as {len(found) - 1} more do" if found[1:] else ""
+        message = f"move {found[0] + 1} ({motion.moves[found[0]].strip()}) names '{name}', which is no position of this cycle{others}"
+        log.error("meaning-cycle-position", motion.at(f"moves[{found[0]}]"), message, closest(name, positions))
+
+
 def _check_move(
     number: int, text: str, move: Move, turn: float, positions: Mapping[str, float], mark: Mark, log: Findings
 ) -> None:
-    unknown = [name for name in (move.start, move.end) if name not in positions]
-    for name in unknown:
-        message = f"move {number} ({text}) names '{name}', which is no position of this cycle"
-        log.error("meaning-cycle-position", mark, message, closest(name, positions))
-    if unknown:
+    if not {move.start, move.end} <= set(positions):
         return
     if not turn:
         message = f"move {number} ({text}) turns by nothing"

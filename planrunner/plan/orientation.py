@@ -168,7 +168,7 @@ _TURNED = ("from", "rotate")
 
 def _read_words(node: Mapping, log: Findings) -> Orientation | None:
     given: dict[str, tuple[int, int, int]] = {}
-    before = len(log.errors)
+    before = log.raised
     for key, item in node.entries:
         word = item.value if isinstance(item, Scalar) else None
         if key.text not in AXES:
@@ -184,7 +184,7 @@ def _read_words(node: Mapping, log: Findings) -> Orientation | None:
             )
         else:
             given[key.text] = DIRECTIONS[word]
-    if len(log.errors) > before:
+    if log.raised > before:
         return None
     if len(given) < 2:
         log.error(
@@ -244,7 +244,7 @@ _TURN = re.compile(rf"([xyz]) ({PLAIN})")
 
 def _read_rotated(node: Mapping, log: Findings) -> Orientation | None:
     start, turns = node.get("from"), node.get("rotate")
-    before = len(log.errors)
+    before = log.raised
     matrix, text = np.eye(3), "x east, y north, z up"
     if start is not None:
         base = _read_words(start, log) if isinstance(start, Mapping) else None
@@ -278,7 +278,7 @@ def _read_rotated(node: Mapping, log: Findings) -> Orientation | None:
             continue
         matrix = rotation(AXES.index(match[1]), angle.value) @ matrix
         text += f", then {match[1]} {angle}"
-    return Orientation(text, tuple(map(tuple, matrix.tolist()))) if len(log.errors) == before else None
+    return Orientation(text, tuple(map(tuple, matrix.tolist()))) if log.raised == before else None
 
 
 def _read_quaternion(node: Mapping, log: Findings) -> Orientation | None:

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
-from planrunner.plan.findings import Findings, closest
+from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.source import Mapping, Node, Scalar
 from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, dimension_name, suggestion, unit
 
@@ -255,23 +256,24 @@ RICH_KEYS = {
 
 
 def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity | None:
-    before = len(log.errors)
-    for key, _ in node.entries:
-        if key.text not in RICH_KEYS:
-            log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, RICH_KEYS))
+    before = log.raised
+    unknown = [key for key, _ in node.entries if key.text not in RICH_KEYS]
+    for key in unknown:
+        log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, RICH_KEYS))
+    misspelt = [key.mark for key in unknown]  # what seems to be missing may be there under another name
     value_node = node.get("value")
     value = read_scalar(value_node, dimension, log) if value_node is not None else None
     if value_node is None:
-        log.error(
-            "form-missing-key", node.mark, "a quantity written as a mapping needs the key 'value'", _example(dimension)
-        )
+        message = "a quantity written as a mapping needs the key 'value'"
+        with log.resting_on(*misspelt):
+            log.error("form-missing-key", node.mark, message, _example(dimension))
     if value is not None and value.standard_uncertainty and len(node.entries) > 1 and value_node is not None:
         log.error(
             "meaning-uncertainty", value_node.mark, "the uncertainty is stated twice", "leave out what follows ± here"
         )
-    width, shape = _width(node, dimension, log)
+    width, shape = _width(node, dimension, misspelt, log)
     degrees = _degrees(node, log)
-    if value is None or len(log.errors) > before:
+    if value is None or log.raised > before:
         return None
     if width is None:
         return Quantity(value.value, value.unit, value.standard_uncertainty, degrees)
@@ -284,8 +286,10 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
     return Quantity(value.value, value.unit, (width.value - width.unit.offset) / divisor, degrees, shape)
 
 
-def _width(node: Mapping, dimension: str | None, log: Findings) -> tuple[Quantity | None, str]:
-    """The stated width and its distribution."""
+def _width(
+    node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
+) -> tuple[Quantity | None, str]:
+    """The stated width and its distribution. misspelt: where unknown keys stand."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:
@@ -298,12 +302,9 @@ def _width(node: Mapping, dimension: str | None, log: Findings) -> tuple[Quantit
                 f"known here: {', '.join(DISTRIBUTIONS)}",
             )
         elif half is None:
-            log.error(
-                "meaning-uncertainty",
-                shape.mark,
-                "a distribution needs a half_width",
-                "add for example half_width: 30 arcsec",
-            )
+            hint = "add for example half_width: 30 arcsec"
+            with log.resting_on(*misspelt):
+                log.error("meaning-uncertainty", shape.mark, "a distribution needs a half_width", hint)
     widths = [(read_scalar(item, dimension, log), item) for item in (standard, half) if item is not None]
     if len(widths) == 2:
         log.error(

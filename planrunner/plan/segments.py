@@ -107,10 +107,10 @@ class SegmentKind:
     """A segment, whose steps are segments again."""
 
     def read(self, node: source.Node, log: Findings) -> Any:
-        before = len(log.errors)
+        before = log.raised
         spec = RecordOf(SegmentSpec).read(node, log)
-        if spec is not None and len(log.errors) > before:
-            trouble = len(log.errors) - before
+        if spec is not None and log.raised > before:
+            trouble = log.raised - before
             object.__setattr__(spec, "trouble", trouble)
             object.__setattr__(spec, "sound", False)
             object.__setattr__(spec, "own_sound", trouble == sum(step.trouble for step in spec.steps))

@@ -163,9 +163,9 @@ def _values(name: str, kind: Any, node: source.Node, log: Findings) -> tuple[Swe
         if not node.items:
             log.error("form-size", node.mark, "at least one value is needed here", "list the values")
             return None
-        before = len(log.errors)
+        before = log.raised
         read = [value for item in node.items for value in _entry(name, kind, item, log)]
-        return _labelled(name, read) if len(log.errors) == before else None
+        return _labelled(name, read) if log.raised == before else None
     if name not in _QUANTITY_KEYS:
         log.error("form-type", node.mark, f"{name} is swept over a list or a mapping of names", "write {A: …, B: …}")
         return None
