@@ -80,10 +80,12 @@ segments:
         P4: {x: north, y: down, z: west}
         P5: {x: east, y: south, z: down}
         P6: {x: south, y: east, z: up}
+        P7: {x: west, y: south, z: up}
+        P8: {x: south, y: west, z: down}
 estimates:
   drift:
     estimator: flexure_gyro_static
-    segments: [P1, P2, P3, P4, P5, P6]
+    segments: [P1, P2, P3, P4, P5, P6, P7, P8]
 limits:
   - {quantity: drift.D_X_F, within: ±5 deg/h}
 """
@@ -98,7 +100,7 @@ def errors(tmp_path: Path, text: str) -> list[Finding]:
 @pytest.mark.parametrize(
     ("written", "mistyped", "code"),
     [
-        ("P2, P3, P4, P5, P6]", "P2, P3, P44, P5, P6]", "meaning-undefined-label"),
+        ("P2, P3, P4, P5, P6, P7, P8]", "P2, P3, P44, P5, P6, P7, P8]", "meaning-undefined-label"),
         ("title: A", "titel: A", "form-unknown-key"),
         ("title: A", "oops: A", "form-unknown-key"),
         ("defaults:", "default:", "form-unknown-key"),
@@ -119,7 +121,7 @@ def test_one_mistake_one_finding(tmp_path: Path, written: str, mistyped: str, co
 
 
 def test_two_mistakes_two_findings(tmp_path: Path) -> None:
-    text = PLAN.replace("title: A", "titel: A").replace("P4, P5, P6]", "P44, P5, P6]").replace("within:", "withn:")
+    text = PLAN.replace("title: A", "titel: A").replace("P4, P5, P6, P7, P8]", "P44, P5, P6, P7, P8]").replace("within:", "withn:")
     assert [finding.code for finding in errors(tmp_path, text)] == [
         "form-unknown-key",
         "meaning-undefined-label",
