@@ -47,14 +47,13 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
     """A quantity as a file states it. si: the SI-coherent unit of its value."""
-    finite = math.isfinite(stated.degrees_of_freedom) and stated.distribution == "normal"
     return InputQuantity(
         name,
         stated.value,
         si,
         stated.standard_uncertainty,
         stated.degrees_of_freedom,
-        "t" if finite else stated.distribution,
+        stated.shape,
         source,
         calibrated,
         "" if stated.unit.offset else stated.unit.text,

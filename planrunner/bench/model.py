@@ -43,10 +43,10 @@ class MagneticFieldSpec(Record):
 class SiteSpec(Record):
     """Where the bench stands."""
 
-    latitude: Quantity = key(QuantityOf("angle"), "Geodetic latitude, north positive.", "39.98 deg")
-    gravity: Quantity = key(QuantityOf("acceleration", "positive"), "Local gravity.", "9.80154 m/s^2")
+    latitude: Quantity = key(QuantityOf("angle", uncertain=True), "Geodetic latitude, north positive.", "39.98 deg")
+    gravity: Quantity = key(QuantityOf("acceleration", "positive", uncertain=True), "Local gravity.", "9.80154 m/s^2")
     azimuth: Quantity = key(
-        QuantityOf("angle"),
+        QuantityOf("angle", uncertain=True),
         "Azimuth of the table's reference direction from true north, positive towards east.",
         "0 deg",
         parse_quantity("0 deg"),

@@ -20,7 +20,7 @@ from planrunner import cli
 from planrunner.cli import design_cycle, design_positions, design_rates
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
-from planrunner.plan.quantity import QuantityError, parse_quantity
+from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.reporting.printable import beneath
 
 PATIENCE = 2.0
@@ -114,7 +114,7 @@ def _seconds(text: str | None) -> float | None:
     if text is None:
         return None
     try:
-        return parse_quantity(text, "time").value
+        return without_uncertainty(text, "time").value
     except QuantityError as error:
         raise EstimationError(f"--time: {error}") from None
 

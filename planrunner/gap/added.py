@@ -18,7 +18,7 @@ from planrunner import plugins
 from planrunner.gap.effects.interface import Column, Shaped, Variant, is_whole
 from planrunner.gap.observed import Observed
 from planrunner.plan.findings import InputError, Mark, closest
-from planrunner.plan.quantity import QuantityError, parse_quantity
+from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.plan.units import UnknownUnitError, unit
 
 Array = NDArray[np.float64]
@@ -92,8 +92,9 @@ def _value(text: str, parameter: Parameter, effect: str, mark: Mark) -> float:
         if given.strip() in ("", wanted):
             value = float(number)
         else:
-            value = parse_quantity(text).to(wanted)
-            if parse_quantity(text).unit.dimension != unit(wanted).dimension:
+            quantity = without_uncertainty(text)
+            value = quantity.to(wanted)
+            if quantity.unit.dimension != unit(wanted).dimension:
                 raise ValueError
     except (ValueError, QuantityError, UnknownUnitError):
         message = f"'{text}' is no value of '{parameter.name}' of {effect}, which is in {wanted}"

@@ -22,7 +22,7 @@ class QuantityLike:
     others: tuple[str, ...] = ()
 
     def read(self, node: Node, log: Findings) -> Quantity | None:
-        quantity = read_quantity(node, None, log)
+        quantity = read_quantity(node, None, log, uncertain=False)
         if quantity is None:
             return None
         units = (self.unit, *self.others)
@@ -36,7 +36,7 @@ class QuantityLike:
         return quantity
 
     def schema(self) -> Schema:
-        return quantity_schema(None)
+        return quantity_schema(None, uncertain=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Polynomial:
         return None if None in found else tuple(item for item in found if item is not None)
 
     def schema(self) -> Schema:
-        return {"type": "array", "minItems": 1, "maxItems": 3, "items": quantity_schema(None)}
+        return {"type": "array", "minItems": 1, "maxItems": 3, "items": quantity_schema(None, uncertain=False)}
 
     def _unit(self, power: int) -> str:
         return f"{self.unit}/K" + (f"^{power}" if power > 1 else "")

@@ -79,10 +79,12 @@ class MountedAxis(Record):
     """How one input axis stands in a tilted fixture."""
 
     angle: Quantity = key(
-        QuantityOf("angle"), "Angle between the input axis and the rotation axis.", "54.7356 deg ± 20 arcsec"
+        QuantityOf("angle", uncertain=True),
+        "Angle between the input axis and the rotation axis.",
+        "54.7356 deg ± 20 arcsec",
     )
     azimuth: Quantity | None = key(
-        QuantityOf("angle"),
+        QuantityOf("angle", uncertain=True),
         "Azimuth of the input axis about the rotation axis, at home: from the sensor's x axis, right-handed about z.",
         "120 deg",
         None,
@@ -173,7 +175,7 @@ class Limit(Record):
         Number(0.5, 0.9999), "Coverage probability of the expanded uncertainty U that the rule uses.", 0.99, 0.95
     )
     prior: Quantity | None = key(
-        QuantityOf(None),
+        QuantityOf(None, uncertain=True),
         "What is known of the quantity over the items that are tested, as mean ± standard deviation: gives the rule's global risks.",
         "0.1 deg/h ± 0.2 deg/h",
         None,

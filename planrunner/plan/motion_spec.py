@@ -5,6 +5,11 @@ from __future__ import annotations
 from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity
 
+RATE_UNCERTAINTY = (
+    "`rate_uncertainty` of a scale-factor estimate, or as `rate_stability` of the table in the bench file"
+)
+"""Where the uncertainty of a rate is stated."""
+
 
 class RockSpec(Record):
     """Sinusoidal rocking of the table's rings."""
@@ -27,7 +32,12 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 class Motion(Record):
     """What the table does while the segment records. One of rate, rock and cycle; at rest without any."""
 
-    rate: Quantity | None = key(QuantityOf("angular rate"), "Constant rate about the rotation axis.", "300 deg/s", None)
+    rate: Quantity | None = key(
+        QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
+        "Constant rate about the rotation axis.",
+        "300 deg/s",
+        None,
+    )
     about: str = key(
         Choice(("up", "down", "north", "south", "east", "west")), "Site direction the table spins about.", "up", "up"
     )

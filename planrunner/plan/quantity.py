@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from planrunner.plan.findings import Findings, Mark, closest
@@ -30,10 +30,11 @@ _BOTH = rf"{_NUMBER}{_SPACE}{_UNIT}{_SPACE}{_SIGN}{_SPACE}{_VALUE}"
 _SHARED = rf"{_NUMBER}{_SPACE}{_SIGN}{_SPACE}{_NUMBER}{_SPACE}{_UNIT}{_SPACE}"
 _UNCERTAIN = rf"{_SPACE}(?:{_BOTH}|{_SHARED})"
 _BARE = rf"{_SPACE}{_NUMBER}{_SPACE}(?:{_SIGN}{_SPACE}{_NUMBER}{_SPACE})?"
-_PIECE = rf"(?:{_SIGN}{_SPACE})?{_VALUE}(?:{_SIGN}{_SPACE}{_VALUE})?"
+_PIECE = rf"(?:{_SIGN}{_SPACE})?{_VALUE}"
+_PLAIN_BARE = rf"{_SPACE}{_NUMBER}{_SPACE}"
 WITH_UNIT = rf"(?:{PLAIN}|{_UNCERTAIN})"
 BARE_OR_WITH_UNIT = rf"(?:{_BARE}|{PLAIN}|{_UNCERTAIN})"
-SIGNED = rf"{_SPACE}{_SIGN}{WITH_UNIT}"
+SIGNED = rf"{_SPACE}{_SIGN}{PLAIN}"
 SYMMETRIC = rf"{_SPACE}{_SIGN}{_SPACE}{_VALUE}"
 
 _SPACE_NEEDED = _SPACE.replace("*", "+")
@@ -69,6 +70,11 @@ class Quantity:
         if self.standard_uncertainty:
             text += f" ± {self.standard_uncertainty / self.unit.factor:.3g}{unit_text}"
         return text
+
+    @property
+    def shape(self) -> str:
+        """The distribution that a budget takes: Student's t of a normal one with finitely many degrees of freedom."""
+        return "t" if math.isfinite(self.degrees_of_freedom) and self.distribution == "normal" else self.distribution
 
     def to(self, unit_text: str) -> float:
         """The value expressed in another unit of the same dimension."""
@@ -213,11 +219,49 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
     return QuantityError("form-quantity", f"'{shown}' is not one number and one unit", hint)
 
 
-def read_quantity(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
-    """The quantity a node holds, text or mapping; findings go to `log`, and then the result is None."""
-    if isinstance(node, Mapping):
-        return _read_rich(node, dimension, log)
-    return read_scalar(node, dimension, log)
+def read_quantity(
+    node: Node, dimension: str | None, log: Findings, uncertain: bool, elsewhere: str = ""
+) -> Quantity | None:
+    """The quantity a node holds, text or mapping; findings go to `log`, and then the result is None.
+
+    uncertain: whether something uses an uncertainty; where nothing does, one that is stated is a finding. elsewhere: where such an
+    uncertainty is stated instead, in words; '' where nowhere.
+    """
+    before = len(log.errors)
+    quantity = _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
+    if quantity is None or len(log.errors) > before:
+        return None
+    if not uncertain and (isinstance(node, Mapping) or _states_uncertainty(node)):
+        refuse_uncertainty(quantity, elsewhere, node.mark, log)
+        return None
+    return quantity
+
+
+def refuse_uncertainty(quantity: Quantity, elsewhere: str, mark: Mark, log: Findings) -> None:
+    """The finding about an uncertainty that nothing would use."""
+    log.error("meaning-uncertainty-unused", mark, _UNUSED, _plainly(quantity, elsewhere))
+
+
+def _states_uncertainty(node: Node) -> bool:
+    """Whether something follows ± in a text, even zero."""
+    parts = _PARTS.fullmatch(node.text) if isinstance(node, Scalar) else None
+    return parts is not None and parts[3] is not None
+
+
+_UNUSED = "no result would use an uncertainty that is stated here"
+
+
+def _plainly(quantity: Quantity, elsewhere: str) -> str:
+    plain = f"write {replace(quantity, standard_uncertainty=0.0)}"
+    return f"{plain}; state it as {elsewhere}" if elsewhere else plain
+
+
+def without_uncertainty(text: str, dimension: str | None = None) -> Quantity:
+    """The quantity in `text`, as `parse_quantity`. Raises `QuantityError` for an uncertainty too, where nothing would use it."""
+    quantity = parse_quantity(text, dimension)
+    if quantity.standard_uncertainty:
+        raise QuantityError("meaning-uncertainty-unused", _UNUSED, _plainly(quantity, ""))
+    return quantity
 
 
 def read_scalar(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
@@ -335,16 +379,19 @@ def anchored(pattern: str) -> str:
     return rf"^(?:{pattern})$(?!\n)"
 
 
-def text_schema(dimension: str | None) -> dict[str, object]:
+def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
     """JSON Schema of a quantity as text; the unit itself is checked by `planrunner check`, which knows units."""
     if takes_bare_number(dimension):
-        return {"type": ["string", "number"], "maxLength": _MAX_TEXT, "pattern": anchored(BARE_OR_WITH_UNIT)}
-    return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(WITH_UNIT)}
+        pattern = BARE_OR_WITH_UNIT if uncertain else rf"(?:{_PLAIN_BARE}|{PLAIN})"
+        return {"type": ["string", "number"], "maxLength": _MAX_TEXT, "pattern": anchored(pattern)}
+    return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(WITH_UNIT if uncertain else PLAIN)}
 
 
-def schema(dimension: str | None) -> dict[str, object]:
-    """JSON Schema of a quantity, as text or as a mapping."""
-    text = text_schema(dimension)
+def schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
+    """JSON Schema of a quantity: as text, and, where an uncertainty may be stated, as a mapping too."""
+    if not uncertain:
+        return text_schema(dimension, uncertain=False)
+    text = text_schema(dimension, uncertain=True)
     number = {"type": "number", "exclusiveMinimum": 0}
     kinds: dict[str, dict[str, object]] = {"distribution": {"enum": list(DISTRIBUTIONS)}, "degrees_of_freedom": number}
     properties = {
@@ -371,7 +418,7 @@ def _rich_example(name: str, example: object, dimension: str | None) -> object:
 
 def sweep_schema(dimension: str) -> dict[str, object]:
     """JSON Schema of values swept in one text such as '±300, ±150 deg/s'."""
-    pattern = rf"{_SPACE}(?:{_PIECE},{_SPACE_NEEDED})*{_SPACE}(?:{SIGNED}|{WITH_UNIT})"
+    pattern = rf"{_SPACE}(?:{_PIECE},{_SPACE_NEEDED})*{_SPACE}(?:{SIGNED}|{PLAIN})"
     description = "Values with a shared unit; ± gives both signs."
     return {"type": "string", "description": description, "maxLength": _MAX_SWEEP, "pattern": anchored(pattern)}
 

@@ -60,8 +60,9 @@ def _shared() -> dict[str, Schema]:
     parts: dict[str, Schema] = {"orientation": OrientationKind().schema(), "motion": object_schema(keys_of(Motion))}
     for dimension in (None, *DIMENSIONS):
         name = (dimension or "any").replace(" ", "-")
-        parts[f"quantity-{name}"] = quantity.schema(dimension)
-        parts[f"text-{name}"] = quantity.text_schema(dimension)
+        parts[f"uncertain-{name}"] = quantity.schema(dimension, uncertain=True)
+        parts[f"uncertain-text-{name}"] = quantity.text_schema(dimension, uncertain=True)
+        parts[f"quantity-{name}"] = quantity.schema(dimension, uncertain=False)
     return parts
 
 

@@ -21,10 +21,13 @@ from planrunner.plan.kinds import (
     WordOr,
     key,
 )
-from planrunner.plan.motion_spec import Motion, Turns
+from planrunner.plan.motion_spec import RATE_UNCERTAINTY, Motion, Turns
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.sweep import ForEachKind, Sweep
+
+TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"
+"""Where the uncertainty of a segment's temperature is stated."""
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 
@@ -32,7 +35,11 @@ NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 class Ramp(Record):
     """A temperature that moves while the segment records."""
 
-    ramp_to: Quantity = key(QuantityOf("temperature"), "Set this temperature as recording begins.", "60 degC")
+    ramp_to: Quantity = key(
+        QuantityOf("temperature", elsewhere=TEMPERATURE_UNCERTAINTY),
+        "Set this temperature as recording begins.",
+        "60 degC",
+    )
 
 
 class State(Record):
@@ -45,7 +52,10 @@ class State(Record):
         None,
     )
     rate: Quantity | None = key(
-        QuantityOf("angular rate"), "Constant rate about up; short for motion: {rate: …}.", "10 deg/s", None
+        QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
+        "Constant rate about up; short for motion: {rate: …}.",
+        "10 deg/s",
+        None,
     )
     motion: Motion | None = key(
         WordOr(("rest",), RecordOf(Motion)),
@@ -54,7 +64,11 @@ class State(Record):
         None,
     )
     temperature: Quantity | Ramp | None = key(
-        ByShape(QuantityOf("temperature"), RecordOf(Ramp), what="a temperature or {ramp_to: …}"),
+        ByShape(
+            QuantityOf("temperature", elsewhere=TEMPERATURE_UNCERTAINTY),
+            RecordOf(Ramp),
+            what="a temperature or {ramp_to: …}",
+        ),
         "Chamber temperature to hold, or a ramp that is recorded while it happens.",
         "25 degC",
         None,

@@ -23,6 +23,7 @@ from planrunner.plan.quantity import (
     is_signed,
     parse_signed,
     parse_sweep,
+    refuse_uncertainty,
     signed_schema,
     sweep_schema,
 )
@@ -212,6 +213,10 @@ def _check_signs(
     inner = getattr(scalar, "scalar", scalar)
     sign = inner.sign if isinstance(inner, QuantityOf) else "any"
     for quantity in quantities:
+        if quantity.standard_uncertainty:
+            where = inner.elsewhere if isinstance(inner, QuantityOf) else ""
+            refuse_uncertainty(quantity, where, node.mark, log)
+            return None
         if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
             log.error(
                 "meaning-range",

@@ -193,13 +193,18 @@ class Boolean:
 
 @dataclass(frozen=True, slots=True)
 class QuantityOf:
-    """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'."""
+    """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'.
+
+    uncertain: whether an uncertainty may be stated, as it may where results use it. elsewhere: else, where it is stated instead, in words.
+    """
 
     dimension: str | None
     sign: str = "any"
+    uncertain: bool = False
+    elsewhere: str = ""
 
     def read(self, node: source.Node, log: Findings) -> Quantity | None:
-        quantity = read_quantity(node, self.dimension, log)
+        quantity = read_quantity(node, self.dimension, log, self.uncertain, self.elsewhere)
         if quantity is None:
             return None
         if (self.sign == "positive" and quantity.value <= 0) or (self.sign == "not negative" and quantity.value < 0):
@@ -216,7 +221,7 @@ class QuantityOf:
         return quantity
 
     def schema(self) -> Schema:
-        return quantity_schema(self.dimension)
+        return quantity_schema(self.dimension, self.uncertain)
 
 
 # -- collections -----------------------------------------------------------------------------------------------------

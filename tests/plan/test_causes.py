@@ -121,7 +121,11 @@ def test_one_mistake_one_finding(tmp_path: Path, written: str, mistyped: str, co
 
 
 def test_two_mistakes_two_findings(tmp_path: Path) -> None:
-    text = PLAN.replace("title: A", "titel: A").replace("P4, P5, P6, P7, P8]", "P44, P5, P6, P7, P8]").replace("within:", "withn:")
+    text = (
+        PLAN.replace("title: A", "titel: A")
+        .replace("P4, P5, P6, P7, P8]", "P44, P5, P6, P7, P8]")
+        .replace("within:", "withn:")
+    )
     assert [finding.code for finding in errors(tmp_path, text)] == [
         "form-unknown-key",
         "meaning-undefined-label",

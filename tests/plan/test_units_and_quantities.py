@@ -311,7 +311,7 @@ def read(text: str, dimension: str | None = "angle") -> tuple[object, list[tuple
     log = Findings()
     node = parse(f"q: {text}", "f").get("q")
     assert node is not None
-    found = read_quantity(node, dimension, log)
+    found = read_quantity(node, dimension, log, uncertain=True)
     return found, [(item.code, item.mark.line, item.mark.column) for item in log]
 
 

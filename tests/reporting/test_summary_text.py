@@ -13,8 +13,8 @@ from rich.console import RenderableType
 from planrunner.estimators.interface import Table
 from planrunner.reporting import terminal
 from planrunner.reporting.report import render_report
-from planrunner.reporting.show_page import timeline_table
 from planrunner.reporting.sandbox import markdown
+from planrunner.reporting.show_page import timeline_table
 
 
 def printed(*shown: RenderableType, width: int = 100) -> str:

@@ -29,11 +29,13 @@ class ScaleFactorKind:
     def read(self, node: source.Node, log: Findings) -> Quantity | str | None:
         if isinstance(node, source.Scalar) and re.fullmatch(_COEFFICIENT, node.text):
             return node.text
-        quantity: Quantity | None = QuantityOf(None).read(node, log)
+        quantity: Quantity | None = QuantityOf(None, uncertain=True).read(node, log)
         return quantity
 
     def schema(self) -> Schema:
-        return {"anyOf": [QuantityOf(None).schema(), {"type": "string", "pattern": f"^{_COEFFICIENT}$"}]}
+        return {
+            "anyOf": [QuantityOf(None, uncertain=True).schema(), {"type": "string", "pattern": f"^{_COEFFICIENT}$"}]
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +57,14 @@ def sensed_by(
     """The scale factor `stated` for the output `name`, recorded in the unit `output`. Raises `EstimationError`."""
     if isinstance(stated, Quantity):
         own = stated.unit
-        value, u, freedom = (
-            stated.value / own.factor,
-            stated.standard_uncertainty / own.factor,
-            stated.degrees_of_freedom,
-        )
+        value, u = stated.value / own.factor, stated.standard_uncertainty / own.factor
+        freedom, shape = stated.degrees_of_freedom, stated.shape
         said_by = "plan scale_factors"
     else:
         found = _coefficient(stated, uses)
         own = _unit(found.unit)
-        value, u, freedom = found.value, found.standard_uncertainty, found.degrees_of_freedom
+        value, u = found.value, found.standard_uncertainty
+        freedom, shape = found.degrees_of_freedom, "t"
         said_by = f"estimate {stated}"
     if not (math.isfinite(value) and value != 0):
         raise EstimationError(f"the scale factor of '{name}' is {value:g}: nothing can be scaled by it")
@@ -75,7 +75,7 @@ def sensed_by(
             factor = recorded.factor * abs(value * own.factor) ** power
             units = {term: (text, factor / unit(text).factor) for term, text in named.items()}
             return SensedBy(
-                units, power, InputQuantity(f"scale factor {name}", value, own.text, u, freedom, source=said_by)
+                units, power, InputQuantity(f"scale factor {name}", value, own.text, u, freedom, shape, said_by)
             )
     raise EstimationError(
         f"a scale factor in {own.text} makes neither a rate nor an acceleration of '{name}', which is recorded in {output}; "

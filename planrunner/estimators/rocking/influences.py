@@ -77,6 +77,7 @@ def _shared(runs: Runs, combined: Combined, conditions: Conditions, request: Est
                 "rad",
                 angle.standard_uncertainty,
                 angle.degrees_of_freedom,
+                angle.shape,
                 source=f"plan installation_angles.{name}",
             )
             moved = conditions.installation + STEP * (np.arange(len(INSTALLATION)) == k)

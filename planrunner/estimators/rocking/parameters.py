@@ -15,7 +15,7 @@ INSTALLATION = ("xz", "xy", "yz", "yx", "zy", "zx")
 
 
 def _angle(description: str, example: str) -> Any:
-    return key(QuantityOf("angle"), description, example, parse_quantity("0 arcsec"))
+    return key(QuantityOf("angle", uncertain=True), description, example, parse_quantity("0 arcsec"))
 
 
 class Installation(Record):

@@ -30,7 +30,7 @@ from planrunner.navigation.mechanisation import Knots, Navigator
 from planrunner.navigation.wgs84 import normal_gravity
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
-from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity
+from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
 from planrunner.plan.selection import matches
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def _told(name: str, text: str, dimension: str) -> float:
         value = math.radians(float(text)) if dimension == "angle" else float(text)
     except ValueError:
         try:
-            value = parse_quantity(text, dimension).value
+            value = without_uncertainty(text, dimension).value
         except QuantityError as error:
             raise EstimationError(
                 f"the run information {name} is '{text[:40]}': {error}; write for example 39.98 deg"
