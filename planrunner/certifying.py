@@ -9,9 +9,9 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
-from planrunner.bench.references import Reference, references, simulated
+from planrunner.bench.references import Reference, references
 from planrunner.certificates import ASKED, DATES, is_certificate, lacks_of_bench, lacks_of_information
 from planrunner.checking import Sound
 from planrunner.estimators.interface import Estimate
@@ -34,6 +34,7 @@ def facts(
 ) -> CertificateFacts:
     """What a certificate of this run shows. given: run information told at the issue, which goes before that of the run."""
     recorded = recorded_information(reader)
+    segments = tuple(recording)
     bench = sound.bench
     laboratory = bench.laboratory
     stated = {} if laboratory is None else {name: getattr(laboratory, name) for name in _SHOWN}
@@ -44,14 +45,15 @@ def facts(
         told=told,
         corrected={name: text for name, text in recorded.items() if told[name] != text},
         references=tuple(_traced(item, reader.instruments.get(item.name, {})) for item in references(bench)),
-        conditions=tuple(_conditions(sound, tuple(recording), told)),
+        conditions=tuple(_conditions(sound, segments, told)),
         events=tuple(_events(reader)),
         performed=(_day(reader.run["created"]), _day(reader.seal["sealed"]) if reader.seal else ""),
         issued=told.get("date_issued") or datetime.now(UTC).date().isoformat(),
         plan_digest=str(reader.state.created["files"]["plan.yaml"]),
         before=dict(before or {}),
         before_run=before_run,
-        simulated=simulated(bench),
+        duration=duration_of(item.statistics for item in segments),
+        simulated=sound.models.origin == "simulated",
         replayed=sound.models.replays,
     )
 

@@ -38,6 +38,7 @@ from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.from_run import report_context
 from planrunner.reporting.report import render_report
+from planrunner.reporting.verdict import Headline
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,7 @@ class Analysis:
 
     folder: Path
     results: Results
+    headline: Headline
     reports: tuple[Path, ...]
     withheld: tuple[Finding, ...] = ()
 
@@ -259,7 +261,7 @@ def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
     is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
     """
     issue = issue or Issue()
-    made = _analyse(run, issue)
+    made = _analyse(run, issue, kept=True)
     reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
     withheld: tuple[Finding, ...] = ()
     if any(is_certificate(name) for name in reports):
@@ -273,7 +275,7 @@ def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
     if any(is_certificate(name) for name in reports):
         files[ISSUED] = to_bytes(issued_as(made.shown))
     folder = add_analysis(run, files)
-    return Analysis(folder, made.results, tuple(folder / name for name in reports), withheld)
+    return Analysis(folder, made.results, made.context.headline, tuple(folder / name for name in reports), withheld)
 
 
 def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
@@ -291,12 +293,14 @@ class _Made:
     shown: CertificateFacts
 
 
-def _analyse(run: Path, issue: Issue) -> _Made:
+def _analyse(run: Path, issue: Issue, *, kept: bool = False) -> _Made:
+    """kept: whether it becomes the run's next analysis, whose number its reports then show."""
     reader = RunReader.open(run)
     sound = sound_run(run)
     recording = reader.recording(sound.schedule)
     setup = replace(sound.setup, information=recorded_information(reader))
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
+    results = replace(results, origin=sound.models.origin)
     before = None if issue.before is None else _analyse(issue.before, Issue())
     shown = facts(
         reader,
@@ -306,7 +310,10 @@ def _analyse(run: Path, issue: Issue) -> _Made:
         None if before is None else before.results.estimates,
         "" if before is None else before.reader.run["run"],
     )
-    return _Made(reader, sound, results, report_context(reader, sound, recording, results, certificate=shown), shown)
+    earlier = reader.analyses()
+    number = str(int(earlier[-1].name) + 1 if earlier else 1) if kept else ""
+    context = report_context(reader, sound, recording, results, analysis=number, certificate=shown)
+    return _Made(reader, sound, results, context, shown)
 
 
 def _obstacles(made: _Made, issue: Issue) -> list[Finding]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,6 +60,12 @@ class Statistics:
             return self.channels.index(channel)
         except ValueError:
             raise KeyError(channel) from None
+
+
+def duration_of(statistics: Iterable[Statistics]) -> float | None:
+    """From the first sample to the last [s]; None where nothing was recorded."""
+    held = [item for item in statistics if item.count]
+    return max(item.end for item in held) - min(item.start for item in held) if held else None
 
 
 @dataclass(frozen=True)

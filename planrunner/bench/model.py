@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +20,7 @@ from planrunner.bench.laboratory import Laboratory
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import Simulation
 from planrunner.instruments.interfaces import Counting, Resumable, Watched
-from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
+from planrunner.instruments.models import ChamberModel, Origin, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, InputError, Mark, closest
@@ -190,7 +190,7 @@ class BenchModels:
 
     replays: the sensor plays back a recording, so that orientations, rates and temperatures are those of the
     recording and need no table or chamber. measures: whether some instrument has live readings; counts: whether the sensor counts its
-    lost and corrupt frames. Where time is simulated both count as given.
+    lost and corrupt frames. Where time is simulated both count as given. origin: where the samples come from.
     """
 
     site: Site
@@ -200,6 +200,7 @@ class BenchModels:
     replays: bool = False
     measures: bool = True
     counts: bool = True
+    origin: Origin = "measured"
 
 
 def driver_of(entry: InstrumentEntry) -> Any:
@@ -234,7 +235,16 @@ def models(bench: Bench) -> BenchModels:
     simulated = _virtual(bench, replays)
     measures = simulated or any(issubclass(driver, Watched) for driver in drivers.values())
     counts = simulated or any(driver.role == "sensor" and issubclass(driver, Counting) for driver in drivers.values())
-    return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts)
+    origin = _origin(bench, drivers.values(), replays)
+    return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts, origin)
+
+
+def _origin(bench: Bench, drivers: Iterable[Any], replays: bool) -> Origin:
+    """Simulated where one instrument is: in this program (its state comes back after a crash), or in the process behind its address."""
+    inside = any(issubclass(driver, Resumable) and not getattr(driver, "replays", False) for driver in drivers)
+    if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
+        return "simulated"
+    return "replayed" if replays else "measured"
 
 
 def real_instruments(bench: Bench) -> tuple[str, ...]:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from planrunner.bench.calibration import Calibration
-from planrunner.bench.model import Bench, driver_of, models, runs_on_virtual_clock
-
-SIMULATED = "planrunner.instruments.virtual"
+from planrunner.bench.model import Bench, driver_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +26,3 @@ def references(bench: Bench) -> tuple[Reference, ...]:
         if driver_of(entry).role != "sensor"
     ]
     return (Reference("site", "site", "", bench.site.survey), *instruments)
-
-
-def simulated(bench: Bench) -> bool:
-    """Whether no real item can have been measured: instruments are simulated, or time is and nothing is played back."""
-    virtual = any(driver_of(entry).__module__.startswith(SIMULATED) for entry in bench.instruments.values())
-    return virtual or (runs_on_virtual_clock(bench) and not models(bench).replays)

@@ -150,15 +150,19 @@ def _context(made: Diagnosed, found: dict[str, Any], next_plan: str) -> Diagnosi
         **site_facts(sound.models.site),
     }
     remarks = tuple(f"{finding.message}: {finding.hint}" for finding in made.findings)
-    return DiagnosisContext(sound.plan.title, found, facts, remarks, next_plan)
+    return DiagnosisContext(sound.plan.title, found, facts, remarks, next_plan, sound.models.origin)
 
 
 def _show(context: DiagnosisContext) -> None:
     """The answer first, then the tables it rests on."""
     from planrunner.reporting import diagnosis_page, terminal
+    from planrunner.reporting.verdict import stamp
 
     found = context.diagnosis
     console = terminal.console()
+    mark = stamp(context.origin)
+    if mark is not None and mark.alarming:
+        console.print(f"{mark.word}: {mark.about}", style="bold red")
     console.print(diagnosis_page.verdict(found), style="bold")
     console.print(diagnosis_page.closure_words(found))
     for table in diagnosis_page.tables(found).values():

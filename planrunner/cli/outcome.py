@@ -13,6 +13,7 @@ from planrunner.cli.printing import print_findings, print_json
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
     from planrunner.execution.outcome import Outcome
+    from planrunner.reporting.verdict import Headline
     from planrunner.running import Analysis
 
 
@@ -51,7 +52,7 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
     """The results in the terminal, unless they are wanted as JSON, with the path of the first report (or of the analysis) as the last
     line; the verdict's exit code and the results as JSON."""
     if not as_json:
-        print_results(analysis.results)
+        print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
             print(path)
     print_findings(analysis.withheld)
@@ -74,9 +75,10 @@ def code_of(results: Results) -> int:
     return cli.DONE if all(limit.verdict == "pass" for limit in results.limits) else cli.LIMIT_FAILED
 
 
-def print_results(results: Results) -> None:
-    """Coefficients, comparisons, limits, notes and warnings as tables."""
+def print_results(results: Results, headline: Headline) -> None:
+    """Coefficients, comparisons, limits, notes and warnings as tables; last the verdict, with where the samples come from beside it."""
     from planrunner.reporting import terminal
+    from planrunner.reporting.verdict import stamp
 
     console = terminal.console()
     for estimate in results.estimates.values():
@@ -93,3 +95,7 @@ def print_results(results: Results) -> None:
         console.print(terminal.limits_table(results.limits))
     for name, message in results.failures.items():
         print(f"error: {name}: {message}", file=sys.stderr)
+    mark = stamp(results.origin)
+    if mark is not None:
+        console.print(f"{mark.word}: {mark.about}", style="bold red" if mark.alarming else "bold")
+    console.print(headline.text, style=terminal.VERDICT[headline.kind] if mark is None else "bold")

@@ -15,8 +15,11 @@ import numpy as np
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import Coefficient, Estimate, Plot, Table
 from planrunner.estimators.limits import LimitVerdict
+from planrunner.instruments.models import Origin
 from planrunner.plan.findings import InputError, Mark
 from planrunner.uncertainty.influences import Budget, BudgetLine
+
+__all__ = ["FORMAT", "Origin", "Results", "segment_statistics"]
 
 FORMAT = 1
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
@@ -27,19 +30,22 @@ class Results:
     """What an analysis found.
 
     estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could
-    not be made. segments: one mapping of statistics a recorded segment, as `segment_statistics` gives them.
+    not be made. segments: one mapping of statistics a recorded segment, as `segment_statistics` gives them. origin: where the samples come
+    from; None in results of versions that did not say.
     """
 
     estimates: Mapping[str, Estimate]
     limits: tuple[LimitVerdict, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
     segments: tuple[Mapping[str, Any], ...] = ()
+    origin: Origin | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON data without NaN or infinities."""
         found: dict[str, Any] = _plain(
             {
                 "planrunner_results": FORMAT,
+                **({} if self.origin is None else {"origin": self.origin}),
                 "estimates": [_estimate_to(estimate) for estimate in self.estimates.values()],
                 "limits": [{item.name: getattr(limit, item.name) for item in fields(limit)} for limit in self.limits],
                 "failures": dict(self.failures),
@@ -61,7 +67,11 @@ class Results:
             estimates = [_estimate_from(item) for item in restored["estimates"]]
             limits = tuple(LimitVerdict(**item) for item in restored["limits"])
             return cls(
-                {item.name: item for item in estimates}, limits, restored["failures"], tuple(restored["segments"])
+                {item.name: item for item in estimates},
+                limits,
+                restored["failures"],
+                tuple(restored["segments"]),
+                restored.get("origin"),
             )
         except (KeyError, TypeError, ValueError) as error:
             message = f"the results are incomplete or changed ({type(error).__name__}: {error})"

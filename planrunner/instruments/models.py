@@ -8,10 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from planrunner.physics.kinematics import TableAxis
 
-__all__ = ["ChamberModel", "NoiseModel", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
+__all__ = ["ChamberModel", "NoiseModel", "Origin", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
+
+Origin = Literal["measured", "simulated", "replayed"]
+"""Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
 
 
 @dataclass(frozen=True, slots=True)

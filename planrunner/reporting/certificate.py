@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from planrunner.estimators.interface import Estimate
+from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import freedom, shown_unit, two_digits
@@ -41,7 +41,8 @@ class CertificateFacts:
     laboratory: the bench file's `laboratory`. told: run information, of the run and of the issue; corrected: names told otherwise at the
     issue → as recorded with the run. performed: first and last day of the run. conditions: (name, text). events: what happened that the
     method does not foresee, as (kind, segment, reason) with the kinds truncated, rejected, fault. before: estimates of the run before the
-    adjustment, by name. simulated: no real item was measured; replayed: a recording was played back.
+    adjustment, by name. duration: from the first sample to the last, s. simulated: no real item was measured; replayed: a recording was
+    played back.
     """
 
     run: str
@@ -56,13 +57,14 @@ class CertificateFacts:
     plan_digest: str = ""
     before: Mapping[str, Estimate] = field(default_factory=dict)
     before_run: str = ""
+    duration: float | None = None
     simulated: bool = False
     replayed: bool = False
 
 
 def certificate_view(context: ReportContext) -> dict[str, Any]:
     """Keys: number, number_css (a CSS string), laboratory, told, corrected, references, conditions, events, performed, issued, plan_digest,
-    run, before_run, simulated, replayed, results, has_before, rules,
+    run, analysis, duration, before_run, simulated, replayed, results, has_before, rules,
     conformity, warnings."""
     facts = context.certificate
     if facts is None:
@@ -90,6 +92,8 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
         "issued": facts.issued,
         "plan_digest": facts.plan_digest,
         "run": facts.run,
+        "analysis": context.provenance.get("analysis", ""),
+        "duration": words.duration(facts.duration) if facts.duration else "",
         "before_run": facts.before_run,
         "simulated": facts.simulated,
         "replayed": facts.replayed,
@@ -138,14 +142,20 @@ def _results(estimate: Estimate, before: Estimate | None, probability: float) ->
                 "value": value,
                 "expanded": width,
                 "unit": shown_unit(item.unit),
-                "factor": f"{factor:.2f}" if math.isfinite(factor) else "–",
+                "factor": _factor(item, probability),
                 "freedom": freedom(item.degrees_of_freedom),
                 "before": older[0],
                 "before_expanded": older[1],
+                "before_factor": _factor(earlier, probability) if earlier is not None and same else "",
             }
         )
     has_before = any(row["before"] for row in rows)
     return {"name": estimate.name, "estimator": estimate.estimator, "rows": rows, "has_before": has_before}
+
+
+def _factor(item: Coefficient, probability: float) -> str:
+    factor = coverage_factor(item.degrees_of_freedom, probability)
+    return f"{factor:.2f}" if math.isfinite(factor) else "–"
 
 
 def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
@@ -177,6 +187,7 @@ def _conformity(limit: LimitVerdict) -> dict[str, str]:
         "value": value,
         "expanded": width,
         "unit": shown_unit(limit.unit),
+        "factor": f"{limit.coverage_factor:.2f}",
         "rule": limit.rule,
         "guard": guard_band(limit),
         "verdict": limit.verdict,

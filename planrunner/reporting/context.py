@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.results import Origin
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 from planrunner.reporting.certificate import CertificateFacts
+from planrunner.reporting.verdict import Headline, headline
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,7 @@ class ReportContext:
     failures: what could not be estimated → why.
     provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
     probability: coverage probability of the expanded uncertainties. certificate: what a certificate shows beside all this.
+    on_top: what a reader looks for first: item, operator, date, duration, analysis. origin: where the samples come from, if that is known.
     """
 
     title: str
@@ -55,11 +58,14 @@ class ReportContext:
     provenance: Mapping[str, str] = field(default_factory=dict)
     probability: float = 0.95
     certificate: CertificateFacts | None = None
+    on_top: Mapping[str, str] = field(default_factory=dict)
+    origin: Origin | None = None
 
     @property
-    def failed(self) -> tuple[LimitVerdict, ...]:
-        """The limits that are not met."""
-        return tuple(limit for limit in self.limits if limit.verdict != "pass")
+    def headline(self) -> Headline:
+        """The verdict, with the warnings of the run and of its estimates counted."""
+        warnings = len(self.warnings) + sum(len(estimate.warnings) for estimate in self.estimates)
+        return headline(self.limits, self.failures, warnings)
 
 
 def site_facts(site: Site) -> dict[str, str]:

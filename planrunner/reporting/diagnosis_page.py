@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from planrunner.estimators.interface import Table
+from planrunner.estimators.results import Origin
 from planrunner.reporting.templates import render
-from planrunner.reporting.view import named, table_view
+from planrunner.reporting.view import named, stamped, table_view
 
 SHOWN = 0.005
 """Hypotheses less probable than this are summed up as others."""
@@ -33,13 +34,14 @@ Data = Mapping[str, Any]
 @dataclass(frozen=True)
 class DiagnosisContext:
     """title: the plan's; diagnosis: plain data; facts: what was diagnosed; remarks: warnings about the recording; next_plan: the proposed
-    plan's text, empty without one."""
+    plan's text, empty without one. origin: where the samples come from."""
 
     title: str
     diagnosis: Data
     facts: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     next_plan: str = ""
+    origin: Origin | None = None
 
 
 def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
@@ -51,6 +53,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
         "title": context.title,
         "facts": named(context.facts),
         "verdict": verdict(found),
+        "stamp": stamped(context.origin),
         "reach": closure_words(found),
         "remarks": list(context.remarks),
         "tables": {name: table_view(table) for name, table in tables(found).items()},

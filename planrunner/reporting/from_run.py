@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
+from planrunner.reporting import words
 from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext, SegmentSummary
 
@@ -49,7 +50,9 @@ def report_context(
         limits=tuple(results.limits),
         failures=results.failures,
         warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
-        provenance=provenance(reader, analysis, moment),
+        provenance=provenance(reader, analysis, moment, seeded=_seeded(sound)),
+        on_top=dict(_on_top(reader, segments, analysis)),
+        origin=sound.models.origin,
         certificate=certificate,
     )
 
@@ -68,8 +71,37 @@ def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str
     return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
 
 
-def provenance(reader: RunReader, analysis: str, analysed: str) -> dict[str, str]:
-    """What the results rest on: times, digests and versions, those of the run and, where they differ, of the analysis."""
+def _seeded(sound: Sound) -> bool:
+    """Whether the run's seed decided anything: of what this program itself simulated."""
+    return sound.models.origin == "simulated" and sound.bench.simulation is None
+
+
+def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
+    """Item, operator, date, duration from the first sample to the last, and the analysis among those that stood when it was made."""
+    info = {name: _text(value) for name, value in reader.run["info"].items()}
+    for name in ("device_serial", "item_identification"):
+        if info.get(name):
+            yield name, info[name]
+    yield "operator", info.get("operator") or "not stated"
+    began = str(reader.run["created"])
+    ended = "" if reader.seal is None else str(reader.seal["sealed"])
+    yield "run (UTC)", _minute(began) + (f" to {_minute(ended, began)}" if ended else ", not finished")
+    lasted = duration_of(item.statistics for item in segments if item.statistics is not None)
+    if lasted is not None:
+        yield "duration of the measurements", words.duration(lasted)
+    if analysis:
+        yield "analysis", f"{analysis} of {max(int(analysis), len(reader.analyses()))} when it was made"
+
+
+def _minute(moment: str, before: str = "") -> str:
+    """`2026-03-01 08:11` of an ISO time; without the date where it is that of `before`."""
+    text = moment[:16].replace("T", " ")
+    return text[11:] if before[:10] == moment[:10] else text
+
+
+def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
+    """What the results rest on: times, digests and versions, those of the run and, where they differ, of the analysis. seeded: whether
+    the run's seed decided anything."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}
@@ -79,7 +111,7 @@ def provenance(reader: RunReader, analysis: str, analysed: str) -> dict[str, str
         facts["journal head (SHA-256)"] = str(reader.seal["journal"]["head"])
     digests = reader.state.created.get("files", {})
     facts |= {f"{name} (SHA-256)": str(digests[name]) for name in FILES if name in digests}
-    if reader.run["seed"] is not None:
+    if seeded and reader.run["seed"] is not None:
         facts["seed of simulated noise"] = str(reader.run["seed"])
     ran, now = reader.run["versions"], versions()
     for name in {**ran, **now}:

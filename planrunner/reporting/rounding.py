@@ -52,6 +52,20 @@ def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
     return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
 
 
+def in_parentheses(value: float, standard_uncertainty: float) -> str:
+    """`-1.2346(21)`: the standard uncertainty in units of the last digit (JCGM 100:2008, 7.2.2), so that ± is left to expanded ones.
+
+    An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
+    """
+    pair = rounded(value, standard_uncertainty)
+    if not pair.uncertainty:
+        return str(pair)
+    digits = pair.uncertainty
+    if digits.startswith("0."):
+        digits = digits[2:].lstrip("0")
+    return f"{pair.value}({digits})" + (f"e{pair.exponent}" if pair.exponent else "")
+
+
 def _decimal(number: float) -> Decimal:
     """As people read it: 0.1 is 0.1, not its nearest binary fraction."""
     return Decimal(repr(float(number)))

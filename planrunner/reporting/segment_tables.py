@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from planrunner.estimators.interface import Table
 from planrunner.reporting import words
 from planrunner.reporting.context import SegmentSummary
-from planrunner.reporting.rounding import format_pair
+from planrunner.reporting.rounding import in_parentheses
 
 ABREAST = 6
 """So many channels stand beside each other, six being those of an inertial measurement unit."""
+_MEANS = "mean, with its standard uncertainty u in the last digits: 1.234(12) for u = 0.012"
 _IDLE = {"Motion": {"rest"}, "Rejected": {"0"}, "Remarks": {""}, "Temperature [°C]": {"–"}}
 
 Column = tuple[str, list[str]]
@@ -22,7 +23,7 @@ Column = tuple[str, list[str]]
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:
     """Everything in one table; columns that no segment needs are left out."""
     plan, channels, remarks = _plan(segments), _channels(segments), _remarks(segments)
-    return _table("Segments: mean ± standard error", [*plan, *channels, *remarks])
+    return _table(f"Segments: {_MEANS}", [*plan, *channels, *remarks])
 
 
 def segment_tables(segments: Sequence[SegmentSummary]) -> list[Table]:
@@ -35,7 +36,7 @@ def segment_tables(segments: Sequence[SegmentSummary]) -> list[Table]:
     parts = [channels[first : first + ABREAST] for first in range(0, len(channels), ABREAST)]
     return [
         _table("Segments", [*plan, *_remarks(segments)]),
-        *(_table("Channels: mean ± standard error", [*plan[:2], *part]) for part in parts),
+        *(_table(f"Channels: {_MEANS}", [*plan[:2], *part]) for part in parts),
     ]
 
 
@@ -81,5 +82,4 @@ def _mean(item: SegmentSummary, channel: str) -> str:
     if item.statistics is None or channel not in item.statistics.channels or not item.statistics.count:
         return "–"
     place = item.statistics.of(channel)
-    value, width = format_pair(float(item.statistics.mean[place]), float(item.statistics.standard_error[place]))
-    return f"{value} ± {width}" if width else value
+    return in_parentheses(float(item.statistics.mean[place]), float(item.statistics.standard_error[place]))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _GAP = 2  # between columns
 _MOST_TEXT = 24  # characters of a text column that are kept on one line on a narrow terminal
-_VERDICT = {"pass": "bold green", "fail": "bold red"}
+VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "none": "bold"}
 
 
 def console(width: int | None = None, file: TextIO | None = None) -> Console:
@@ -85,7 +85,7 @@ def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
     for limit in limits:
         row = limit_row(limit)
         verdict = f"{row['verdict']}: {row['reason']}" if row["reason"] else row["verdict"]
-        rows.append([*(_text(row[key]) for key in keys), _text(verdict, _VERDICT[row["kind"]])])
+        rows.append([*(_text(row[key]) for key in keys), _text(verdict, VERDICT[row["kind"]])])
         if not math.isnan(limit.consumer_risk):
             wrong = f"bad ones passed {row['consumer']}, good ones failed {row['producer']}"
             risks.append(f"{limit.quantity}, over all items that the prior describes: {wrong}")

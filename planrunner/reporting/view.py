@@ -3,7 +3,9 @@
 Templates see nothing else: a template can lay a report out but cannot reach a file or change a result. The keys:
 
     title, description                text
-    headline                          {kind: pass, fail or none; text; detail}
+    headline                          {kind: pass, warned, fail or none; text; detail}
+    stamp                             {word, about, alarming}, such as SIMULATED; without a word where the samples were measured
+    on_top                            what a reader looks for first, a list of [name, value]
     probability_percent               of the expanded uncertainties
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
@@ -30,18 +32,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
 from planrunner.estimators.interface import Coefficient, Estimate, Table
 from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.results import Origin
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band
 from planrunner.reporting.context import ReportContext, site_facts
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.segment_tables import segment_table, segment_tables
+from planrunner.reporting.verdict import Stamp, stamp
 from planrunner.uncertainty.decision import coverage_factor
 
 __all__ = ["coefficient_row", "limit_row", "report_view", "table_view"]
@@ -49,7 +53,9 @@ __all__ = ["coefficient_row", "limit_row", "report_view", "table_view"]
 MAX_ROWS = 2000
 STRONG = 0.3  # correlations from here on are named in words
 FOR_THE_TERMINAL = "terminal_tables"  # a setting that only says which tables the terminal shows
-_NUMERIC = re.compile(r"[-+−–]?(?:[0-9][0-9., ]*|∞|inf|nan)?(?:[eE][-+]?[0-9]+)?(?:\s*[%×±].*)?")
+_NUMERIC = re.compile(
+    r"[-+−–]?(?:[0-9][0-9., ]*|∞|inf|nan)?(?:[eE][-+]?[0-9]+)?(?:\s*[%×±].*)?(?:\([^()]*\))?(?:[eE][-+]?[0-9]+)?"
+)
 _UNCERTAIN = re.compile(r"(?:^|\s)[uU](?:\s|\(|$)|^±")
 _FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)
 _PROPER = {"id": "ID", "utc": "UTC"}
@@ -60,7 +66,9 @@ def report_view(context: ReportContext) -> dict[str, Any]:
     return {
         "title": context.title,
         "description": context.description,
-        "headline": headline(context),
+        "headline": asdict(context.headline),
+        "stamp": stamped(context.origin),
+        "on_top": named(context.on_top),
         "probability_percent": words.number(100 * context.probability),
         "run": named(context.run_information),
         "bench": named(context.bench),
@@ -81,23 +89,9 @@ def report_view(context: ReportContext) -> dict[str, Any]:
     }
 
 
-def headline(context: ReportContext) -> dict[str, str]:
-    """The verdict on top: whether the limits are met."""
-    total, failed = len(context.limits), len(context.failed)
-    if context.failures:
-        return {
-            "kind": "fail",
-            "text": "Incomplete: not everything could be estimated",
-            "detail": "; ".join(f"{name}: {why}" for name, why in context.failures.items()),
-        }
-    if not total:
-        return {"kind": "none", "text": "No limits were set", "detail": "The plan asks for values, not for a verdict."}
-    names = ", ".join(limit.quantity for limit in context.failed)
-    if failed:
-        limits = "limit is" if total == 1 else f"of {total} limits are" if failed > 1 else f"of {total} limits is"
-        return {"kind": "fail", "text": f"Failed: {failed} {limits} not met", "detail": f"Not met: {names}."}
-    text = "Passed: the limit is met" if total == 1 else f"Passed: all {total} limits are met"
-    return {"kind": "pass", "text": text, "detail": ""}
+def stamped(origin: Origin | None) -> dict[str, Any]:
+    """The stamp as templates see it; without a word where there is none."""
+    return asdict(stamp(origin) or Stamp("", "", False))
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[str, Any]:

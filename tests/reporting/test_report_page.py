@@ -16,7 +16,8 @@ from planrunner.reporting.budgets import budget_views
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.report import render_report
 from planrunner.reporting.show_page import ShowContext, render_show
-from planrunner.reporting.view import coefficient_row, headline, table_view
+from planrunner.reporting.verdict import Headline
+from planrunner.reporting.view import coefficient_row, table_view
 
 VOID = {"meta", "br", "hr", "img", "link", "input", "col", "wbr"}
 NAMESPACES = {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
@@ -78,7 +79,7 @@ def show() -> str:
 def test_it_shows_what_was_run_and_what_came_out(page: str) -> None:
     text = " ".join(" ".join(read(page).words).split())
     for expected in (
-        "Failed: 1 of 2 limits is not met",
+        "1 of 2 limits is not met",
         "FG-0417",
         "WO-2291",
         "virtual table",
@@ -150,17 +151,29 @@ def test_text_from_anywhere_is_text() -> None:
 
 def test_headline_says_how_many() -> None:
     context = example.context()
-    assert headline(context)["kind"] == "fail"
+    assert context.headline.kind == "fail"
     both = tuple(replace(limit, verdict="pass") for limit in context.limits)
-    assert headline(replace(context, limits=both)) == {
-        "kind": "pass",
-        "text": "Passed: all 2 limits are met",
-        "detail": "",
-    }
-    assert headline(replace(context, limits=()))["kind"] == "none"
-    broken = headline(replace(context, limits=both, failures={"drift": "two segments are missing"}))
-    assert broken["kind"] == "fail"
-    assert broken["detail"] == "drift: two segments are missing"
+    met = replace(context, limits=both, warnings=(), estimates=(example.estimate(),))
+    assert met.headline == Headline("pass", "Passed: all 2 limits are met")
+    assert replace(context, limits=()).headline.kind == "none"
+    broken = replace(met, failures={"drift": "two segments are missing"}).headline
+    assert broken.kind == "fail"
+    assert broken.detail == "drift: two segments are missing"
+
+
+def test_warnings_stand_beside_the_verdict() -> None:
+    """Those of the run and those of every estimate; a verdict with warnings is not shown as one without."""
+    context = example.context()
+    both = tuple(replace(limit, verdict="pass") for limit in context.limits)
+    warned = replace(example.estimate(), warnings=("the model does not fit", "samples were lost"))
+    estimates = (warned, replace(example.estimate("other"), warnings=("few segments",)))
+    met = replace(context, limits=both, estimates=estimates, warnings=("a fault",)).headline
+    assert met.kind == "warned"
+    assert met.text.startswith("Passed, with 4 warnings")
+    one = replace(context, limits=both[:1], estimates=(), warnings=("a fault",)).headline
+    assert one.text.startswith("Passed, with 1 warning:")
+    assert "with 1 warning" in replace(context, limits=(), estimates=(), warnings=("a fault",)).headline.text
+    assert "with 4 warnings" in replace(context, estimates=estimates, warnings=("a fault",)).headline.text
 
 
 def test_expanded_uncertainty_uses_students_factor() -> None:

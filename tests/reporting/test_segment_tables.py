@@ -38,7 +38,7 @@ def test_channels_stand_in_tables_of_six(channels: int, tables: int) -> None:
         assert sum(title.endswith("[mg]") for title in table.columns) <= 6
         shown |= {title: tuple(row[k] for row in table.rows) for k, title in enumerate(table.columns)}
     assert shown == {title: tuple(row[k] for row in whole.rows) for k, title in enumerate(whole.columns)}
-    assert shown[f"c{channels - 1} [mg]"] == (f"{10 * channels - 10}.000 ± 0.010", f"{10 * channels - 9}.000 ± 0.010")
+    assert shown[f"c{channels - 1} [mg]"] == (f"{10 * channels - 10}.000(10)", f"{10 * channels - 9}.000(10)")
     assert shown["Remarks"] == ("", "again")
 
 

@@ -264,12 +264,13 @@ def _tables(one: Modelled) -> list[Table]:
     name, text, points, fit = one.points.name, one.points.unit, one.points, one.fit
     found = []
     if fit.errors:
-        titles = ("order", f"held-out error, rms [{text}]", "mean square ± standard error", "")
+        titles = ("order", f"held-out mean square [({text})²]", "u of the mean square", f"root of it [{text}]", "")
         rows = tuple(
             (
                 item.order,
-                item.error**0.5,
-                f"{item.error:.3g} ± {item.standard_error:.2g}",
+                float(item.error),
+                float(item.standard_error),
+                float(item.error**0.5),
                 "chosen" if item.order == fit.curve.order else "",
             )
             for item in fit.errors

@@ -1,0 +1,71 @@
+"""The verdict that stands on top of every page and at the end of the terminal's output, and what stands beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from planrunner.estimators.limits import LimitVerdict
+from planrunner.estimators.results import Origin
+
+Kind = Literal["pass", "warned", "fail", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """kind: warned means passed, with warnings; none that the plan sets no limits."""
+
+    kind: Kind
+    text: str
+    detail: str = ""
+
+
+def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> Headline:
+    """Whether the limits are met, and how many warnings stand against believing it."""
+    failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
+    total = len(limits)
+    beside = "" if not warnings else f"with {warnings} warning{'' if warnings == 1 else 's'}"
+    if failures:
+        whys = "; ".join(f"{name}: {why}" for name, why in failures.items())
+        return Headline("fail", _and("Incomplete", beside, "not everything could be estimated"), whys)
+    if not total:
+        text = f"No limits were set{f', {beside}' if beside else ''}"
+        return Headline("none", text, "The plan asks for values, not for a verdict.")
+    if failed:
+        are = "limit is" if total == 1 else f"of {total} limits are" if len(failed) > 1 else f"of {total} limits is"
+        text = _and("Failed", beside, f"{len(failed)} {are} not met")
+        return Headline("fail", text, f"Not met: {', '.join(failed)}.")
+    met = "the limit is met" if total == 1 else f"all {total} limits are met"
+    if not beside:
+        return Headline("pass", f"Passed: {met}")
+    return Headline(
+        "warned", _and("Passed", beside, met), "Read the warnings: they say what the values do not hold for."
+    )
+
+
+def _and(verdict: str, beside: str, why: str) -> str:
+    return f"{verdict}{f', {beside}' if beside else ''}: {why}"
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """What stands beside every verdict on samples that no item gave in this run. about: the same in a sentence; alarming: whether no item
+    gave them at all."""
+
+    word: str
+    about: str
+    alarming: bool
+
+
+_STAMPS = {
+    "simulated": Stamp("SIMULATED", "No item was measured: the instruments of this run are simulated.", True),
+    "replayed": Stamp(
+        "PLAYED BACK", "The samples are a recording that was played back; they were not taken in this run.", False
+    ),
+}
+
+
+def stamp(origin: Origin | None) -> Stamp | None:
+    """None for what was measured, and for results that do not say."""
+    return None if origin is None else _STAMPS.get(origin)
