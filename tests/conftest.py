@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 # Two workers share two cores: threads of the linear algebra would only wait for each other. It reads this as it is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests start many processes: they compile the modules once, not each of them at every start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -15,9 +18,11 @@ from hypothesis import HealthCheck, settings
 # How fast cases are drawn says how busy the machine is, not whether they pass.
 settings.register_profile("planrunner", suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("planrunner")
+sys.dont_write_bytecode = False
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
+PAGE, NO_PAGE = "report: [report.html, summary.md]", "report: [summary.md]"
 
 
 @pytest.fixture(scope="session")
@@ -31,10 +36,10 @@ def data_root() -> Path:
 
 @pytest.fixture
 def plan_file(tmp_path: Path) -> Callable[..., Path]:
-    """The flagship plan with texts replaced, as a file of its own."""
+    """The flagship plan with texts replaced, as a file of its own. It asks for no page, whose pictures take longer than the run."""
 
     def write(*replacements: tuple[str, str], name: str = "plan.yaml") -> Path:
-        text = FLAGSHIP.read_text(encoding="utf-8")
+        text = FLAGSHIP.read_text(encoding="utf-8").replace(PAGE, NO_PAGE)
         for old, new in replacements:
             assert old in text, f"the flagship plan has no {old!r}"
             text = text.replace(old, new)

@@ -173,6 +173,7 @@ def correlation(covariance: Array) -> Array:
 
 def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
     """Heat map of the correlations, in hundredths; blue is positive, orange negative, white none."""
+    from matplotlib.collections import PolyCollection
     from matplotlib.colors import LinearSegmentedColormap
 
     matrix = correlation(np.asarray(covariance, dtype=float))
@@ -180,16 +181,18 @@ def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
     with drawing(WIDTH, WIDTH * 0.97) as (figure, save):
         axes = figure.add_subplot()
         colours = LinearSegmentedColormap.from_list("correlation", ["#b45309", "#ffffff", "#0b5394"])
+        corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        middles = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 1, 2)
+        cells = PolyCollection(list(middles + corners), facecolors=colours((matrix.ravel() + 1) / 2), linewidths=0)
+        axes.add_collection(cells, autolim=False)
         for row in range(size):
             for column in range(size):
                 value = float(matrix[row, column])
-                axes.fill_between(
-                    [column - 0.5, column + 0.5], row - 0.5, row + 0.5, color=colours((value + 1) / 2), linewidth=0
-                )
                 if size <= 16 and abs(value) >= 0.005 and row != column:
                     ink = "#ffffff" if abs(value) > 0.55 else "#1b1f24"
                     text = f"{100 * value:.0f}".replace("-", "\u2212")
-                    axes.text(column, row, text, ha="center", va="center", fontsize=7.2, color=ink)
+                    lettering = axes.text(column, row, text, ha="center", va="center", fontsize=7.2, color=ink)
+                    lettering.set_in_layout(False)  # it stands within its cell
         places = range(0, size, math.ceil(size / 40))
         axes.set_xticks(list(places), [names[i] for i in places], rotation=90)
         axes.set_yticks(list(places), [names[i] for i in places])

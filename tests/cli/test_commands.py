@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from planrunner.plan.quantity import parse_quantity
+from tests import in_process
 
 ROOT = Path(__file__).resolve().parents[2]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
@@ -22,10 +21,7 @@ Run = subprocess.CompletedProcess[str]
 
 
 def planrunner(*arguments: object, cwd: Path, **environment: str) -> Run:
-    command = [sys.executable, "-m", "planrunner", *map(str, arguments)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}, timeout=120
-    )
+    done = in_process.planrunner(*arguments, cwd=cwd, **environment)
     assert "Traceback" not in done.stderr + done.stdout
     return done
 

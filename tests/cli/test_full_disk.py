@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests import in_process
+
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
 GIVEN = ["--set", "device_serial=1", "--set", "operator=test", "--quiet"]
 
@@ -35,8 +37,7 @@ def remount(disk: Path, option: str) -> None:
 
 
 def planrunner(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "planrunner", *map(str, arguments)]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120)
+    done = in_process.planrunner(*arguments, cwd=cwd)
     assert "internal error" not in done.stderr
     return done
 

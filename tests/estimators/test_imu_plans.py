@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.in_process import planrunner
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,8 +32,7 @@ report: [summary.md]
 
 
 def run(plan: Path, folder: Path, *more: str) -> dict:  # type: ignore[type-arg]
-    command = [sys.executable, "-m", "planrunner", "run", str(plan), "--quiet", *more]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    done = planrunner("run", str(plan), "--quiet", *more, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     (results,) = folder.glob("runs/*/analyses/1/results.json")
     return json.loads(results.read_text(encoding="utf-8"))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.in_process import planrunner
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,8 +20,7 @@ CURVES = {"x": (11e-6, 0.08e-6), "y": (-7e-6, 0.05e-6), "z": (9e-6, -0.06e-6)}
 def results(plan: str, folder: Path) -> dict[str, dict[str, dict]]:
     """Estimate → coefficient → what results.json says of it."""
     keys = [f"--set={name}=T-1" for name in ("device_serial", "operator", "fixture")]
-    command = [sys.executable, "-m", "planrunner", "run", str(ROOT / "plans" / plan), *keys]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    done = planrunner("run", str(ROOT / "plans" / plan), *keys, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     (found,) = folder.glob("runs/*/analyses/1/results.json")
     data = json.loads(found.read_text(encoding="utf-8"))
