@@ -204,7 +204,10 @@ class Lines:
 
         rows = np.empty((len(LINES[self.name]), len(frames)))
         good = decimals(frames.data, frames.starts, frames.lengths, rows)
-        received, nothing = frames.received[good], np.zeros(int(np.count_nonzero(good)))
-        channels = dict(zip(LINES[self.name], rows[:, good], strict=True))
+        received = frames.received
+        if not good.all():
+            received, rows = received[good], rows[:, good]
+        nothing = np.zeros(received.size)
+        channels = dict(zip(LINES[self.name], rows, strict=True))
         refused = len(frames) - received.size
         return Samples(received, nothing.astype(np.int64), nothing, channels, nothing.astype(bool), refused=refused)

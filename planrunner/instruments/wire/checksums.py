@@ -2,7 +2,8 @@
 
 Every check is a polynomial division held at the top of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 are one kernel with other
 tables; eight bytes are taken in one step ("slicing by 8": Kounavis and Berry, A systematic approach to building high performance,
-software-based CRC generators, ISCC 2005).
+software-based CRC generators, ISCC 2005). Where all frames have one length, every byte has a table of its own, so that none waits for
+the one before it.
 """
 
 from __future__ import annotations
@@ -48,6 +49,24 @@ class Checksum:
             rows[row] = (before << np.uint32(8)) ^ rows[0][before >> np.uint32(24)]
         return rows
 
+    def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
+        """A CRC of exactly `length` bytes, `padding` zero bytes behind them, is the exclusive-or of the second result and of row k of
+        the first, (length, 256), at each byte k: a division of polynomials is linear."""
+        rows = np.zeros((length, 256), np.uint32)
+        lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)
+        registers = lowest
+        for later in range(length + padding):
+            if later >= padding:
+                rows[length - 1 - (later - padding)] = registers
+            registers = (registers << np.uint32(8)) ^ lowest[registers >> np.uint32(24)]
+            initial = (initial << np.uint32(8)) ^ lowest[initial >> np.uint32(24)]
+        if self.reflected:
+            rows = rows[:, _mirrored(np.arange(256, dtype=np.uint32), 8)]
+        rows, initial = rows >> np.uint32(32 - self.width), initial >> np.uint32(32 - self.width)
+        if self.reflected:
+            rows, initial = _mirrored(rows, self.width), _mirrored(initial, self.width)
+        return np.ascontiguousarray(rows), int(initial[0]) ^ self.final
+
     def of(self, data: bytes) -> int:
         """The value for `data`."""
         from planrunner.instruments.wire.kernels import value
@@ -65,6 +84,14 @@ class Checksum:
     def arguments(self) -> tuple[int, int, NDArray[np.uint32], int, bool, int]:
         """What the kernels are given."""
         return self.kind, self.width, self.tables, self.initial, self.reflected, self.final
+
+
+def _mirrored(numbers: NDArray[np.uint32], bits: int) -> NDArray[np.uint32]:
+    """The numbers with their lowest `bits` bits in reverse."""
+    found = np.zeros_like(numbers)
+    for bit in range(bits):
+        found |= ((numbers >> np.uint32(bit)) & np.uint32(1)) << np.uint32(bits - 1 - bit)
+    return found
 
 
 UNCHECKED = Checksum(NONE, 0)

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.instruments.wire.checksums import UNCHECKED, Bytes, Checksum
+from planrunner.instruments.wire.checksums import CRC, UNCHECKED, Bytes, Checksum
 
 FIXED, XBUS, LINE = range(3)
+MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,11 @@ class Framer:
     length: float = field(init=False)
     _rest: bytes = b""
     _expected: int = -1
+    _positions: tuple[NDArray[np.uint32], int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.length = float(self.framing.longest)
+        self._positions = _positions(self.framing)
 
     def push(self, pieces: Sequence[Piece]) -> Frames:
         """The frames that these pieces complete, in order."""
@@ -95,6 +99,7 @@ class Framer:
             np.frombuffer(framing.trailer, np.uint8),
             (framing.rule, framing.longest, self._expected),
             (framing.covered_from, framing.padding, framing.check_bytes, framing.little),
+            *self._positions,
             *framing.checksum.arguments,
         )
         ends = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
@@ -108,3 +113,12 @@ class Framer:
         self.corrupt += corrupt
         self.skipped += skipped
         return Frames(data, starts, lengths, received)
+
+
+@lru_cache(maxsize=32)
+def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
+    """A table for each byte that the check covers where all frames are alike and have a CRC (see `Checksum.by_position`), else none."""
+    covered = framing.longest - framing.check_bytes - framing.covered_from
+    if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
+        return np.empty((0, 256), np.uint32), 0
+    return framing.checksum.by_position(covered, framing.padding)

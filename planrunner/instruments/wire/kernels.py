@@ -14,6 +14,7 @@ from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, U
 from planrunner.instruments.wire.framing import FIXED, LINE, XBUS
 
 LINE_FEED, CARRIAGE_RETURN, ASTERISK, COMMA = 10, 13, 42, 44
+POWERS = np.array([10.0**power for power in range(16)])
 
 
 @compiled()
@@ -120,13 +121,7 @@ def _length(data, place, rule, longest):  # type: ignore[no-untyped-def]
                 return -1
             length = 7 + np.int64(data[place + 4]) * 256 + np.int64(data[place + 5])
         return length if length <= longest else 0
-    for end in range(place + 1, min(place + longest, data.size)):
-        byte = data[np.uintp(end)]
-        if byte == LINE_FEED:
-            return end + 1 - place
-        if byte > 126:
-            return 0
-    return 0 if data.size - place >= longest else -1
+    return _line(data, place, longest)[0]
 
 
 @compiled()
@@ -139,28 +134,56 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _line_holds(data, place, length, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+def _line(data, place, longest):  # type: ignore[no-untyped-def]
+    """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first: one walk does both."""
+    together = np.uint32(0)
+    start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
+    end = start
+    while end < stop:
+        byte = data[end]
+        together ^= np.uint32(byte)
+        if byte == LINE_FEED:
+            return np.int64(end) + 1 - place, together
+        if byte > 126:
+            return 0, together
+        end += np.uintp(1)
+    return (0 if data.size - place >= longest else -1), together
+
+
+@compiled()
+def _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+    """together: exclusive-or of the line's bytes behind the first one."""
     end = place + length - 1
     if data[end - 1] == CARRIAGE_RETURN:
         end -= 1
     if length < 6 or end - 3 <= place or data[end - 3] != ASTERISK:
         return False
     told = np.int64(_digit(data[end - 2])) * 16 + np.int64(_digit(data[end - 1]))
+    if kind == XOR:
+        for item in range(end - 3, place + length):
+            together ^= np.uint32(data[np.uintp(item)])
+        return told == np.int64(together)
     found = value(data, place + 1, end - 4 - place, 0, kind, width, tables, initial, reflected, final)
     return told == np.int64(found)
 
 
 @compiled()
-def _holds(data, place, length, check, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+def _holds(data, place, length, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
     covered_from, padding, size, little = check
     if kind == NONE:
         return True
     covered = length - size - covered_from
     if covered < 0:
         return False
-    found = np.int64(
-        value(data, place + covered_from, covered, padding, kind, width, tables, initial, reflected, final)
-    )
+    if positions.shape[0] > 0:
+        crc, first = np.uint32(base), np.uintp(place + covered_from)
+        for item in range(positions.shape[0]):
+            crc ^= positions[np.uintp(item), data[first + np.uintp(item)]]
+        found = np.int64(crc)
+    else:
+        found = np.int64(
+            value(data, place + covered_from, covered, padding, kind, width, tables, initial, reflected, final)
+        )
     for item in range(size):
         shift = 8 * item if little else 8 * (size - 1 - item)
         if np.int64(data[place + length - size + item]) != (found >> shift) & 0xFF:
@@ -169,9 +192,9 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 
 @compiled()
-def find(data, sync, trailer, shape, check, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
     """Starts and lengths of the good frames, where the rest begins, where in it the next frame is expected (-1: unknown), corrupt frames
-    and skipped bytes."""
+    and skipped bytes. positions, base: of a CRC over frames that are all alike (`Checksum.by_position`), else (0, 256) and 0."""
     rule, longest, expected = shape
     shortest = longest if rule == FIXED else 5
     starts = np.empty(data.size // shortest + 1, np.int64)
@@ -187,14 +210,20 @@ def find(data, sync, trailer, shape, check, kind, width, tables, initial, reflec
                 expected = place
                 continue
         begins = _matches(data, place, sync)
-        length = _length(data, place, rule, longest) if begins == 1 else np.int64(0)
+        length, together = np.int64(0), np.uint32(0)
+        if begins == 1 and rule == LINE:
+            length, together = _line(data, place, longest)
+        elif begins == 1:
+            length = _length(data, place, rule, longest)
         if begins == -1 or length == -1 or place + length > data.size:
             break
         if length > 0:
             if rule == LINE:
-                good = _line_holds(data, place, length, kind, width, tables, initial, reflected, final)
+                good = _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final)
             else:
-                good = _holds(data, place, length, check, kind, width, tables, initial, reflected, final)
+                good = _holds(
+                    data, place, length, check, positions, base, kind, width, tables, initial, reflected, final
+                )
             if good:
                 starts[count], lengths[count] = place, length
                 count += 1
@@ -290,33 +319,34 @@ def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
     """The decimal numbers behind the commas of lines, up to `*`; whether each line has exactly as many as `out` has rows. At most 15
     digits: a whole number over a power of ten, and so rounded once."""
     good = np.zeros(starts.size, np.bool_)
+    rows, one, zero = out.shape[0], np.uintp(1), np.uint8(48)
     for line in range(starts.size):
         place, end = np.uintp(starts[line]), np.uintp(starts[line] + lengths[line])
-        row, fine = -1, True
-        mantissa, digits, decimal_places, negative, point = np.int64(0), 0, 0, False, False
-        while place < end and fine:
-            byte = data[place]
-            if byte in (COMMA, ASTERISK):
-                if row >= 0:
-                    fine = 0 < digits <= 15 and row < out.shape[0]
-                    if fine:
-                        number = mantissa / 10.0**decimal_places
-                        out[row, line] = -number if negative else number
-                if byte == ASTERISK:
-                    break
-                row += 1
-                mantissa, digits, decimal_places, negative, point = np.int64(0), 0, 0, False, False
-            elif row >= 0 and 48 <= byte <= 57:
-                digits += 1
-                if digits <= 15:
-                    mantissa = mantissa * 10 + (byte - 48)
-                    decimal_places += 1 if point else 0
-            elif row >= 0 and byte == 46 and not point:
-                point = True
-            elif row >= 0 and (byte == 43 or byte == 45) and digits == 0 and not point and not negative:
-                negative = byte == 45
-            elif row >= 0:
-                fine = False
-            place += np.uintp(1)
-        good[line] = fine and row + 1 == out.shape[0]
+        while place < end and data[place] != COMMA and data[place] != ASTERISK:
+            place += one
+        row = 0
+        while row < rows and place < end and data[place] == COMMA:
+            place += one
+            negative = place < end and data[place] == 45
+            if negative or (place < end and data[place] == 43):
+                place += one
+            mantissa, first = np.int64(0), place
+            while place < end and np.uint8(data[place] - zero) < 10:
+                mantissa = mantissa * 10 + np.int64(data[place] - zero)
+                place += one
+            digits, behind = place - first, np.uintp(0)
+            if place < end and data[place] == 46:
+                place += one
+                first = place
+                while place < end and np.uint8(data[place] - zero) < 10:
+                    mantissa = mantissa * 10 + np.int64(data[place] - zero)
+                    place += one
+                behind = place - first
+                digits += behind
+            if digits == 0 or digits > 15:
+                break
+            number = mantissa / POWERS[behind]
+            out[row, line] = -number if negative else number
+            row += 1
+        good[line] = row == rows and place < end and data[place] == ASTERISK
     return good
