@@ -15,6 +15,8 @@ from planrunner.plan.schedule import Segment
 Array = NDArray[np.float64]
 IN_MODE = "sensor.in_mode_s"
 """The reading under which the executor keeps how long the sensor has been in its mode when a record begins [s]."""
+BATCHES = 32
+"""Batch means at most that the standard error of a segment's mean comes from."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import Statistics
+from planrunner.archive.recording import BATCHES, Statistics
 from planrunner.instruments.interfaces import Block
 
 Array = NDArray[np.float64]
 
-BATCHES = 32
 CHUNK = 65_536
 UNSHARED = 8_192
 """BLAS shares the inner product of more than 10 000 numbers out to threads."""

@@ -12,9 +12,10 @@ from collections.abc import Callable
 import numpy as np
 
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import SLACK, TableAxis, limits_in_words
+from planrunner.physics.kinematics import TableAxis
 from planrunner.physics.modulation import MEAN_RADIUS, schuler_drive, schuler_rate
 from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
+from planrunner.physics.table_motion import cycle_excess
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Cycle
 
@@ -27,15 +28,19 @@ _DESIGN = "`planrunner design` finds cycles that leave nothing"
 
 def check_cycle(
     axis: TableAxis, start: float, motion: Cycle, dwell: float | None, site: Site, at: Place, log: Findings
-) -> float:
-    """Findings about a cycle that begins with the joint at `start` [rad]; returns the joint's angle after the dwell [rad]."""
-    if motion.rate > axis.max_rate:
-        message = f"turns at {_deg(motion.rate)} deg/s; the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
-        log.error("physics-rate", at("turn_rate"), message, "lower turn_rate")
-        return start
+) -> tuple[float, float]:
+    """Findings about a cycle that begins with the joint at `start` [rad]; returns the joint's angle [rad] when it has come to rest after
+    the dwell, and how long [s] coming to rest takes."""
+    excess = cycle_excess(axis, start, motion)
+    for one in excess:
+        if one.kind == "rate":
+            log.error("physics-rate", at("turn_rate"), one.message, "lower turn_rate")
+        else:
+            hint = "choose turns that go back as they came, or begin the cycle at another position"
+            log.error("physics-cable-wrap", at("moves"), one.message, hint)
+    if excess:
+        return start, 0.0
     cycle = RotationCycle.of(motion, axis.max_acceleration)
-    if not _within_limits(axis, start, cycle, at("moves"), log):
-        return start
     if abs(axis.direction[2]) < _UPRIGHT:
         message = (
             f"the cycle turns the {axis.name} axis, which is not vertical: it modulates the errors across that axis"
@@ -53,26 +58,12 @@ def check_cycle(
         )
         log.warning("physics-cycle-angle", at("moves"), message, "let the cycle go as far to either side")
     if dwell is None:
-        return start
+        return start, 0.0
     _check_schuler(cycle, dwell, site, at("stop"), log)
     _check_whole(cycle, dwell, at("moves"), log)
-    return start + float(cycle.angle(np.array([dwell]))[0])
-
-
-def _within_limits(axis: TableAxis, start: float, cycle: RotationCycle, mark: Mark, log: Findings) -> bool:
-    low, high = cycle.reach
-    if high - low > axis.highest - axis.lowest + SLACK:
-        message = f"the cycle turns through {_deg(high - low)} deg; the {axis.name} axis allows {_deg(axis.highest - axis.lowest)} deg"
-        log.error("physics-cable-wrap", mark, message, "choose turns that go back as they came")
-        return False
-    if start + low < axis.lowest - SLACK or start + high > axis.highest + SLACK:
-        message = (
-            f"the cycle reaches from {_deg(start + low)} to {_deg(start + high)} deg of the {axis.name} axis; "
-            f"{limits_in_words(axis)}"
-        )
-        log.error("physics-cable-wrap", mark, message, "begin the cycle at another position or choose other turns")
-        return False
-    return True
+    rate = cycle.turning_rate(dwell)
+    stopping = abs(rate) / axis.max_acceleration
+    return start + float(cycle.angle(np.array([dwell]))[0]) + 0.5 * rate * stopping, stopping
 
 
 def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: Mark, log: Findings) -> None:

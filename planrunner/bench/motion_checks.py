@@ -1,11 +1,13 @@
-"""What a motion asks of a table: rates, accelerations, cable wrap and whole turns, and how long the table takes to be in motion.
+"""What a motion asks of the table and of the sensor's sampling, and how long the table takes to be in motion and to come to rest.
 
-A spin and rocking are checked here; the turns and stops of a cycle in `planrunner.bench.cycle_checks`.
+A spin and rocking are checked here; the turns and stops of a cycle in `planrunner.bench.cycle_checks`. What the axes can give is worked in
+`planrunner.physics.table_motion`, which the tables themselves refuse by.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,19 +15,23 @@ import numpy as np
 from planrunner.bench.cycle_checks import Place, check_cycle
 from planrunner.bench.model import BenchModels
 from planrunner.instruments.models import TableModel
-from planrunner.physics.kinematics import (
-    Array,
-    TableAxis,
-    Unreachable,
-    limits_in_words,
-    spin_axis,
-    spin_up_time,
-)
+from planrunner.physics.kinematics import Array, Unreachable
+from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess
 from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 
 # A part of a turn left over biases the mean rate by the horizontal Earth rate; below this share of the rate nobody notices.
 WHOLE_TURN_TOLERANCE = 100e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """What a motion is held for: settling and dwell, s; dwell: None for as long as a recording lasts; sampled: Hz, None where the sensor
+    is not known."""
+
+    settle: float
+    dwell: float | None
+    sampled: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +44,7 @@ class TableState:
 
 def start_motion(
     motion: Motion,
-    dwell: float | None,
+    hold: Hold,
     input_axes: Array | None,
     state: TableState,
     models: BenchModels,
@@ -53,27 +59,60 @@ def start_motion(
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
         return 0.0, state
+    if isinstance(motion, Rock):
+        _check_sampled(motion, hold.sampled, at("rock"), log)
+        if models.sensor is not None and models.sensor.records_angle and not about_one_axis(motion):
+            message = f"the sensor records the table's angle about one axis, and {len(motion.phases)} rings are to rock"
+            hint = "rock the outermost ring alone, or write `table_angle: false` in the bench file"
+            log.error("physics-table-angle", at("rock"), message, hint)
     if table is None:
         if not models.replays:
             no_table("move the sensor", mark, log)
         return 0.0, state
     if isinstance(motion, Spin):
-        return _spin(table, motion, dwell, input_axes, state, models, mark, log)
+        return _spin(table, motion, hold, input_axes, state, models, mark, log)
     if isinstance(motion, Rock):
-        return _rock(table, motion, mark, log), state
+        return _rock(table, motion, hold.dwell, state, mark, log)
     joints = state.joints.copy()
-    joints[0] = check_cycle(table.axes[0], float(joints[0]), motion, dwell, models.site, at, log)
-    return 0.0, TableState(joints)
+    joints[0], stopping = check_cycle(table.axes[0], float(joints[0]), motion, hold.dwell, models.site, at, log)
+    return 0.0, TableState(joints, stopping)
 
 
 def no_table(what: str, mark: Mark, log: Findings) -> None:
     log.error("physics-no-table", mark, f"this bench has no table to {what}", "use a bench with a table")
 
 
+def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
+    """What the axes cannot give, as errors at the mark."""
+    for one in excess:
+        if one.kind == "rings":
+            log.error("physics-axes", mark, one.message, "give a phase for each ring at most")
+        elif one.kind == "rate":
+            log.error("physics-rate", mark, one.message, "lower the rate, or amplitude or frequency")
+        elif one.kind == "acceleration":
+            log.error("physics-acceleration", mark, one.message, "lower amplitude or frequency")
+        else:
+            hint = "turn less far, begin at another position, or use a table with slip rings"
+            log.error("physics-cable-wrap", mark, one.message, hint)
+
+
+def _check_sampled(motion: Rock, sampled: float | None, mark: Mark, log: Findings) -> None:
+    """Shannon: a sine of half the sample rate or more is recorded as one of another frequency."""
+    if sampled is None or motion.frequency < sampled / 2 * (1 - 1e-9):
+        return
+    alias = abs(motion.frequency - sampled * round(motion.frequency / sampled))
+    what = f"as a motion of {alias:.4g} Hz" if alias > 1e-9 * sampled else "as a constant"
+    message = (
+        f"rocking at {motion.frequency:g} Hz, sampled at {sampled:g} Hz, appears in the recording {what}: half the sample rate is "
+        f"{sampled / 2:g} Hz"
+    )
+    log.warning("physics-nyquist", mark, message, "rock more slowly, or sample faster")
+
+
 def _spin(
     table: TableModel,
     motion: Spin,
-    dwell: float | None,
+    hold: Hold,
     input_axes: Array | None,
     state: TableState,
     models: BenchModels,
@@ -81,33 +120,26 @@ def _spin(
     log: Findings,
 ) -> tuple[float, TableState]:
     try:
-        index = spin_axis(table.axes, state.joints, motion.about, models.site.azimuth)
+        course = SpinCourse.of(motion, table.axes, state.joints, models.site.azimuth)
     except Unreachable as error:
         log.error("physics-rate-axis", mark, f"the table cannot spin about that direction: {error}", "spin about up")
         return 0.0, state
-    axis = table.axes[index]
-    if abs(motion.rate) > axis.max_rate * (1 + 1e-12):
-        message = f"{_deg(motion.rate)} deg/s is beyond the {axis.name} axis, which reaches {_deg(axis.max_rate)} deg/s"
-        log.error("physics-rate", mark, message, "lower the rate")
+    seconds = None if hold.dwell is None else hold.settle + hold.dwell
+    excess = spin_excess(table.axes, state.joints, course, seconds)
+    if excess:
+        _complain(excess, mark, log)
         return 0.0, state
-    if dwell is not None:
-        _whole_turns(motion, dwell, input_axes, models, mark, log)
-        state = _turn_away(axis, index, motion.rate * dwell, state, mark, log)
-    seconds = spin_up_time(axis, motion.rate)
-    return seconds, replace(state, stopping=seconds)
+    if hold.dwell is not None:
+        _whole_turns(motion, hold.dwell, input_axes, models, mark, log)
+        state = _turned(table, course, course.travel(hold.settle + hold.dwell), state)
+    return course.ramp, replace(state, stopping=course.ramp)
 
 
-def _turn_away(axis: TableAxis, index: int, angle: float, state: TableState, mark: Mark, log: Findings) -> TableState:
-    """Follows the joint through a spin: a continuous axis ends anywhere, a limited one must not wind up its cables."""
-    end = float(state.joints[index]) + angle
-    if not axis.continuous and not axis.lowest <= end <= axis.highest:
-        message = (
-            f"spinning through {_deg(angle)} deg winds up the cables of the {axis.name} axis: {limits_in_words(axis)}"
-        )
-        log.error("physics-cable-wrap", mark, message, "shorten the dwell or use a table with slip rings")
-        return state
+def _turned(table: TableModel, course: SpinCourse, angle: float, state: TableState) -> TableState:
+    """The joints after a spin through `angle` [rad]."""
     joints = state.joints.copy()
-    joints[index] = math.remainder(end, 2 * math.pi) if axis.continuous else end
+    end = float(joints[course.joint]) + angle
+    joints[course.joint] = math.remainder(end, 2 * math.pi) if table.axes[course.joint].continuous else end
     return replace(state, joints=joints)
 
 
@@ -133,20 +165,16 @@ def _whole_turns(
         log.warning("physics-whole-turns", mark, message, "write dwell: {turns: 1, at_least: …}")
 
 
-def _rock(table: TableModel, motion: Rock, mark: Mark, log: Findings) -> float:
-    circular = 2 * math.pi * motion.frequency
-    if len(motion.phases) > len(table.axes):
-        message = f"{len(motion.phases)} rings are to rock, the table has {len(table.axes)}"
-        log.error("physics-axes", mark, message, "give a phase for each ring at most")
-    for axis in table.axes[: len(motion.phases)]:
-        rate, acceleration = motion.amplitude * circular, motion.amplitude * circular**2
-        if rate > axis.max_rate:
-            message = f"rocking reaches {_deg(rate)} deg/s; the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
-            log.error("physics-rate", mark, message, "lower amplitude or frequency")
-        if acceleration > axis.max_acceleration:
-            message = f"rocking needs {_deg(acceleration)} deg/s^2; the {axis.name} axis gives {_deg(axis.max_acceleration)} deg/s^2"
-            log.error("physics-acceleration", mark, message, "lower amplitude or frequency")
-    return motion.lead_in
+def _rock(
+    table: TableModel, motion: Rock, dwell: float | None, state: TableState, mark: Mark, log: Findings
+) -> tuple[float, TableState]:
+    if not table.rocks:
+        hint = "give its driver a command for rocking in the bench file, or use another table"
+        log.error("physics-motion", mark, "the table of this bench has no rocking motion", hint)
+    _complain(rock_excess(table.axes, state.joints, motion), mark, log)
+    # It fades out over a period when its time or the dwell is over.
+    left = motion.period if dwell is None else min(motion.period, max(0.0, motion.over - dwell))
+    return motion.lead_in, replace(state, stopping=left)
 
 
 def _deg(radians: float) -> str:

@@ -1,6 +1,7 @@
 """Plan × bench → schedule: transitions worked out, and every state held against what the bench can do.
 
-The findings added here are those of physics: reach and temperatures; what a motion asks is checked in `planrunner.bench.motion_checks`.
+The findings added here are those of physics: reach and sampling; what a motion asks is checked in `planrunner.bench.motion_checks`, what
+a temperature asks in `planrunner.bench.temperature_checks`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import numpy as np
 
 from planrunner.bench.holding import check_measured, wait_of, watch_of
 from planrunner.bench.model import BenchModels
-from planrunner.bench.motion_checks import TableState, no_table, start_motion
+from planrunner.bench.motion_checks import Hold, TableState, no_table, start_motion
+from planrunner.bench.temperature_checks import Temperatures
 from planrunner.physics.kinematics import Array, Unreachable, joint_angles, transition_time
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
@@ -24,7 +26,6 @@ from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin
-from planrunner.plan.units import ZERO_CELSIUS
 
 
 def build_schedule(
@@ -61,7 +62,7 @@ class _Planner:
         self.input_axes = np.array([axis.direction for axis in mounting.values()]) if mounting else np.eye(3)
         self.log = log
         self.time = 0.0
-        self.temperature: float | None = models.chamber.ambient if models.chamber else None
+        self.temperatures = Temperatures(models, log)
         axes = models.table.axes if models.table else ()
         self.state = TableState(np.zeros(len(axes)))
         self._soaked: float | None = None
@@ -76,28 +77,30 @@ class _Planner:
         state, marks = item.state, item.marks
         orientation = self._orientation(item)
         dwell = self._dwell(item)
+        settle, stable = wait_of(state, "settle")
         motion = motion_of(state, marks, dwell, self.log)
         kelvin, ramp_to = self._temperature(item)
         if orientation is None or motion is None or (dwell is None and state.get("dwell") != "recorded"):
             return None
         mark_of = marks.get
-        transition = self._change_temperature(kelvin, mark_of("temperature") or item.mark)
+        transition = self.temperatures.change(kelvin, self.time, mark_of("temperature") or item.mark)
         soak, soaked = wait_of(state, "soak") if kelvin is not None and kelvin != self._soaked else (0.0, None)
         self._soaked = kelvin if kelvin is not None else self._soaked
         transition += self._move(orientation, mark_of("orientation") or item.mark)
-        transition += self._start(motion, dwell, orientation, item)
-        if ramp_to is not None:
-            self._check_temperature(ramp_to, marks["temperature"])
+        hold = Hold(settle if stable is None else stable.patience, dwell, self._sampled(item))
+        transition += self._start(motion, hold, orientation, item)
         self._check_mode(item)
         self._check_samples(item, dwell)
         check_measured(state, marks, self.models, self._once)
+        start = self.time + transition + soak + settle
+        if ramp_to is not None:
+            self.temperatures.ramp(ramp_to, start, dwell, marks["temperature"])
+            self._soaked = None
         if self.log.raised > before:
             return None
-        settle, stable = wait_of(state, "settle")
-        start = self.time + transition + soak + settle
+        if kelvin is not None and soaked is None:
+            self.temperatures.check_soaked(item.label, start, soak, mark_of("soak") or marks["temperature"])
         self.time = start + (dwell or 0.0)
-        if ramp_to is not None:
-            self.temperature, self._soaked = ramp_to, None
         rate = state.get("sample_rate")
         return Segment(
             index=index,
@@ -133,10 +136,7 @@ class _Planner:
 
     def return_time(self) -> float:
         """From the last segment to the safe state: the chamber back at ambient, the table at rest where it is."""
-        chamber = self.models.chamber
-        if chamber is None or self.temperature is None:
-            return 0.0
-        return chamber.seconds_to_change(self.temperature - chamber.ambient)
+        return max(self.state.stopping, self.temperatures.return_time())
 
     # -- what a segment states -----------------------------------------------------------------------------------
 
@@ -152,6 +152,9 @@ class _Planner:
             self._without_dwell.setdefault(item.mark, item.label)
         elif isinstance(dwell, Quantity):
             return dwell.value
+        elif isinstance(dwell, str) and not self.models.replays:
+            message = "this bench records live: there is no recording whose length could be the dwell"
+            self._once("physics-dwell", item.marks["dwell"], message, "write for example `dwell: 2 min`")
         elif isinstance(dwell, Turns):
             return self._turns(item, dwell)
         return None
@@ -196,32 +199,6 @@ class _Planner:
             self._complained.add((code, mark))
             self.log.error(code, mark, message, hint)
 
-    def _change_temperature(self, kelvin: float | None, mark: Mark) -> float:
-        if kelvin is None or not self._check_temperature(kelvin, mark):
-            return 0.0
-        chamber = self.models.chamber
-        assert chamber is not None
-        change = kelvin - (self.temperature if self.temperature is not None else chamber.ambient)
-        self.temperature = kelvin
-        return chamber.seconds_to_change(change)
-
-    def _check_temperature(self, kelvin: float, mark: Mark) -> bool:
-        chamber = self.models.chamber
-        if chamber is None and self.models.replays:
-            return False
-        if chamber is None:
-            hint = "use a bench with a chamber, or leave temperature out"
-            self.log.error("physics-no-chamber", mark, "this bench has no chamber to hold a temperature", hint)
-            return False
-        if not chamber.lowest - 1e-9 <= kelvin <= chamber.highest + 1e-9:
-            lowest, highest = chamber.lowest - ZERO_CELSIUS, chamber.highest - ZERO_CELSIUS
-            message = (
-                f"{kelvin - ZERO_CELSIUS:g} degC is beyond the chamber, which reaches {lowest:g} to {highest:g} degC"
-            )
-            self.log.error("physics-temperature", mark, message, "stay within the chamber's range")
-            return False
-        return True
-
     def _check_mode(self, item: StatedSegment) -> None:
         mode, sensor = item.state.get("mode"), self.models.sensor
         if mode is not None and sensor is not None and mode not in sensor.modes and not self.models.replays:
@@ -229,11 +206,14 @@ class _Planner:
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
 
     def _check_samples(self, item: StatedSegment, dwell: float | None) -> None:
-        rate = item.state.get("sample_rate")
-        if dwell is None or rate is None or dwell * rate.value >= 1 - 1e-9:
-            return
-        message = f"a dwell of {dwell:.4g} s ends before the first sample at {rate}"
-        self._once("physics-samples", item.marks["sample_rate"], message, "sample faster or dwell longer")
+        rate, sensor, sampled = item.state.get("sample_rate"), self.models.sensor, self._sampled(item)
+        if rate is not None and sensor is not None and (refused := sensor.rate_refused(rate.value)):
+            hint = "sample as the sensor is set, or leave sample_rate out" if sensor.one_rate else "sample more slowly"
+            self._once("physics-sample-rate", item.marks["sample_rate"], refused, hint)
+        elif dwell is not None and sampled is not None and dwell * sampled < 1 - 1e-9:
+            message = f"a dwell of {dwell:.4g} s ends before the first sample at {sampled:g} Hz"
+            mark = item.marks.get("sample_rate") or item.marks["dwell"]
+            self._once("physics-samples", mark, message, "sample faster or dwell longer")
 
     def _move(self, orientation: Orientation, mark: Mark) -> float:
         table, attitude = self.models.table, orientation.attitude
@@ -262,7 +242,7 @@ class _Planner:
         self.state = TableState(target)
         return seconds
 
-    def _start(self, motion: Motion, dwell: float | None, orientation: Orientation, item: StatedSegment) -> float:
+    def _start(self, motion: Motion, hold: Hold, orientation: Orientation, item: StatedSegment) -> float:
         stated = item.state.get("motion")
         whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
 
@@ -270,5 +250,13 @@ class _Planner:
             return stated.at(key) if key and isinstance(stated, model.Motion) else whole
 
         seen = None if orientation.attitude is None else self.input_axes @ orientation.attitude
-        seconds, self.state = start_motion(motion, dwell, seen, self.state, self.models, at, self.log)
-        return seconds
+        stopping, before = self.state.stopping, TableState(self.state.joints)
+        seconds, self.state = start_motion(motion, hold, seen, before, self.models, at, self.log)
+        return stopping + seconds
+
+    def _sampled(self, item: StatedSegment) -> float | None:
+        """Sample rate, Hz; None where the sensor is not known."""
+        rate, sensor = item.state.get("sample_rate"), self.models.sensor
+        if rate is not None:
+            return float(rate.value)
+        return None if sensor is None else sensor.sample_rate

@@ -11,7 +11,16 @@ from typing import Any
 
 from planrunner import plugins
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
+from planrunner.estimators.basis_judgement import few_samples
+from planrunner.estimators.interface import (
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    FindsSpans,
+    Setup,
+)
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.monte_carlo_validation import linear_chain, validated
@@ -85,11 +94,12 @@ def design_of(
         raise EstimationError(f"no segment has a label like {', '.join(_patterns(spec))}")
     estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     uses = {used: designs[used] for used in spec.uses}
-    detection = spec.segments if isinstance(spec.segments, Detection) else None
-    design: Design | None = estimator.design(
-        DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
-    )
-    return design
+    detection = _detection(spec, estimator)
+    request = DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
+    design: Design | None = estimator.design(request)
+    if design is None or not design.blocks or isinstance(spec.segments, Detection):
+        return design
+    return replace(design, remarks=(*design.remarks, *few_samples(request)))
 
 
 def _in_order(estimates: Mapping[str, Any]) -> list[str]:
@@ -105,6 +115,17 @@ def _in_order(estimates: Mapping[str, Any]) -> list[str]:
         order += ready
         waiting = [name for name in waiting if name not in ready]
     return order
+
+
+def _detection(spec: Any, estimator: object) -> Detection | None:
+    """What is to be found in the data. Raises `EstimationError` where the estimator takes whole segments."""
+    if not isinstance(spec.segments, Detection):
+        return None
+    if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
+        raise EstimationError(
+            f"{spec.estimator} takes whole segments and looks for no spans in the data: name segments in `segments`"
+        )
+    return spec.segments
 
 
 def _patterns(spec: Any) -> tuple[str, ...]:
@@ -130,7 +151,7 @@ def _estimate(
     if not chosen:
         raise EstimationError(f"no recorded segment has a label like {', '.join(_patterns(spec))}")
     estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
-    detection = spec.segments if isinstance(spec.segments, Detection) else None
+    detection = _detection(spec, estimator)
     uses = {used: made[used] for used in spec.uses}
     request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection, setup)
     estimate: Estimate = combined(estimator.estimate(request))

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.estimators.interface import DesignBlock, EstimationError, Remark
+from planrunner.archive.recording import BATCHES
+from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark
 from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.plan.schedule import Segment
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +50,18 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     )
 
 
-def planned_basis(blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """The same of planned segments: an error where they are only just as many as the coefficients. Fewer are an error of rank."""
+def planned_basis(request: DesignRequest, blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
+    """The same of planned segments: an error where they are only just as many as the coefficients, or too short for their own noise. Fewer
+    segments than coefficients are an error of rank."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:
             return (Remark("physics-basis", no_residual(p), MORE_SEGMENTS, "segments", error=True),)
+    single = [one for one in request.segments if planned_samples(request, one) == 1]
+    if basis == "within_segment" and blocks and len(single) == len(request.segments):
+        message = "no segment has two samples, so there is no noise within the segments to take an uncertainty from"
+        hint = "dwell longer, or write `uncertainty: residual`"
+        return (Remark("physics-basis", message, hint, error=True),)
     return ()
 
 
@@ -63,6 +71,25 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 def no_residual(count: int) -> str:
     """That so many segments are only just as many as the coefficients."""
     return f"{count} segments for {count} coefficients leave no residual to take an uncertainty from"
+
+
+def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
+    """A warning of segments too short for the scatter of their batch means, from which the noise within a segment is judged."""
+    short = [(count, one.label) for one in request.segments if 0 < (count := planned_samples(request, one)) < BATCHES]
+    if not short:
+        return ()
+    count, label = min(short, key=lambda one: one[0])
+    others = f", and {len(short) - 1} more are as short" if len(short) > 1 else ""
+    message = (
+        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is judged from the scatter of "
+        f"{BATCHES} batches of samples"
+    )
+    return (Remark("physics-few-samples", message, f"dwell for {BATCHES} samples at least, or sample faster"),)
+
+
+def planned_samples(request: DesignRequest, segment: Segment) -> int:
+    """How many samples a segment is planned to hold; 0 where its length is not known."""
+    return max(1, round((segment.sample_rate or request.sensor.sample_rate) * segment.dwell)) if segment.dwell else 0
 
 
 def unlike_outputs(fit: OutputsFit) -> str:

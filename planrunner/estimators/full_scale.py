@@ -1,4 +1,8 @@
-"""Whether planned rates go beyond what an output can show: a saturated output bends the line that its scale factor comes from."""
+"""Whether planned rates reach the outputs that are fitted, and whether they go beyond what these can show.
+
+A saturated output bends the line that its scale factor comes from; one whose input axis stands across the rotation axis shows its
+misalignment alone.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import DesignRequest, Remark
-from planrunner.plan.schedule import Cycle
+from planrunner.plan.schedule import Cycle, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # relative, of a rate that is the full scale itself
 _AXES = "xyz"
+_FELT = 0.05  # part of the rate below which an output's axis counts as lying across it
 UP = (0.0, 0.0, 1.0)  # about which cycles turn
 
 
@@ -46,6 +51,46 @@ def beyond_full_scale(request: DesignRequest, outputs: Sequence[str], shares: Ar
             hint = f"turn at {math.degrees(model.full_scale / shown[most] * abs(rates[most])):.4g} deg/s at most"
             found.append(Remark("physics-full-scale", message, hint, error=True))
     return found
+
+
+def not_turned(request: DesignRequest, outputs: Sequence[str], shares: Array) -> list[Remark]:
+    """A warning where none of the outputs feels the planned rates, as when a table spins about another axis than the one that is fitted.
+
+    shares: (n, m), as for `beyond_full_scale`. Nothing is said of orientations that are not known, or of outputs of specific force.
+    """
+    moving = [row for row, segment in enumerate(request.segments) if isinstance(segment.motion, Spin)]
+    if not moving or any(request.segments[row].attitude is None for row in moving):
+        return []
+    sensing = [k for k, name in enumerate(outputs) if _turns(request, name)]
+    felt = np.abs(shares[moving]).max(axis=0) if outputs else np.zeros(0)
+    if not sensing or max(felt[k] for k in sensing) >= _FELT:
+        return []
+    nearest = max(sensing, key=lambda k: float(felt[k]))
+    off = math.degrees(math.acos(min(1.0, float(felt[nearest]))))
+    message = (
+        f"'{outputs[nearest]}' does not feel the planned rates: its input axis stands {off:.3g} deg from the rotation axis, so that the "
+        "slope is its misalignment, not its scale factor"
+    )
+    turned = _nearest_axis(request, moving[0])
+    hint = f"lay its input axis along the rotation axis, or fit the output along {turned}, which turns"
+    return [Remark("physics-input-axis", message, hint, "outputs")]
+
+
+def _turns(request: DesignRequest, name: str) -> bool:
+    """Whether an output is one of rotation, as far as its unit says."""
+    model = request.sensor.output(name)
+    rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
+    return (
+        model is not None
+        and _direction(request, name.rpartition("_")[2]) is not None
+        and unit(model.unit).dimension in rotation
+    )
+
+
+def _nearest_axis(request: DesignRequest, row: int) -> str:
+    segment = request.segments[row]
+    assert segment.attitude is not None and isinstance(segment.motion, Spin)
+    return _AXES[int(np.abs(np.asarray(segment.attitude) @ np.asarray(segment.motion.about)).argmax())]
 
 
 def shares_by_name(request: DesignRequest, outputs: Sequence[str]) -> Array:

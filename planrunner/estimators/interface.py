@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Segment
+from planrunner.plan.selection import Detection
 from planrunner.uncertainty.influences import Budget, Influence, Inputs
 
 Array = NDArray[np.float64]
@@ -137,7 +138,7 @@ class EstimateRequest:
     site: Site
     sensor: SensorModel
     uses: Mapping[str, Estimate] = field(default_factory=dict)
-    detection: Any = None
+    detection: Detection | None = None
     setup: Setup = field(default_factory=Setup)
 
 
@@ -153,7 +154,7 @@ class DesignRequest:
     sensor: SensorModel
     uses: Mapping[str, Design] = field(default_factory=dict)
     setup: Setup = field(default_factory=Setup)
-    detection: Any = None
+    detection: Detection | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +198,13 @@ class Design:
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
+
+
+@runtime_checkable
+class FindsSpans(Protocol):
+    """An estimator that looks for spans in the data where a plan asks for `{detect: …}`; the others take whole segments."""
+
+    finds_spans: bool
 
 
 class Estimator(Protocol):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.flicker import drift_span, flicker_effects
-from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
+from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -89,8 +89,11 @@ class ScaleFactor:
         magnitudes = np.array([1.0, max(float(np.abs(rates).max(initial=0.0)), 1e-12)])
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         blocks = planned_blocks(request, names, TERMS, matrix, magnitudes)
+        named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
+        shares = shares_by_name(request, named)
+        across = not_turned(request, named, shares)
         predicted = []
-        for block in blocks:
+        for block in () if across else blocks:
             name, sigma = block.output, block.sigma
             output = request.sensor.output(name)
             assert output is not None  # each block is of an output that the sensor has
@@ -104,11 +107,12 @@ class ScaleFactor:
                 stated = _common(request, gains[1:, None], slope, rates)
                 variance = covariance[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
                 predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
-        named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
-        saturated = beyond_full_scale(request, named, shares_by_name(request, named))
-        return Design(
-            blocks, tuple(predicted), remarks=(*saturated, *planned_basis(blocks, request.parameters.uncertainty))
+        remarks = (
+            *beyond_full_scale(request, named, shares),
+            *across,
+            *planned_basis(request, blocks, request.parameters.uncertainty),
         )
+        return Design(blocks, tuple(predicted), remarks=remarks)
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Lines through the recorded means. Raises `EstimationError`."""

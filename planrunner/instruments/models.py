@@ -17,16 +17,19 @@ __all__ = ["ChamberModel", "NoiseModel", "Origin", "OutputModel", "SensorModel",
 Origin = Literal["measured", "simulated", "replayed"]
 """Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
 
+_SHORT = 1e-3  # s; a lag too short to be felt
+
 
 @dataclass(frozen=True, slots=True)
 class TableModel:
     """A position/rate table. axes: outermost first. position_uncertainty: standard, rad; rate_stability: relative, standard;
-    orthogonality: standard uncertainty of the angles between its axes, rad."""
+    orthogonality: standard uncertainty of the angles between its axes, rad. rocks: whether it has a rocking motion."""
 
     axes: tuple[TableAxis, ...]
     position_uncertainty: float = 0.0
     rate_stability: float = 0.0
     orthogonality: float = 0.0
+    rocks: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,24 @@ class ChamberModel:
         behind = self.ramp * self.lag * -math.expm1(-ramping / self.lag)
         return ramping + self.lag * max(0.0, math.log(behind / self.tolerance))
 
+    def behind(self, kelvin: float, lag: float, seconds: float) -> float:
+        """How far [K, with its sign] a body that follows the air with the time constant `lag` [s] is behind the setpoint, `seconds`
+        after a ramp by `kelvin` began from equilibrium.
+
+        Two first-order lags a and s in a row are k·((a + s) − (a²·e^(−t/a) − s²·e^(−t/s))/(a − s)) behind a ramp k·t; a ramp that
+        ends after T is that ramp less the same one begun T later.
+        """
+        slope = math.copysign(self.ramp, kelvin)
+        return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
+
+    def _lag_of_ramp(self, lag: float, seconds: float) -> float:
+        """The same for an endless ramp of 1 K/s."""
+        if seconds <= 0:
+            return 0.0
+        a, s = max(self.lag, _SHORT), max(lag, _SHORT)
+        s = s if abs(s - a) > 1e-6 * a else a * (1 + 1e-6)
+        return (a + s) - (a * a * math.exp(-seconds / a) - s * s * math.exp(-seconds / s)) / (a - s)
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
@@ -87,19 +108,23 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:
-    """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise."""
+    """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise. constant: whether it does
+    not change at all while the table stands, as a simulated encoder of the table does."""
 
     name: str
     unit: str
     full_scale: float = math.inf
     noise: NoiseModel = field(default_factory=NoiseModel)
+    constant: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
     """The sensor under test. `nominal` holds declared coefficients (name → SI value) that predictions are linearised at.
 
-    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one.
+    modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: whether it
+    gives samples at `sample_rate` [Hz] only, else at any lower rate too. thermal_lag: time constant [s] of its temperature behind the air,
+    0 where none is declared. records_angle: whether it records the table's angle about one axis, so that motion about several cannot be.
     """
 
     kind: str
@@ -107,6 +132,23 @@ class SensorModel:
     sample_rate: float
     nominal: Mapping[str, float] = field(default_factory=dict)
     modes: tuple[str, ...] = ()
+    one_rate: bool = False
+    thermal_lag: float = 0.0
+    records_angle: bool = False
+
+    def rate_refused(self, asked: float | None) -> str:
+        """Why it cannot be sampled at `asked` Hz; empty where it can, or where nothing is asked."""
+        return rate_refused(asked, self.sample_rate, self.one_rate)
 
     def output(self, name: str) -> OutputModel | None:
         return next((item for item in self.outputs if item.name == name), None)
+
+
+def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
+    """Why a sensor that gives `own` Hz, and no other rate if `one_rate`, cannot be sampled at `asked` Hz; empty where it can, or where
+    nothing is asked."""
+    if asked is None or abs(asked / own - 1) <= 1e-9:
+        return ""
+    if one_rate:
+        return f"the sensor is set to {own:g} Hz, not {asked:g} Hz"
+    return f"the sensor gives {own:g} Hz at most, not {asked:g} Hz" if asked > own else ""

@@ -69,7 +69,7 @@ class RecordingPlayer:
             )
             for name, channel in parameters.channels.items()
         )
-        return SensorModel(parameters.kind, outputs, rate)
+        return SensorModel(parameters.kind, outputs, rate, one_rate=True)
 
     @classmethod
     def connect(cls, parameters: RecordingParameters, surroundings: Surroundings) -> RecordingPlayer:

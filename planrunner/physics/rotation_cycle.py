@@ -77,6 +77,14 @@ class RotationCycle:
         turned = angles[index] + (rates[index] + 0.5 * slopes[index] * elapsed) * elapsed
         return np.asarray(cycles * self.net_turn + turned)
 
+    def turning_rate(self, time: float) -> float:
+        """Rate [rad/s] at `time` [s since a cycle began]."""
+        begins, lasting, _, rates, slopes, _ = self._pieces
+        within = math.fmod(time, self.period)
+        index = max(0, int(np.searchsorted(begins, within, side="right")) - 1)
+        elapsed = min(within - float(begins[index]), float(lasting[index]))
+        return float(rates[index] + slopes[index] * elapsed)
+
     @property
     def mean_angle(self) -> float:
         """Time mean of the angle from the first position [rad]: times a scale factor error, the mean error of heading."""

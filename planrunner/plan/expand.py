@@ -23,6 +23,7 @@ class StatedSegment:
     """One segment with all that it inherited: key → value as read, and where each value stands.
 
     prompts: what the operator is asked before it, in order, and where that stands.
+    conditioning: whether the plan says that it only brings the sensor to a state.
     sound: False where it would inherit a value from `defaults` that could not be read, so that its state is not known.
     """
 
@@ -32,6 +33,7 @@ class StatedSegment:
     mark: Mark
     sound: bool = True
     prompts: tuple[tuple[str, Mark], ...] = ()
+    conditioning: bool = False
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
@@ -147,10 +149,12 @@ def _expand(
             if spec.steps:
                 for step in spec.steps:
                     for segment in _expand(step, own, own_state, own_marks, log):
-                        yield replace(segment, prompts=prompts + segment.prompts)
+                        only = spec.conditioning or segment.conditioning
+                        yield replace(segment, prompts=prompts + segment.prompts, conditioning=only)
                         prompts = ()
             elif own:
-                yield replace(_stated("/".join(own), own_state, own_marks, spec.origin.mark), prompts=prompts)
+                stated = _stated("/".join(own), own_state, own_marks, spec.origin.mark)
+                yield replace(stated, prompts=prompts, conditioning=spec.conditioning)
             else:
                 log.error(
                     "meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`"

@@ -103,7 +103,7 @@ def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findin
     """One warning for each place that makes unused segments, however many."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
-        if index not in used:
+        if index not in used and not segment.conditioning:
             unused.setdefault(segment.mark, []).append(segment.label)
     for mark, labels in unused.items():
         shown = ", ".join(f"'{label}'" for label in labels[:3]) + (
@@ -118,7 +118,9 @@ def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findin
         )
 
 
-_UNUSED_HINT = "name it in the 'segments' of an estimate, or leave it out"
+_UNUSED_HINT = (
+    "name it in the 'segments' of an estimate, write `conditioning: true` if it is a warm-up, or leave it out"
+)
 
 
 def _check_limit(limit: Limit, log: Findings) -> None:

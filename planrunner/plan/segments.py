@@ -9,6 +9,7 @@ from planrunner.plan import source
 from planrunner.plan.findings import Findings
 from planrunner.plan.holding_spec import STABILITY, WATCH, Stability, Watch
 from planrunner.plan.kinds import (
+    Boolean,
     ByShape,
     Choice,
     ListOf,
@@ -148,6 +149,13 @@ class SegmentSpec(State):
         "Ask the operator before the segment (before the first of its steps); the bench is in its safe state meanwhile.",
         "Turn the fixture to face {orientation}, then leave the table",
         None,
+    )
+    conditioning: bool = key(
+        Boolean(),
+        "Whether the segment, with all its steps, only brings the sensor to a state, as a warm-up or a pause without power does: it is "
+        "recorded, and no warning says that no estimate uses it.",
+        True,
+        False,
     )
     for_each: Sweep | None = key(
         ForEachKind(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -196,4 +197,8 @@ def test_design_of_known_and_unknown_attitudes() -> None:
     assert known is not None
     assert known.blocks[2].terms == ("bias", "accel_x", "accel_y", "accel_z")
     unknown = AccelerometerMultiPositionParameters(reference="gravity_magnitude")
-    assert AccelerometerMultiPosition().design(DesignRequest("a", planned, unknown, SITE, model)) is None
+    unplanned = tuple(replace(one, attitude=None) for one in planned)
+    for poses in (planned, unplanned):
+        few = AccelerometerMultiPosition().design(DesignRequest("a", poses, unknown, SITE, model))
+        assert few is not None
+        assert [(one.code, one.error) for one in few.remarks] == [("physics-poses", True)]

@@ -103,15 +103,18 @@ def test_a_spin_about_a_direction_without_an_axis_is_refused():
 @pytest.mark.parametrize(
     ("motion", "words"),
     [
-        (Spin(20 * DEG), "20 deg/s of the axis 'outer', which reaches 10 deg/s"),
-        (Rock(10 * DEG, 1.0, (0.0,), 10.0), "rocking needs .* deg/s of the axis 'outer'"),
+        (Spin(20 * DEG), "spinning needs 20 deg/s; the outer axis reaches 10 deg/s"),
+        (Rock(10 * DEG, 1.0, (0.0,), 10.0), "rocking needs .* deg/s; the outer axis reaches"),
         (
             Rock(0.2 * DEG, 1.0, (0.0,), 10.0),
-            r"rocking needs .* deg/s\^2 of the axis 'outer', which reaches 5 deg/s\^2",
+            r"rocking needs .* deg/s\^2; the outer axis gives 5 deg/s\^2",
         ),
         (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are to rock, the table has 3"),
-        (Rock(101 * DEG, 0.001, (0.0, 0.0), 10.0), "would carry the axis 'middle' beyond its limits"),
-        (Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 30 * DEG, 1.0), "turns needs 30 deg/s"),
+        (
+            Rock(101 * DEG, 0.001, (0.0, 0.0), 10.0),
+            "rocking carries the middle axis from -101 to 101 deg; it turns from -100 to 100 deg",
+        ),
+        (Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 30 * DEG, 1.0), "turning needs 30 deg/s"),
     ],
 )
 def test_motions_beyond_it_are_refused(motion, words):
@@ -256,3 +259,53 @@ def test_words_mean_true_directions_wherever_the_table_looks():
     surroundings.clock.sleep(turned.orient(LEVEL))
     rate, _ = turned.world.stimulus(np.array([surroundings.clock.now()]))
     assert np.array(rate) / EARTH_RATE == pytest.approx([0.0, math.sqrt(0.75), 0.5], abs=1e-12)
+
+
+def followed(moving, begin, end, count=20_001):
+    """Times and the outermost joint's angle and rate, rad and rad/s."""
+    times = np.linspace(begin, end, count)
+    angle, rate = moving.world.course.follow(times)[0]
+    return times, np.broadcast_to(angle, times.shape), np.broadcast_to(rate, times.shape)
+
+
+@pytest.mark.parametrize("dwell", [2.0, 2.13, 5.777])
+def test_rocking_that_is_ended_fades_out_and_the_table_takes_the_next_motion(dwell):
+    moving, clock = table()
+    motion = Rock(0.1 * DEG, 0.5, (0.3,), dwell)
+    for _ in range(3):
+        clock.sleep(moving.orient(LEVEL))
+        clock.sleep(moving.begin_motion(motion, dwell))
+        clock.sleep(dwell)
+        here, now = moving.world.joints(clock.now()), clock.now()
+        left = moving.end_motion()
+        assert left == pytest.approx(2.0)  # one period
+        times, angle, rate = followed(moving, now, now + left)
+        assert angle[0] == pytest.approx(here[0][0], abs=1e-12)
+        assert rate[0] == pytest.approx(here[1][0], abs=1e-12)  # no jump
+        assert np.abs(np.diff(rate)).max() < 5 * DEG * (times[1] - times[0])  # within the acceleration of the axis
+        clock.sleep(left)
+        assert moving.holding()
+    assert moving.orient(LEVEL) == 0.0
+
+
+def test_a_cycle_that_is_ended_within_a_turn_brakes():
+    moving, clock = table()
+    clock.sleep(
+        moving.begin_motion(Cycle({"A": 0.0}, (Move("A", math.pi, "A"), Move("A", -math.pi, "A")), 10 * DEG, 1.0), 60.0)
+    )
+    clock.sleep(10.0)  # 1 s at rest, 2 s of ramp, then 10 deg/s
+    angle = moving.world.joints(clock.now())[0][0]
+    left = moving.end_motion()
+    assert left == pytest.approx(2.0)  # from 10 deg/s at 5 deg/s^2
+    clock.sleep(left)
+    assert moving.holding()
+    assert moving.world.joints(clock.now())[0][0] - angle == pytest.approx(10 * DEG)  # 10 deg/s for 2 s, halved
+    moving.orient(LEVEL)
+
+
+def test_a_spin_that_would_wind_up_cables_is_refused_with_its_ramps():
+    moving, _ = table(limit=100)
+    with pytest.raises(InstrumentError, match="turns the middle axis by 101 deg"):
+        # 8.1 s at 10 deg/s and two ramps of 2 s, each worth 10 deg
+        moving.begin_motion(Spin(10 * DEG, (1.0, 0.0, 0.0)), 8.1)
+    moving.begin_motion(Spin(10 * DEG, (1.0, 0.0, 0.0)), 7.9)

@@ -119,6 +119,24 @@ def test_an_unused_segment_is_a_warning() -> None:
     assert "'1K', '2K', '3K' and 2 more" in finding.message
 
 
+def test_a_warm_up_may_be_unused() -> None:
+    for mark in (
+        "- {label: warm-up, conditioning: true}",
+        "- {label: w, conditioning: true, steps: [{label: a}, {label: b}]}",
+    ):
+        _, log = check(PLAN.replace("  - {label: V1}\n", f"  - {{label: V1}}\n  {mark}\n"))
+        assert list(log) == []
+    _, log = check(
+        PLAN.replace(
+            "  - {label: V1}\n",
+            "  - {label: V1}\n  - {label: w, steps: [{label: a, conditioning: true}, {label: b}]}\n",
+        )
+    )
+    (finding,) = log
+    assert finding.code == "meaning-unused-label"
+    assert "'w/b'" in finding.message
+
+
 def test_all_mistakes_are_found_in_one_run() -> None:
     text = PLAN
     for old, new in (

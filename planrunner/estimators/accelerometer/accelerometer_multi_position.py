@@ -25,6 +25,7 @@ from planrunner.estimators.outputs_fit import BASES
 from planrunner.estimators.planned import planned_blocks
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
+from planrunner.plan.selection import Detection
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,7 @@ class AccelerometerMultiPosition:
 
     summary = "Bias, scale factor and misalignment of an accelerometer triad from many positions"
     Parameters = AccelerometerMultiPositionParameters
+    finds_spans = True
 
     def design(self, request: DesignRequest) -> Design | None:
         """The design of each axis at the planned attitudes; remarks alone where the attitudes are not planned. Raises `EstimationError`."""
@@ -73,10 +75,11 @@ class AccelerometerMultiPosition:
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
             return by_magnitude.design(request)
+        _no_spans(request.detection)
         model = by_orientation.model_of(parameters.terms)
         matrix = by_orientation.matrix_of(model, request.segments, request.site)
         blocks = planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes)
-        return Design(blocks, remarks=planned_basis(blocks, parameters.uncertainty))
+        return Design(blocks, remarks=planned_basis(request, blocks, parameters.uncertainty))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Coefficients from the recorded positions or still spans. Raises `EstimationError`."""
@@ -84,11 +87,15 @@ class AccelerometerMultiPosition:
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
             return by_magnitude.estimate(request)
-        if request.detection is not None:
-            raise EstimationError(
-                "spans that are found in the data have no known attitude: write `reference: gravity_magnitude`"
-            )
+        _no_spans(request.detection)
         return by_orientation.estimate(request)
+
+
+def _no_spans(detection: Detection | None) -> None:
+    if detection is not None:
+        raise EstimationError(
+            "spans that are found in the data have no known attitude: write `reference: gravity_magnitude`"
+        )
 
 
 def _three(outputs: tuple[str, ...]) -> None:

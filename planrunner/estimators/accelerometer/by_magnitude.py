@@ -7,13 +7,14 @@ How a table stands does not matter: |f| is g in any attitude.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
-from planrunner.estimators.accelerometer.still_detection import still_spans
+from planrunner.estimators.accelerometer.still_detection import detection_limits, longest_span, still_spans
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
 from planrunner.estimators.flicker import flicker_effects
 from planrunner.estimators.interface import (
@@ -30,6 +31,8 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe, recorded_times
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.plan.schedule import Rest, Segment
+from planrunner.plan.selection import Detection
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import Influence
@@ -45,16 +48,31 @@ _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 
 
 def design(request: DesignRequest) -> Design:
-    """Remarks on the number of poses, where segments are the poses; how many are found in the data is not known before."""
-    count = len(request.segments)
-    if request.detection is None and count <= len(NAMES):
+    """Whether the planned poses can give the nine parameters, as far as attitudes and the number of poses are planned. Raises
+    `EstimationError`."""
+    outputs, detection = request.parameters.outputs, request.detection
+    if detection is not None:
+        units = {output.name: output.unit for output in request.sensor.outputs}
+        detection_limits(detection, units, "the sensor of this bench")
+        _same_channels(detection.channels, outputs)
+    described = [(name, request.sensor.output(name)) for name in outputs]
+    _factors_of({name: output.unit for name, output in described if output is not None})
+    attitudes = [segment.attitude for segment in request.segments if _gives_pose(segment, detection)]
+    known = [attitude for attitude in attitudes if attitude is not None]
+    count = len(attitudes)
+    if detection is not None and len(known) < count:
+        return Design(())  # how many poses are found is not known before
+    if count <= len(NAMES):
         short = count < len(NAMES)
-        message = too_few(count) if short else no_residual(len(NAMES))
         if short or request.parameters.uncertainty == "residual":
+            message = too_few(count) if short else no_residual(len(NAMES))
             hint = (
                 f"add segments in other attitudes: {len(NAMES)} are the least, 20 are usual" if short else MORE_SEGMENTS
             )
             return Design((), remarks=(Remark("physics-poses", message, hint, error=True),))
+    if len(known) == count:
+        _at_rest(request.segments)
+        fit_magnitude(np.array(known) @ request.site.specific_force_enu, request.site.gravity)
     return Design(())
 
 
@@ -163,11 +181,7 @@ def _found(request: EstimateRequest) -> Observations:
     outputs = request.parameters.outputs
     assert request.detection is not None
     channels = request.detection.channels
-    if set(channels) != set(outputs):
-        raise EstimationError(
-            f"stillness is looked for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
-            "name the same `channels` under `segments`"
-        )
+    _same_channels(channels, outputs)
     whole = observe(request.segments, outputs, request.sensor)
     order = [channels.index(name) for name in outputs]
     begun, _ = recorded_times(request.segments)
@@ -200,10 +214,36 @@ def _recorded(request: EstimateRequest) -> Observations:
 
 def _factors(poses: Observations) -> Array:
     """To m/s², (3,)."""
-    for name, text in zip(poses.channels, poses.units, strict=True):
+    return _factors_of(dict(zip(poses.channels, poses.units, strict=True)))
+
+
+def _factors_of(units: Mapping[str, str]) -> Array:
+    """units: by channel. Raises `EstimationError` for one that is no acceleration."""
+    for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(f"channel '{name}' is recorded in {text}: an acceleration is needed")
-    return np.array([unit(text).factor for text in poses.units])
+    return np.array([unit(text).factor for text in units.values()])
+
+
+def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
+    if set(channels) != set(outputs):
+        raise EstimationError(
+            f"stillness is looked for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
+            "name the same `channels` under `segments`"
+        )
+
+
+def _gives_pose(segment: Segment, detection: Detection | None) -> bool:
+    """Whether a segment at rest is long enough for a pose; one in which spans are to be found may hold any number of them if it moves."""
+    if detection is None or segment.dwell is None or segment.attitude is None:
+        return True
+    return longest_span(segment.dwell, detection) >= detection.at_least.value
+
+
+def _at_rest(segments: Sequence[Segment]) -> None:
+    moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
+    if moving:
+        raise EstimationError(f"segment '{moving[0]}' moves: an accelerometer is held against gravity at rest")
 
 
 def _describe(name: str) -> str:

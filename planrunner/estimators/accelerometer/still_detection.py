@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,13 +60,23 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
 
 def _limits(recorded: RecordedSegment, detection: Detection) -> Array:
     """The threshold in each channel's own unit, shape (k,)."""
+    return detection_limits(detection, recorded.units, f"segment '{recorded.label}'")
+
+
+def longest_span(dwell: float, detection: Detection) -> float:
+    """The longest span [s] that can be found in a dwell at rest: half a window is lost at either end."""
+    return dwell - detection.window.value
+
+
+def detection_limits(detection: Detection, units: Mapping[str, str], what: str) -> Array:
+    """The threshold in each channel's own unit, shape (k,). units: of the channels that `what` has. Raises `EstimationError`."""
     limits = []
     for channel in detection.channels:
-        if channel not in recorded.units:
+        if channel not in units:
             raise EstimationError(
-                f"segment '{recorded.label}' has no channel '{channel}': {closest(channel, recorded.units)}"
+                f"{what} has no channel '{channel}' to look for stillness in: {closest(channel, units)}"
             )
-        resolved = unit(recorded.units[channel])
+        resolved = unit(units[channel])
         if resolved.dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(
                 f"channel '{channel}' is recorded in {resolved.text}: stillness is judged on accelerations"

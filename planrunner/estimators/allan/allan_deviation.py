@@ -14,6 +14,14 @@ from numpy.typing import NDArray
 from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.fit import FLAT, TERMS, NoiseFit, expected_covariance, fit_noise
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
+from planrunner.estimators.allan.planning import (
+    LEAST_FREEDOM,
+    averaging_factors,
+    fit_limit,
+    planned_averaging,
+    planned_record,
+    require_averaging_times,
+)
 from planrunner.estimators.allan.scale import ScaleFactorKind, SensedBy, sensed_by
 from planrunner.estimators.allan.table import KINDS, Deviation, deviations, octave_factors
 from planrunner.estimators.allan.units import coefficient_units, squares_to_coefficients
@@ -42,7 +50,6 @@ WORDS = {
     "B": "bias instability: the flat part lies at 0.664·B",
     "K": "random walk of the output: K²·τ/3",
 }
-LEAST_FREEDOM = 3.0  # of an Allan variance that takes part in the fit
 _FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
 _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
 _DOUBT = 0.01
@@ -110,8 +117,11 @@ class AllanDeviation:
             if output is None:
                 known = ", ".join(item.name for item in request.sensor.outputs)
                 raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
+            if output.constant and not moving:
+                raise _never_changes(name)
             predicted += _predicted(request, name)
-        return Design((), tuple(predicted), tuple(notes)) if predicted or notes else None
+        remarks = planned_averaging(request, names, parameters.taus, parameters.fit_up_to)
+        return Design((), tuple(predicted), tuple(notes), remarks=remarks) if predicted or notes or remarks else None
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Deviations and coefficients from the samples. Raises `EstimationError`."""
@@ -171,16 +181,14 @@ def _output(request: EstimateRequest, name: str) -> _Result:
     result = _Result(name, request.segments[0].units[name])
     if any(recorded.units[name] != result.unit for recorded in request.segments):
         raise EstimationError(f"channel '{name}' is recorded in different units: use segments of one kind")
-    factors = _factors(parameters.taus, phase, name)
+    factors = averaging_factors(parameters.taus, phase.lengths, phase.interval, name)
     rows = {
         kind: deviations(phase, kind, factors, parameters.confidence)
         for kind in ("overlapping", *parameters.deviations)
     }
     result.rows = rows["overlapping"]
     if not any(row.value for row in result.rows):
-        raise EstimationError(
-            f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
-        )
+        raise _never_changes(name)
     if name in parameters.scale_factors:
         result.sensed = sensed_by(parameters.scale_factors[name], name, result.unit, request.uses)
     _fit(result, phase, parameters)
@@ -188,6 +196,12 @@ def _output(request: EstimateRequest, name: str) -> _Result:
         result.tables.append(_table(name, result.unit, kind, rows[kind], parameters.confidence))
     _describe_gaps(result, phase)
     return result
+
+
+def _never_changes(name: str) -> EstimationError:
+    return EstimationError(
+        f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
+    )
 
 
 def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[str]) -> None:
@@ -210,31 +224,15 @@ def _influences(results: Sequence[_Result]) -> list[Influence]:
     return found
 
 
-def _factors(taus: Sequence[Quantity], phase: Phase, name: str) -> NDArray[np.int64]:
-    if not taus:
-        return octave_factors(phase.lengths)
-    wanted = np.unique([max(1, round(tau.value / phase.interval)) for tau in taus]).astype(np.int64)
-    usable: NDArray[np.int64] = wanted[2 * wanted + 1 <= phase.lengths.max()]
-    if not usable.size:
-        longest = (int(phase.lengths.max()) - 1) * phase.interval
-        raise EstimationError(
-            f"'{name}': every averaging time in `taus` needs more than the {longest:.4g} s without a gap"
-        )
-    return usable
-
-
 def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) -> None:
-    limit = math.inf if parameters.fit_up_to is None else parameters.fit_up_to.value * (1 + 1e-9)
+    limit = fit_limit(parameters.fit_up_to)
     chosen = [row for row in result.rows if row.tau <= limit and row.freedom >= LEAST_FREEDOM and row.value > 0]
     terms = [term for term in TERMS if term in parameters.terms]
     for dropped in ("K", "Q", "B", "N"):
         if len(terms) > max(1, len(chosen) - 1) and dropped in terms and len(terms) > 1:
             terms.remove(dropped)
             result.notes.append(f"{result.name}: too few averaging times to fit {dropped}; it is left out.")
-    if len(chosen) < 2:
-        raise EstimationError(
-            f"'{result.name}' has {len(chosen)} averaging times that are known well enough to fit: record longer, or raise `fit_up_to`"
-        )
+    require_averaging_times(result.name, len(chosen))
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
     variances = np.array([row.value**2 for row in chosen])
     fit = fit_noise(factors, variances, np.array([row.freedom for row in chosen]), phase.lengths, terms)
@@ -345,13 +343,10 @@ def _predicted(request: DesignRequest, name: str) -> list[Coefficient]:
     parameters: AllanDeviationParameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None
-    hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
-    if output.noise.white <= 0 or len(hertz) != 1 or any(segment.dwell is None for segment in request.segments):
+    record = planned_record(request)
+    if output.noise.white <= 0 or record is None or record.lengths.max() < 64:
         return []
-    interval = 1 / hertz.pop()
-    lengths = np.array([1 + int((segment.dwell or 0.0) / interval) for segment in request.segments], dtype=np.int64)
-    if lengths.max() < 64:
-        return []
+    interval, lengths = record.interval, record.lengths
     factors = octave_factors(lengths)[: -1 if not parameters.taus else None]
     squares = np.array([0.0, output.noise.white**2 / interval, output.noise.bias_instability**2, 0.0])
     spread = np.sqrt(np.diag(expected_covariance(factors, squares, lengths, parameters.terms)))

@@ -109,6 +109,7 @@ class FlexureGyroStatic:
         sight = rank.look(scaled)
         if sight.rank < scaled.shape[1]:
             return Design(blocks)
+        remarks = planned_basis(request, blocks, parameters.uncertainty)
         determinant = float(np.linalg.det(scaled.T @ scaled))
         note = tables.determinant_note(determinant, sight.condition, len(matrix))
         return Design(
@@ -116,7 +117,7 @@ class FlexureGyroStatic:
             _predicted(request, blocks),
             (note,),
             {"determinant": determinant, "condition": sight.condition},
-            planned_basis(blocks, parameters.uncertainty),
+            remarks,
         )
 
     def estimate(self, request: EstimateRequest) -> Estimate:

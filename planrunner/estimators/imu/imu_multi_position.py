@@ -122,7 +122,7 @@ class ImuMultiPosition:
             its_own = replace(request, segments=tuple(chosen))
             made = planned_blocks(its_own, channels, model.names, matrix, _magnitudes(model, matrix))
             blocks += made
-            remarks += planned_basis(made, parameters.uncertainty)
+            remarks += planned_basis(its_own, made, parameters.uncertainty)
             if kind == "gyro":
                 remarks += _earth_rate_alone(request, made)
         predicted = _predicted(request, blocks)
@@ -136,10 +136,6 @@ class ImuMultiPosition:
         """Coefficients from the recorded segments. Raises `EstimationError`."""
         parameters: ImuMultiPositionParameters = request.parameters
         basis = parameters.uncertainty
-        if request.detection is not None:
-            raise EstimationError(
-                "spans that are found in the data have no known attitude: name segments in `segments`"
-            )
         triads = [_fit(request, *one) for one in _triads(parameters)]
         frame = framed([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
         found = reported(frame)

@@ -122,7 +122,7 @@ class FixtureAngles:
             blocks.append(block)
             expected = _expected(request, model, axes, k, block)
             predicted += [expected] if expected is not None else []
-        remarks = (*_remarks(model, how), *planned_basis(blocks, request.parameters.uncertainty))
+        remarks = (*_remarks(model, how), *planned_basis(request, blocks, request.parameters.uncertainty))
         if len(predicted) < len(axes.names):
             return Design(tuple(blocks), remarks=remarks)
         covariance, influences = independent([one.covariance for one in predicted]), _padded(predicted)

@@ -75,6 +75,12 @@ class SerialSensorParameters(Record):
         "1 s",
         parse_quantity("1 s"),
     )
+    thermal_lag: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Time constant of the sensor's temperature behind the chamber's air; `check` holds soaks against it.",
+        "10 min",
+        None,
+    )
     gyros: GyroKnowledge | None = key(
         RecordOf(GyroKnowledge), "What is known of the gyros.", {"angle_random_walk": "0.15 deg/sqrt(h)"}, None
     )
@@ -89,7 +95,8 @@ def sensor_model(
     """The model of a sensor with these channels (name → unit). resolutions: one count of a channel, in its unit."""
     outputs = tuple(_output(name, text, resolutions.get(name, 0.0), parameters) for name, text in channels.items())
     nominal = {f"K_{name}": 1.0 for name, text in channels.items() if text in (*RATES, *ACCELERATIONS)}
-    return SensorModel(parameters.kind, outputs, parameters.sample_rate.value, nominal)
+    lag = 0.0 if parameters.thermal_lag is None else parameters.thermal_lag.value
+    return SensorModel(parameters.kind, outputs, parameters.sample_rate.value, nominal, one_rate=True, thermal_lag=lag)
 
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters) -> OutputModel:

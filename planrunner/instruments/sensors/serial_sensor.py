@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 from planrunner.instruments.interfaces import Block, Clock, Condition, FrameCounts, InstrumentError, Surroundings
+from planrunner.instruments.models import rate_refused
 from planrunner.instruments.sensors.first_frames import FirstFrames
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.sensors.segment_stream import SegmentStream
@@ -100,9 +101,9 @@ class SerialSensor:
         for segment in segments:
             if segment.dwell is None:
                 raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
-            if segment.sample_rate is not None and abs(segment.sample_rate / rate - 1) > 1e-9:
-                message = f"'{segment.label}' asks for {segment.sample_rate:g} Hz, but the sensor is set to {rate:g} Hz"
-                raise InstrumentError(f"{message}: leave `sample_rate` out of the plan, or set the sensor otherwise")
+            if refused := rate_refused(segment.sample_rate, rate, one_rate=True):
+                hint = "leave `sample_rate` out of the plan, or set the sensor otherwise"
+                raise InstrumentError(f"'{segment.label}': {refused}: {hint}")
 
     def stream(self, segment: Segment) -> Iterator[Block]:
         """The samples that are taken from now on until the dwell is over."""

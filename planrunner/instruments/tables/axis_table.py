@@ -15,18 +15,17 @@ import numpy as np
 
 from planrunner.instruments.interfaces import Array, Clock, Condition, InstrumentError, OwnLimits, Surroundings
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, Sine
-from planrunner.instruments.tables.profiles import check_cycle, check_reach, check_rock, turns_of
+from planrunner.instruments.tables.profiles import turns_of
 from planrunner.instruments.tables.timed_motion import TimedMotion
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
 from planrunner.physics.kinematics import (
     TableAxis,
     Unreachable,
     joint_angles,
-    joint_directions,
-    spin_axis,
     spin_up_time,
     transition_time,
 )
+from planrunner.physics.table_motion import Excess, SpinCourse, cycle_excess, rock_excess, spin_excess
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
 
 STOPPED = math.radians(0.1)
@@ -101,9 +100,9 @@ class AxisTable:
         for segment in segments:
             motion = segment.motion
             if isinstance(motion, Cycle):
-                check_cycle(self.axes[0], motion, f"'{segment.label}': ")
+                _refuse(cycle_excess(self.axes[0], None, motion), f"'{segment.label}': ")
             if isinstance(motion, Rock):
-                self._check_rock(motion, f"'{segment.label}': ")
+                self._check_rock(motion, None, f"'{segment.label}': ")
 
     # -- moving --------------------------------------------------------------------------------------------------------
 
@@ -124,7 +123,7 @@ class AxisTable:
             return 0.0
         self._make_ready()
         if isinstance(motion, Spin):
-            return self._spin(motion)
+            return self._spin(motion, seconds)
         return self._rock(motion) if isinstance(motion, Rock) else self._cycle(motion)
 
     def end_motion(self) -> float:
@@ -238,23 +237,16 @@ class AxisTable:
     def _readings(self, joints: Sequence[float] | Array) -> dict[int, float]:
         return {axis.number: axis.reading(float(joint)) for axis, joint in zip(self.counted, joints, strict=True)}
 
-    def _spin(self, motion: Spin) -> float:
+    def _spin(self, motion: Spin, seconds: float) -> float:
         joints, rates = self._measured()
         try:
-            index = spin_axis(self.axes, joints, motion.about, self.azimuth)
+            course = SpinCourse.of(motion, self.axes, joints, self.azimuth)
         except Unreachable as error:
             raise InstrumentError(f"the table cannot spin about this direction: {error}") from None
-        axis = self.axes[index]
-        if abs(motion.rate) > axis.max_rate * (1 + 1e-9):
-            reached = f"{math.degrees(axis.max_rate):g} deg/s"
-            raise InstrumentError(
-                f"the axis '{axis.name}' reaches {reached}, not {math.degrees(abs(motion.rate)):g} deg/s"
-            )
-        along = float(joint_directions(self.axes, joints, self.azimuth)[index] @ np.asarray(motion.about))
-        rate = math.copysign(1.0, along) * motion.rate
+        _refuse(spin_excess(self.axes, joints, course, seconds))
         self._rocking = None
-        self._turn(index, rate, {other: float(joint) for other, joint in enumerate(joints)})
-        return spin_up_time(axis, rate - float(rates[index]))
+        self._turn(course.joint, course.rate, {other: float(joint) for other, joint in enumerate(joints)})
+        return spin_up_time(self.axes[course.joint], course.rate - float(rates[course.joint]))
 
     def _turn(self, index: int, rate: float, standing: Mapping[int, float]) -> None:
         """standing: where the others stand."""
@@ -263,11 +255,8 @@ class AxisTable:
         self.commands.turn(axis.number, axis.sense * math.degrees(rate))
 
     def _rock(self, motion: Rock) -> float:
-        self._check_rock(motion)
         joints, _ = self._measured()
-        for axis, joint, _ in zip(self.axes, joints, motion.phases, strict=False):
-            if not axis.lowest <= joint - motion.amplitude <= joint + motion.amplitude <= axis.highest:
-                raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
+        self._check_rock(motion, joints)
         self._aim = Aim()
         self._home, self._rocking = tuple(float(joint) for joint in joints), motion
         record = self.clock.now() + motion.lead_in
@@ -288,10 +277,10 @@ class AxisTable:
             for axis, phase in zip(self.counted, motion.phases, strict=False)
         }
 
-    def _check_rock(self, motion: Rock, where: str = "") -> None:
+    def _check_rock(self, motion: Rock, joints: Array | None, where: str = "") -> None:
         if not self.commands.rocks:
             raise InstrumentError(f"{where}the table has no rocking motion")
-        check_rock(self.axes, motion, where)
+        _refuse(rock_excess(self.axes, joints, motion), where)
 
     def _end_rocking(self) -> float:
         assert self._rocking is not None
@@ -318,8 +307,7 @@ class AxisTable:
         """Turns and stops of the outermost axis; the first stop begins now."""
         joints, _ = self._measured()
         joints[0] = self._aim.positions.get(0, joints[0])
-        check_cycle(self.axes[0], motion)
-        check_reach(self.axes[0], float(joints[0]), motion)
+        _refuse(cycle_excess(self.axes[0], float(joints[0]), motion))
         self._stand(joints, joints)
         self._timed.begin("the cycle could not go on", lambda: self._turns(motion, joints, self.clock.now()))
         return 0.0
@@ -364,3 +352,9 @@ class AxisTable:
             return ""
         turning = f"{math.degrees(fastest):.4g} deg/s"
         return f"the table still turns at {turning} after it was stopped: press its emergency stop"
+
+
+def _refuse(excess: Sequence[Excess], where: str = "") -> None:
+    """Raises `InstrumentError`. where: begins the message."""
+    if excess:
+        raise InstrumentError(where + "; ".join(one.message for one in excess))

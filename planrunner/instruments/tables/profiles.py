@@ -1,37 +1,13 @@
-"""Motions other than a spin, as the axes of a table make them: whether they can, and when each turn of a cycle begins, brakes and ends."""
+"""A cycle as the axis of a real table makes it: when each turn begins, brakes and ends."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import accumulate
 from itertools import cycle as again
 
-from planrunner.instruments.interfaces import InstrumentError
-from planrunner.physics.kinematics import SLACK, TableAxis, limits_in_words
-from planrunner.plan.schedule import Cycle, Rock
-
-_GRANTED = 1 + 1e-9
-
-
-def check_rock(axes: Sequence[TableAxis], motion: Rock, where: str = "") -> None:
-    """Raises `InstrumentError` when rings are missing, or need more than they reach. where: begins the message."""
-    if len(motion.phases) > len(axes):
-        raise InstrumentError(f"{where}{len(motion.phases)} rings are to rock, the table has {len(axes)}")
-    circular = 2 * math.pi * motion.frequency
-    for axis, _ in zip(axes, motion.phases, strict=False):
-        rate, acceleration = motion.amplitude * circular, motion.amplitude * circular**2
-        if rate > axis.max_rate * _GRANTED or acceleration > axis.max_acceleration * _GRANTED:
-            needed = f"{math.degrees(rate):.4g} deg/s and {math.degrees(acceleration):.4g} deg/s^2"
-            raise InstrumentError(f"{where}rocking needs {needed} of the axis '{axis.name}', more than it reaches")
-
-
-def check_cycle(axis: TableAxis, motion: Cycle, where: str = "") -> None:
-    """Raises `InstrumentError` when the axis does not turn so fast."""
-    if motion.rate > axis.max_rate * _GRANTED:
-        able = f"{math.degrees(axis.max_rate):g} deg/s, not {math.degrees(motion.rate):g} deg/s"
-        raise InstrumentError(f"{where}the axis '{axis.name}' reaches {able}")
+from planrunner.plan.schedule import Cycle
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +33,3 @@ def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
         brakes = begins + size / rate
         now = brakes + rate / acceleration
         yield Turn(begins, brakes, now, math.copysign(rate, move.turn), target)
-
-
-def check_reach(axis: TableAxis, start: float, motion: Cycle) -> None:
-    """Raises `InstrumentError` when a cycle that begins at `start` [rad] comes to a stop of the axis."""
-    places = list(accumulate((move.turn for move in motion.moves), initial=start))
-    low, high = min(places), max(places)
-    if low < axis.lowest - SLACK or high > axis.highest + SLACK:
-        reach = f"from {math.degrees(low):g} to {math.degrees(high):g} deg"
-        raise InstrumentError(f"the cycle goes {reach} of the axis '{axis.name}'; {limits_in_words(axis)}")

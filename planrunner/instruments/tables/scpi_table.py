@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
@@ -86,7 +87,7 @@ class ScpiTable:
 
     @classmethod
     def model(cls, parameters: ScpiTableParameters) -> TableModel:
-        return parameters.model()
+        return replace(parameters.model(), rocks=parameters.commands.rock is not None)
 
     @classmethod
     def address(cls, parameters: ScpiTableParameters) -> str:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual.courses import Rocking, Spinning
+from planrunner.physics.table_motion import about_one_axis
 from planrunner.plan.schedule import Rock, Segment, Spin
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
         joint, sense = course.joint, math.copysign(1.0, motion.rate) * math.copysign(1.0, course.rate)
     elif isinstance(motion, Rock) and isinstance(course, Rocking):
         joint, sense = 0, 1.0
-        if len(motion.phases) > 1:
+        if not about_one_axis(motion):
             raise InstrumentError(f"'{segment.label}' rocks several rings: that is no angle about one axis")
     else:
         return np.zeros(len(times)), np.zeros(len(times))

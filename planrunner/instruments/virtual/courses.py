@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar, Protocol
 
@@ -175,6 +175,15 @@ class Rocking:
     def over(self) -> float:
         """When the joints stand still again [s since the run began]."""
         return self.steady + self.duration + 1 / self.frequency
+
+    @property
+    def begins(self) -> float:
+        """When the joints begin to move [s since the run began]."""
+        return self.steady - 1 / self.frequency
+
+    def ended(self, now: float) -> Rocking:
+        """The same, which has begun, fading out from `now` on at the latest."""
+        return replace(self, duration=min(self.duration, now - self.steady))
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,7 +134,7 @@ class VirtualFlexureGyro:
         for axis, drift in (("X", p.drift_x), ("Y", p.drift_y)):
             nominal |= {f"D_{axis}_{part}": getattr(drift, part).value for part in "FXYZ"}
         outputs = (*torquers, OutputModel(THERMOMETER, "degC", noise=thermometer))
-        return SensorModel("flexure-gyro", outputs, rate, nominal)
+        return SensorModel("flexure-gyro", outputs, rate, nominal, thermal_lag=p.thermal_lag.value)
 
     @classmethod
     def connect(cls, parameters: VirtualFlexureGyroParameters, surroundings: Surroundings) -> VirtualFlexureGyro:
@@ -150,7 +150,7 @@ class VirtualFlexureGyro:
         return {**dict.fromkeys(OUTPUTS, "pulse/s"), THERMOMETER: "degC"}
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "gyro")
+        sampling = Sampling.of(self.world, segment, self.model(self.parameters))
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:

@@ -83,11 +83,14 @@ class VirtualImu:
         outputs = (
             *(axis.output(rate) for axis in axes),
             OutputModel(THERMOMETER, "degC", noise=thermometer),
-            *([OutputModel(ENCODER, "deg")] if parameters.table_angle else []),
-            *(OutputModel(name, text) for name, text in reference.items()),
+            *([OutputModel(ENCODER, "deg", constant=True)] if parameters.table_angle else []),
+            *(OutputModel(name, text, constant=True) for name, text in reference.items()),
         )
         nominal = {f"K_{axis.name}": axis.scale_factor for axis in axes}
-        return SensorModel(parameters.kind, outputs, rate, nominal, MODES)
+        lag = parameters.thermal_lag.value
+        return SensorModel(
+            parameters.kind, outputs, rate, nominal, MODES, thermal_lag=lag, records_angle=parameters.table_angle
+        )
 
     @classmethod
     def connect(cls, parameters: VirtualImuParameters, surroundings: Surroundings) -> VirtualImu:
@@ -110,7 +113,7 @@ class VirtualImu:
         return 0.0
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "sensor")
+        sampling = Sampling.of(self.world, segment, self.model(self.parameters))
         draw = generator(self.world.seed, segment.index)
         return sampling.blocks(self.world, self.sampler(sampling, draw, segment))
 

@@ -64,7 +64,7 @@ class VirtualPlatform:
         fine, rings = parameters.gimbal_encoders.resolution.value, parameters.table_encoders.resolution.value
         gimbals = tuple(OutputModel(name, "deg", 360.0, NoiseModel(0.0, 0.0, math.degrees(fine))) for name in GIMBALS)
         table = tuple(
-            OutputModel(name, "deg", noise=NoiseModel(0.0, 0.0, math.degrees(rings)))
+            OutputModel(name, "deg", noise=NoiseModel(0.0, 0.0, math.degrees(rings)), constant=True)
             for name in RINGS[: parameters.rings]
         )
         outputs = (*accelerometers, *gimbals, *table)
@@ -94,7 +94,7 @@ class VirtualPlatform:
         return {**dict.fromkeys(ACCELEROMETERS, "g"), **dict.fromkeys((*GIMBALS, *RINGS[:rings]), "deg")}
 
     def stream(self, segment: Segment) -> Iterator[Block]:
-        sampling = Sampling.of(self.world, segment, self.parameters.sample_rate.value, "platform")
+        sampling = Sampling.of(self.world, segment, self.model(self.parameters))
         sampling = replace(sampling, size=min(sampling.size, BLOCK))
         draw = generator(self.world.seed, segment.index)
         law = self._law()

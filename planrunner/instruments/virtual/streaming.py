@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block, InstrumentError
+from planrunner.instruments.models import SensorModel
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.schedule import Segment
 
@@ -32,13 +33,13 @@ class Sampling:
     size: int
 
     @classmethod
-    def of(cls, world: World, segment: Segment, fastest: float, sensor: str) -> Sampling:
-        """Beginning now. fastest: Hz, the `sensor`'s own rate. Raises `InstrumentError` where it cannot be sampled so."""
+    def of(cls, world: World, segment: Segment, sensor: SensorModel) -> Sampling:
+        """Beginning now. Raises `InstrumentError` where the sensor cannot be sampled so."""
         if segment.dwell is None:
             raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
-        rate = segment.sample_rate or fastest
-        if rate > fastest * (1 + 1e-9):
-            raise InstrumentError(f"'{segment.label}' asks for {rate:g} Hz; the {sensor} gives {fastest:g} Hz at most")
+        rate = segment.sample_rate or sensor.sample_rate
+        if refused := sensor.rate_refused(segment.sample_rate):
+            raise InstrumentError(f"'{segment.label}': {refused}")
         hold = max(1, min(BLOCK, round(rate)))
         size = max(hold, hold * ((round(rate) if world.real_time else BLOCK) // hold))
         return cls(world.now(), rate, max(1, round(segment.dwell * rate)), hold, size)

@@ -5,7 +5,7 @@ error.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,19 +16,14 @@ from planrunner.instruments.models import TableModel
 from planrunner.instruments.table_keys import TableKeys
 from planrunner.instruments.virtual import courses
 from planrunner.instruments.virtual.world import World
-from planrunner.physics.kinematics import (
-    TableAxis,
-    Unreachable,
-    joint_angles,
-    joint_directions,
-    rotation_about,
-    spin_axis,
-)
+from planrunner.physics.kinematics import Unreachable, joint_angles, rotation_about
+from planrunner.physics.table_motion import Excess, SpinCourse, cycle_excess, rock_excess, spin_excess
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin
 
 Array = NDArray[np.float64]
+CLOCK_ROUNDING = 1e-6  # s; a clock that adds up sleeps may stop short of a time by a rounding
 
 
 class VirtualTableParameters(TableKeys):
@@ -73,9 +68,9 @@ class VirtualTable:
 
     def orient(self, attitude: Array) -> float:
         now = self.world.now()
-        angles, rates = self.world.joints(now)
-        if np.any(rates != 0.0):
+        if not self.world.course.still(now + CLOCK_ROUNDING):
             raise InstrumentError("the table is still moving; end its motion before a new orientation")
+        angles, _ = self.world.joints(now)
         try:
             target = joint_angles(self.axes, attitude, angles, self.world.site.azimuth)
         except Unreachable as error:
@@ -85,8 +80,7 @@ class VirtualTable:
         return self._set_course(course, course.arrival)
 
     def holding(self) -> bool:
-        # A clock that adds up sleeps may stop short of the time by a rounding.
-        return self.world.now() >= self.world.steady_at - 1e-6
+        return self.world.now() >= self.world.steady_at - CLOCK_ROUNDING
 
     def begin_motion(self, motion: Motion, seconds: float) -> float:
         now = self.world.now()
@@ -95,13 +89,13 @@ class VirtualTable:
             case Rest():
                 return 0.0
             case Spin():
-                return self._spin(motion, now, angles)
+                return self._spin(motion, seconds, now, angles)
             case Rock():
                 return self._rock(motion, now, angles)
             case Cycle():
-                self._within("the cycle's turns", motion.rate, None, self.axes[0])
-                turns = tuple(move.turn for move in motion.moves)
                 joint = 0
+                _refuse(cycle_excess(self.axes[joint], angles[joint], motion))
+                turns = tuple(move.turn for move in motion.moves)
                 acceleration = self.axes[joint].max_acceleration
                 cycling = courses.Cycling(now, angles, joint, turns, motion.rate, acceleration, motion.stop)
                 return self._set_course(cycling, now)
@@ -111,16 +105,17 @@ class VirtualTable:
         course = self.world.course
         if course.still(now) or isinstance(course, courses.Standing):
             return 0.0
+        if isinstance(course, courses.Rocking):
+            if now <= course.begins:
+                return self._set_course(courses.Standing(course.angles), now)
+            ending = course.ended(now)
+            return self._set_course(ending, ending.over)
         angles, rates = self.world.joints(now)
-        if isinstance(course, courses.Spinning):
+        if isinstance(course, courses.Spinning | courses.Cycling):
             rate = float(rates[course.joint])
             slowing = courses.Spinning(now, tuple(angles.tolist()), course.joint, rate, 0.0, course.acceleration)
             return self._set_course(slowing, slowing.steady)
-        if isinstance(course, courses.Rocking):
-            home: tuple[float, ...] = course.angles
-        else:
-            home = tuple(angles.tolist())
-        travel = courses.travel(self.axes, now, angles.tolist(), home)
+        travel = courses.travel(self.axes, now, angles.tolist(), angles.tolist())
         return self._set_course(travel, travel.arrival)
 
     def read(self) -> Mapping[str, float]:
@@ -149,43 +144,25 @@ class VirtualTable:
         self.world.steady_at = steady_at
         return max(0.0, steady_at - self.world.now())
 
-    def _spin(self, motion: Spin, now: float, angles: tuple[float, ...]) -> float:
-        azimuth = self.world.site.azimuth
+    def _spin(self, motion: Spin, seconds: float, now: float, angles: tuple[float, ...]) -> float:
         try:
-            joint = spin_axis(self.axes, angles, motion.about, azimuth)
+            course = SpinCourse.of(motion, self.axes, angles, self.world.site.azimuth)
         except Unreachable as error:
             raise InstrumentError(f"the table cannot spin about this direction: {error}") from None
-        axis = self.axes[joint]
-        self._within("the rate", motion.rate, None, axis)
-        along = float(joint_directions(self.axes, angles, azimuth)[joint] @ np.asarray(motion.about))
-        rate = math.copysign(1.0, along) * motion.rate * (1 + self.rate_error(motion.rate))
-        first = self.world.joints(now)[1][joint]
-        spinning = courses.Spinning(now, angles, joint, float(first), rate, axis.max_acceleration)
+        _refuse(spin_excess(self.axes, angles, course, seconds))
+        rate = course.rate * (1 + self.rate_error(motion.rate))
+        first = self.world.joints(now)[1][course.joint]
+        acceleration = self.axes[course.joint].max_acceleration
+        spinning = courses.Spinning(now, angles, course.joint, float(first), rate, acceleration)
         return self._set_course(spinning, spinning.steady)
 
     def _rock(self, motion: Rock, now: float, angles: tuple[float, ...]) -> float:
-        if len(motion.phases) > len(self.axes):
-            raise InstrumentError(f"{len(motion.phases)} rings are to rock, the table has {len(self.axes)}")
-        circular = 2 * math.pi * motion.frequency
-        for axis, angle, _ in zip(self.axes, angles, motion.phases, strict=False):
-            self._within("rocking", motion.amplitude * circular, motion.amplitude * circular**2, axis)
-            if not axis.lowest <= angle - motion.amplitude <= angle + motion.amplitude <= axis.highest:
-                raise InstrumentError(f"rocking would carry the axis '{axis.name}' beyond its limits")
+        _refuse(rock_excess(self.axes, angles, motion))
         record = now + motion.lead_in
         rocking = courses.Rocking(
             record + motion.steady, angles, motion.amplitude, motion.frequency, motion.phases, motion.duration
         )
         return self._set_course(rocking, record)
-
-    def _within(self, what: str, rate: float, acceleration: float | None, axis: TableAxis) -> None:
-        if abs(rate) > axis.max_rate * (1 + 1e-9):
-            limit = f"{math.degrees(axis.max_rate):g} deg/s"
-            message = f"{what} needs {math.degrees(abs(rate)):g} deg/s of the axis '{axis.name}', which reaches {limit}"
-            raise InstrumentError(message)
-        if acceleration is not None and acceleration > axis.max_acceleration * (1 + 1e-9):
-            limit = f"{math.degrees(axis.max_acceleration):g} deg/s^2"
-            needed = f"{math.degrees(acceleration):g} deg/s^2"
-            raise InstrumentError(f"{what} needs {needed} of the axis '{axis.name}', which reaches {limit}")
 
     def pointing_error(self, attitude: Array) -> Array:
         """A small rotation that depends on the seed and the commanded attitude alone."""
@@ -204,3 +181,8 @@ class VirtualTable:
     def _drawn(self, state: NDArray[np.int64], count: int) -> Array:
         words = np.frombuffer(state.tobytes(), dtype=np.uint32).tolist()
         return np.random.default_rng([self.world.seed, *words]).standard_normal(count)
+
+
+def _refuse(excess: Sequence[Excess]) -> None:
+    if excess:
+        raise InstrumentError("; ".join(one.message for one in excess))

@@ -1,0 +1,114 @@
+"""Which averaging times a record gives, recorded or planned: how many averages it holds of each, and whether these are enough to fit.
+
+The record that is planned is judged by the rules that the recorded one is refused by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.estimators.allan.confidence import degrees_of_freedom
+from planrunner.estimators.allan.table import octave_factors
+from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
+from planrunner.plan.quantity import Quantity
+
+Integers = NDArray[np.int64]
+
+LEAST_FREEDOM = 3.0  # of an Allan variance that takes part in the fit
+_EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance distinguishes
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRecord:
+    """interval: s between samples; lengths: (r,), points of the phase of each segment, one more than its samples."""
+
+    interval: float
+    lengths: Integers
+
+
+def planned_record(request: DesignRequest) -> PlannedRecord | None:
+    """The record that the segments will leave; None where a dwell is not known. Raises `EstimationError` for several sample rates."""
+    hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
+    if not request.segments or any(segment.dwell is None for segment in request.segments):
+        return None
+    if len(hertz) > 1:
+        rates = " and ".join(f"{rate:g}" for rate in sorted(hertz)[:2])
+        raise EstimationError(f"the segments are sampled at {rates} Hz: choose `segments` of one rate")
+    rate = hertz.pop()
+    lengths = [1 + max(1, round((segment.dwell or 0.0) * rate)) for segment in request.segments]
+    return PlannedRecord(1 / rate, np.array(lengths, dtype=np.int64))
+
+
+def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
+    """The averaging factors to use: those of `taus` that the longest run holds twice, or octaves. Raises `EstimationError` for none."""
+    if not taus:
+        return octave_factors(lengths)
+    wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)
+    usable: Integers = wanted[2 * wanted + 1 <= lengths.max()]
+    if not usable.size:
+        longest = (int(lengths.max()) - 1) * interval
+        raise EstimationError(
+            f"'{name}': every averaging time in `taus` needs more than the {longest:.4g} s without a gap"
+        )
+    return usable
+
+
+def fit_limit(fit_up_to: Quantity | None) -> float:
+    """The longest averaging time [s] that takes part in the fit."""
+    return math.inf if fit_up_to is None else fit_up_to.value * (1 + 1e-9)
+
+
+def require_averaging_times(name: str, count: int) -> None:
+    """Raises `EstimationError` for fewer than two."""
+    if count < 2:
+        raise EstimationError(
+            f"'{name}' has {count} averaging times that are known well enough to fit: record longer, or raise `fit_up_to`"
+        )
+
+
+def planned_averaging(
+    request: DesignRequest, names: Sequence[str], taus: Sequence[Quantity], fit_up_to: Quantity | None
+) -> tuple[Remark, ...]:
+    """Remarks about averaging times that the planned record cannot give. Raises `EstimationError` as the estimate would."""
+    record = planned_record(request)
+    if record is None or not names:
+        return ()
+    lengths, interval = record.lengths, record.interval
+    factors = averaging_factors(taus, lengths, interval, names[0])
+    known = [factor for factor in factors.tolist() if _least_freedom(factor, lengths) >= LEAST_FREEDOM]
+    require_averaging_times(names[0], sum(1 for factor in known if factor * interval <= fit_limit(fit_up_to)))
+    longest = max(known) * interval
+    whole = (int(lengths.max()) - 1) * interval
+    found = []
+    if fit_up_to is not None and fit_up_to.value > whole / 2:
+        message = (
+            f"`fit_up_to` is {fit_up_to}, but the longest dwell of {whole:.4g} s gives averaging times up to {longest:.4g} s that are "
+            "known well enough to fit"
+        )
+        hint = f"dwell for {_twice(fit_up_to)} at least, or lower `fit_up_to`"
+        found.append(Remark("physics-averaging", message, hint, "fit_up_to"))
+    beyond = [tau for tau in taus if 2 * max(1, round(tau.value / interval)) + 1 > lengths.max()]
+    if beyond:
+        message = f"the averaging time {beyond[0]} needs twice its length, and the longest dwell is {whole:.4g} s: it is left out"
+        found.append(
+            Remark("physics-averaging", message, f"dwell for {_twice(beyond[0])} at least, or leave it out", "taus")
+        )
+    return tuple(found)
+
+
+def _least_freedom(factor: int, lengths: Integers) -> float:
+    """Degrees of freedom of an Allan variance whatever the noise is; the fewest of the kinds that it may turn out to be."""
+    sizes, counts = np.unique(lengths, return_counts=True)
+    long_enough = sizes > 2 * factor
+    pairs = list(zip(sizes[long_enough].tolist(), counts[long_enough].tolist(), strict=True))
+    totals = [sum(n * degrees_of_freedom(alpha, 2, factor, int(size)) for size, n in pairs) for alpha in _EXPONENTS]
+    return float(min(totals))
+
+
+def _twice(tau: Quantity) -> str:
+    return f"{2 * tau.value / tau.unit.factor:g} {tau.unit.text}"

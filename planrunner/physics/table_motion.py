@@ -1,0 +1,125 @@
+"""What a motion asks of the axes of a table, and whether they give it: rates, accelerations and travel between joint limits.
+
+The rule stands here once. The check of a plan says where the plan asks too much, a driver or a simulated table refuses it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planrunner.physics.kinematics import SLACK, Array, TableAxis, joint_directions, limits_in_words, spin_axis
+from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.plan.schedule import Cycle, Motion, Rock, Spin
+
+_GRANTED = 1 + 1e-9  # what rounding may add to a limit
+
+
+@dataclass(frozen=True, slots=True)
+class Excess:
+    """What an axis cannot give. kind: 'rings' (too few), 'rate', 'acceleration' or 'travel'; message: what is asked and what is there."""
+
+    kind: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class SpinCourse:
+    """A spin as a table makes it. joint: index of the axis that turns; rate: rad/s of that joint, with its sign; ramp: s from rest to the
+    rate, and back."""
+
+    joint: int
+    rate: float
+    ramp: float
+
+    @classmethod
+    def of(
+        cls, motion: Spin, axes: Sequence[TableAxis], joints: Sequence[float] | Array, azimuth: float = 0.0
+    ) -> SpinCourse:
+        """joints: rad, where the spin begins; azimuth: of the site, rad. Raises `Unreachable` where no axis points that way."""
+        index = spin_axis(axes, joints, motion.about, azimuth)
+        along = float(joint_directions(axes, joints, azimuth)[index] @ np.asarray(motion.about))
+        ramp = abs(motion.rate) / axes[index].max_acceleration
+        return cls(index, math.copysign(1.0, along) * motion.rate, ramp)
+
+    def travel(self, seconds: float) -> float:
+        """The angle [rad] from rest to rest when the rate is held for `seconds`: each ramp covers half of what its time would."""
+        return self.rate * (seconds + self.ramp)
+
+
+def spin_excess(
+    axes: Sequence[TableAxis], joints: Sequence[float] | Array, course: SpinCourse, seconds: float | None
+) -> list[Excess]:
+    """What a spin that begins at `joints` [rad] asks too much of its axis. seconds: for which the rate is held, None where nobody knows."""
+    axis = axes[course.joint]
+    found = _beyond(axis, "spinning", abs(course.rate))
+    if not found and seconds is not None and not axis.continuous:
+        turned = course.travel(seconds)
+        end = float(joints[course.joint]) + turned
+        if not axis.lowest - SLACK <= end <= axis.highest + SLACK:
+            found.append(
+                Excess(
+                    "travel",
+                    f"spinning turns the {axis.name} axis by {_deg(turned)} deg, spin-up, settling and stopping included, from "
+                    f"{_deg(float(joints[course.joint]))} to {_deg(end)} deg; {limits_in_words(axis)}",
+                )
+            )
+    return found
+
+
+def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
+    """What rocking about `joints` [rad] asks too much of the rings; None where nobody knows where they will stand."""
+    found: list[Excess] = []
+    if len(motion.phases) > len(axes):
+        found.append(Excess("rings", f"{len(motion.phases)} rings are to rock, the table has {len(axes)}"))
+    circular = 2 * math.pi * motion.frequency
+    for index, axis in enumerate(axes[: len(motion.phases)]):
+        found += _beyond(axis, "rocking", motion.amplitude * circular, motion.amplitude * circular**2)
+        if joints is None:
+            continue
+        low, high = float(joints[index]) - motion.amplitude, float(joints[index]) + motion.amplitude
+        if low < axis.lowest - SLACK or high > axis.highest + SLACK:
+            found.append(
+                Excess(
+                    "travel",
+                    f"rocking carries the {axis.name} axis from {_deg(low)} to {_deg(high)} deg; {limits_in_words(axis)}",
+                )
+            )
+    return found
+
+
+def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
+    """What a cycle that begins with the joint at `start` [rad] asks too much of its axis; None where nobody knows where it will stand."""
+    found = _beyond(axis, "turning", motion.rate)
+    low, high = RotationCycle.of(motion, axis.max_acceleration).reach
+    if high - low > axis.highest - axis.lowest + SLACK:
+        there = f"the {axis.name} axis allows {_deg(axis.highest - axis.lowest)} deg"
+        found.append(Excess("travel", f"the cycle turns through {_deg(high - low)} deg; {there}"))
+    elif start is not None and (start + low < axis.lowest - SLACK or start + high > axis.highest + SLACK):
+        reached = f"from {_deg(start + low)} to {_deg(start + high)} deg"
+        found.append(Excess("travel", f"the cycle reaches {reached} of the {axis.name} axis; {limits_in_words(axis)}"))
+    return found
+
+
+def about_one_axis(motion: Motion) -> bool:
+    """Whether it turns the table about one axis, so that one angle describes it."""
+    return not (isinstance(motion, Rock) and len(motion.phases) > 1)
+
+
+def _beyond(axis: TableAxis, what: str, rate: float, acceleration: float = 0.0) -> list[Excess]:
+    """rate: rad/s; acceleration: rad/s^2."""
+    found = []
+    if rate > axis.max_rate * _GRANTED:
+        able = f"the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
+        found.append(Excess("rate", f"{what} needs {_deg(rate)} deg/s; {able}"))
+    if acceleration > axis.max_acceleration * _GRANTED:
+        able = f"the {axis.name} axis gives {_deg(axis.max_acceleration)} deg/s^2"
+        found.append(Excess("acceleration", f"{what} needs {_deg(acceleration)} deg/s^2; {able}"))
+    return found
+
+
+def _deg(radians: float) -> str:
+    return f"{math.degrees(radians):g}"

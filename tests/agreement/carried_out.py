@@ -1,0 +1,65 @@
+"""A plan checked and, where it passes, run in this process as `planrunner run` would: what `check` said and how the run ended."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from planrunner import running
+from planrunner.checking import check_plan
+from planrunner.cli.outcome import code_of
+from planrunner.execution.stopping import StopRequest
+from planrunner.plan.findings import InputError
+
+from .written_plans import Plan
+
+
+@dataclass(frozen=True)
+class Ended:
+    """passed: whether `check` found no error; errors: the codes that it found; code: the exit code of `run`, None where it was not run;
+    told: what `run` said where it did not end with 0 or 1."""
+
+    passed: bool
+    errors: tuple[str, ...]
+    code: int | None = None
+    told: str = ""
+
+    @property
+    def agrees(self) -> bool:
+        return not self.passed or self.code in (0, 1)
+
+
+def written(plan: Plan) -> str:
+    """The text of its file: YAML is a superset of JSON."""
+    return json.dumps(plan, indent=1, ensure_ascii=False)
+
+
+def carried_out(path: Path, runs: Path) -> Ended:
+    """Check the plan at `path` and run it beneath `runs`, whose run folder is removed again."""
+    checked = check_plan(path)
+    errors = tuple(sorted({finding.code for finding in checked.findings.errors}))
+    if not checked.ok:
+        assert errors, "refused without an error"
+        return Ended(False, errors)
+    try:
+        return Ended(True, errors, *_run(path, runs))
+    except Exception:  # a traceback is what must not be
+        return Ended(True, errors, None, traceback.format_exc())
+    finally:
+        shutil.rmtree(runs, ignore_errors=True)
+
+
+def _run(path: Path, runs: Path) -> tuple[int, str]:
+    try:
+        folder, outcome = running.start(
+            check_plan(path).sound(), info={}, runs=runs, stop=StopRequest(), durability="flushed"
+        )
+    except InputError as error:
+        return 2, str(error)
+    if not outcome.ok:
+        return 3, "; ".join(map(str, outcome.failures)) or "; ".join(outcome.unsafe)
+    results = running.analyse_run(folder).results
+    return code_of(results), "; ".join(f"{name}: {text}" for name, text in results.failures.items())
