@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.bench.clock import VirtualClock
@@ -170,7 +170,11 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """The segments that the plan's `diagnosis` means: by their labels, or still spans that are found in them."""
+    """The segments that the plan's `diagnosis` means, in the order of time: by their labels, or still spans that are found in them."""
+    return in_time_order(_meant(recorded))
+
+
+def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
     spec = recorded.sound.plan.diagnosis
     if spec is None:
         return recorded.segments

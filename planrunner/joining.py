@@ -30,7 +30,7 @@ def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
         made = _created(further)
         later = 0.0 if made is None or origin is None else (made - origin).total_seconds()
         end = max(item.statistics.end for item in whole.segments)
-        later = max(later, end - min(0.0, further.segments[0].statistics.start))
+        later = max(later, end - min(0.0, min(item.statistics.start for item in further.segments)))
         segments = tuple(_moved(item, later, f"{run.name}/") for item in further.segments)
         whole = replace(whole, segments=whole.segments + segments)
     return whole

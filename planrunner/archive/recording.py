@@ -89,3 +89,8 @@ class RecordedSegment:
     def in_mode(self) -> float | None:
         """Seconds for which the sensor had been in its mode when the record began; None where nobody has recorded that."""
         return self.readings.get(IN_MODE)
+
+
+def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:
+    """The segments as they followed each other in time, whatever their order in the plan; those without a sample last."""
+    return tuple(sorted(recording, key=lambda item: item.statistics.start if item.statistics.count else math.inf))

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.gap.bins import SQUARED, Averaged, Bins, averaged, bins_of, sizes
 from planrunner.gap.motion import fading, motion_at
 from planrunner.gap.temperature import REFERENCE_TEMPERATURE, changes, settled, temperature_of
@@ -216,7 +216,7 @@ def observed(
     magnetic: Sequence[float] | None = None,
     power_on: float = 0.0,
 ) -> Observed:
-    """The recorded segments of a run as a diagnosis needs them.
+    """The recorded segments of a run as a diagnosis needs them, in the order of time: slow noise and hysteresis know no other.
 
     axes: channel → sensor axis x, y or z; without it the last letter of names such as gyro_x and accel_z, or a part of the name between
     underscores. Angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the
@@ -225,6 +225,7 @@ def observed(
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
+    recording = in_time_order(recording)
     channels = channels_of(recording[0], sensor, axes)
     if not channels:
         raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.gap.bins import bins_of, seen_along, sizes
 from planrunner.gap.observed import Channel, ObservationError, Observed, channels_of, rows_of
 from planrunner.gap.temperature import temperature_of
@@ -60,6 +60,7 @@ def poses(
     nominal: what the simulation fits, by which directions are found. Gyros are left out: at rest in an unknown orientation they show a bias
     and nothing beside it. Raises `ObservationError` without a whole triad of accelerometers, and where the readings lie near no sphere.
     """
+    recording = in_time_order(recording)
     found = [channel for channel in channels_of(recording[0], sensor, axes) if channel.kind == "accel"]
     triad = {channel.axis: channel for channel in found}
     if len(found) != 3 or len(triad) != 3:

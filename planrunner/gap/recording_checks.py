@@ -6,11 +6,12 @@ An error where a diagnosis would say nothing or something false; a warning where
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.gap.observed import Observed, measures_motion
 from planrunner.instruments.models import SensorModel
 from planrunner.plan.findings import Findings, Mark
@@ -47,6 +48,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
         hint = "record at least two states: one alone tells neither nominal parameters nor effects apart"
         log.error("gap-one-segment", mark, held, hint)
         return
+    _check_overlaps(recording, mark, log)
     _check_missing(recording, mark, log)
     _check_length(recording, mark, log)
     _check_clock(recording, sensor.sample_rate, mark, log)
@@ -125,6 +127,18 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
 
 def _means(observed: Observed, values: Array) -> Array:
     return np.array([values[part].mean(axis=0) for part in observed.segments()])
+
+
+def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
+    """Segments that share samples: evidence from them would count twice."""
+    used = [item for item in in_time_order(recording) if item.statistics.count > 1]
+    for before, after in pairwise(used):
+        shared = before.statistics.start + before.statistics.duration - after.statistics.start
+        if shared > before.statistics.period / 2:
+            message = f"'{before.label}' and '{after.label}' share {shared:.4g} s of the recording"
+            hint = "let one end where the other begins, or leave one out of `segments` under `diagnosis`"
+            log.error("gap-overlap", mark, message, hint)
+            return
 
 
 def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
