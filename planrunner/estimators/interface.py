@@ -39,7 +39,8 @@ class EstimationError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One estimated quantity with its standard uncertainty, both in `unit`."""
+    """One estimated quantity with its standard uncertainty, both in `unit`. period: in `unit`, of a circular quantity, such as 360 of a
+    heading in deg: values that differ by it are the same; infinite for all others."""
 
     name: str
     value: float
@@ -47,6 +48,11 @@ class Coefficient:
     standard_uncertainty: float
     degrees_of_freedom: float = math.inf
     description: str = ""
+    period: float = math.inf
+
+    def near(self, place: float) -> float:
+        """The value, of a circular quantity that of its equals which is nearest to a place, in `unit`."""
+        return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,11 +46,14 @@ class LimitVerdict:
 
 
 def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
-    """The verdict on one limit (`plan.model.Limit`). Raises `EstimationError` when its quantity is missing or of another dimension."""
+    """The verdict on one limit (`plan.model.Limit`). A circular coefficient is compared on the turn that is nearest to the middle of two
+    bounds. Raises `EstimationError` when its quantity is missing or of another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
-    decision = decide(coefficient.value, u, freedom, lower, upper, limit.rule, limit.guard_band, limit.coverage)
+    both = math.isfinite(lower) and math.isfinite(upper)
+    value = coefficient.near((lower + upper) / 2) if both else coefficient.value
+    decision = decide(value, u, freedom, lower, upper, limit.rule, limit.guard_band, limit.coverage)
     band = decision.guard_band
     risk = _global(limit, coefficient, (lower, upper), (lower + band, upper - band))
     return LimitVerdict(
@@ -58,7 +61,7 @@ def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
         _in_words(limit),
         limit.rule,
         decision.verdict,
-        coefficient.value,
+        value,
         coefficient.unit,
         u,
         decision.expanded_uncertainty,

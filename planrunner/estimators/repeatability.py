@@ -72,6 +72,13 @@ class Repeats:
     value: Array
     own: Array
     group: NDArray[np.int64]
+    period: float = math.inf
+
+    def on_circle(self, value: float) -> float:
+        """A value from 0 to the period, where there is one."""
+        if math.isinf(self.period):
+            return value
+        return 0.0 if abs(math.remainder(value, self.period)) < 1e-9 * self.period else value % self.period
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,13 +225,26 @@ def _coefficients(request: EstimateRequest, group: NDArray[np.int64]) -> list[Re
         units = {own[name].unit for own in each}
         if len(units) > 1:
             raise EstimationError(f"'{name}' is given in different units ({', '.join(sorted(units))})")
-        values = np.array([own[name].value for own in each])
+        values = together([own[name] for own in each])
         spread = np.array([own[name].standard_uncertainty for own in each])
-        found.append(Repeats(name, units.pop(), tuple(request.uses), values, spread, group))
+        found.append(Repeats(name, units.pop(), tuple(request.uses), values, spread, group, each[0][name].period))
     for one in found:
         if not np.isfinite(one.value).all():
             raise EstimationError(f"'{one.name}' is not a finite number in every estimate")
     return found
+
+
+def together(repeats: Sequence[Coefficient]) -> Array:
+    """The values, (n,); of a circular quantity those of their equals that lie around their circular mean (Mardia and Jupp, Directional
+    Statistics, 2.2)."""
+    period = repeats[0].period
+    if math.isinf(period) or not all(math.isfinite(one.value) for one in repeats):
+        return np.array([one.value for one in repeats])
+    phase = 2 * math.pi / period
+    mean = math.atan2(
+        sum(math.sin(phase * one.value) for one in repeats), sum(math.cos(phase * one.value) for one in repeats)
+    )
+    return np.array([one.near(mean / phase) for one in repeats])
 
 
 def analysis_of_variance(value: Array, group: NDArray[np.int64]) -> Variance:
@@ -295,10 +315,18 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
     s, u = _of_deviation(split.within, split.within_freedom)
     where = "within groups" if math.isfinite(split.between) else "from repeat to repeat"
     found = [
-        Coefficient(f"mean_{name}", split.mean, text, split.mean_uncertainty, split.mean_freedom, f"{name}: mean"),
+        Coefficient(
+            f"mean_{name}",
+            one.on_circle(split.mean),
+            text,
+            split.mean_uncertainty,
+            split.mean_freedom,
+            f"{name}: mean",
+            one.period,
+        ),
         Coefficient(f"s_{name}", s, text, u, split.within_freedom, f"{name}: standard deviation {where}"),
     ]
-    if split.mean:
+    if split.mean and math.isinf(one.period):
         relative = 1e6 / abs(split.mean)
         own = relative * math.hypot(u, s * split.mean_uncertainty / split.mean)
         words = f"{name}: standard deviation {where} over mean"

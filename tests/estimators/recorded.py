@@ -51,7 +51,7 @@ def from_means(
     error = np.broadcast_to(np.asarray(standard_error, dtype=float), mean.shape).copy()
     covariance = np.diag(error**2 * count)
     seconds = planned.dwell or 1.0
-    period = seconds / count
+    period = seconds / max(count, 1)
     last = start + seconds - period
     statistics = Statistics(tuple(means), count, 0, mean, mean, mean, covariance, error, batches, start, last, period)
 

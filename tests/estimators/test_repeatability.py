@@ -197,3 +197,18 @@ def test_a_plan_without_repeats_is_refused_before_the_run() -> None:
     )
     with pytest.raises(EstimationError, match="one segment cannot show"):
         Repeatability().design(request)
+
+
+def test_angles_on_either_side_of_zero_are_near_each_other() -> None:
+    """359.9 and 0.1 deg: mean 0, standard deviation 0.2/√2."""
+    each = [
+        Estimate("n", "e", (Coefficient("heading", value, "deg", 0.05, period=360.0),), np.eye(1))
+        for value in (359.9, 0.1)
+    ]
+    parameters = RepeatabilityParameters()
+    request = EstimateRequest("r", (), parameters, SITE, sensor("gyro"), {"a": each[0], "b": each[1]})
+    found = {item.name: item for item in Repeatability().estimate(request).coefficients}
+    assert found["mean_heading"].value == pytest.approx(0.0, abs=1e-9)
+    assert found["mean_heading"].period == 360.0
+    assert found["s_heading"].value == pytest.approx(0.2 / np.sqrt(2))
+    assert "repeatability_heading" not in found

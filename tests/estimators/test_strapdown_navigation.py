@@ -13,6 +13,7 @@ from standing_unit import DEG_H, RATE, SITE, recorded, request, samples, sensor
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation, StrapdownNavigationParameters
+from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Cycle, Move
 from planrunner.uncertainty.influences import InputQuantity, Inputs
@@ -351,3 +352,24 @@ def test_doubtful_plans_are_remarked() -> None:
     codes = {remark.code for remark in StrapdownNavigation().design(short).remarks}
     assert codes == {"physics-navigation-short", "physics-navigation-rate"}
     assert not any(remark.error for remark in StrapdownNavigation().design(short).remarks)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("noise", [0.0, 1e-9])
+def test_data_without_noise_are_aligned_with_the_uncertainty_that_their_errors_leave(
+    noise: float, turned: bool
+) -> None:
+    """Nothing moved: gyros with constant errors of 0.05 deg/h and no noise, and an alignment contiguous with the navigation."""
+    cycle = Cycle({"A": 0.0, "C": np.pi}, (Move("A", np.pi, "C"), Move("C", -np.pi, "A")), np.radians(10), 90.0)
+    course = RotationCycle.of(cycle, math.inf)
+    seconds = 8 * course.period if turned else 1800
+    angle = course.angle(np.arange(round(seconds * RATE) + 1) / RATE) if turned else 0.0
+    errors = (0.05, 0.05, 0.05, 50, 30, 10)
+    stop = recorded("align", samples(seconds, angle=angle, errors=errors, noise=noise), 0.0)
+    if turned:
+        stop = replace(stop, segment=replace(stop.segment, motion=cycle, dwell=None))
+    run = recorded("navigate", samples(900, errors=errors, noise=noise, seed=1), float(seconds))
+    found = StrapdownNavigation().estimate(request(stop, run))
+    off = (found["heading"].value + 180) % 360 - 180
+    assert abs(off) < 3 * found["heading"].standard_uncertainty + 1e-3
+    assert found["heading"].standard_uncertainty < 1.0

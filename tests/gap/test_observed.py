@@ -117,3 +117,11 @@ def test_segments_of_one_setpoint_share_a_temperature_that_the_thermometer_does_
         settled(recording, parts, known)
         found = [float(part["temperature"][0]) for part in parts]
         assert found == pytest.approx([30.001, 30.003, last] if expected is None else [expected] * 3)
+
+
+def test_segments_stand_in_the_order_of_time() -> None:
+    recording = [_segment(0, Rest()), _segment(1, Spin(9 * DEG)), _segment(2, Rest())]
+    found, planned_otherwise = (observed(each, SITE, SENSOR) for each in (recording, recording[::-1]))
+    assert planned_otherwise.labels == found.labels == ("P0", "P1", "P2")
+    assert np.array_equal(planned_otherwise.time, found.time)
+    assert np.array_equal(planned_otherwise.bounds, found.bounds)

@@ -69,13 +69,20 @@ def align(
     start = coarse(mean[:3], mean[3:])
     turned = not isinstance(recorded.segment.motion, Rest)
     density = to_navigation(start, white**2)
+    # Where noise is far smaller than the gyros' constant errors (simulated data, quiet sensors), a filter that believes in the noise alone
+    # stops to follow them. A second one takes the errors that the gyros show for a random walk that grows as far meanwhile.
+    shown = density.copy()
+    shown[:3, :3] += _rate_error(mean, site) ** 2 * seconds * np.eye(3)
     every = max(1, round(1 / reader.interval))
-    fine = FineAlignment(
-        ErrorEquations.at(site),
-        levelled_out(density) if turned else density,
-        every * reader.interval,
-        constant if turned else None,
-    )
+    filters = [
+        FineAlignment(
+            ErrorEquations.at(site),
+            levelled_out(each) if turned else each,
+            every * reader.interval,
+            constant if turned else None,
+        )
+        for each in (density, shown)
+    ]
     navigator = Navigator(
         attitude.quaternion(start),
         np.zeros(3),
@@ -89,9 +96,14 @@ def align(
         knots = navigator.advance(piece.values, piece.interval)
         rotations = np.concatenate([before, attitude.matrix(knots.attitude)])
         turns = attitude.turned_about_up(rotations[:-1], rotations[1:]) / (every * reader.interval)
-        fine.take(knots.velocity[:, :2], (rotations[1:] + rotations[:-1]) / 2, turns)
+        for fine in filters:
+            fine.take(knots.velocity[:, :2], (rotations[1:] + rotations[:-1]) / 2, turns)
         before = rotations[-1:]
-    found, warnings = _judged(recorded.label, fine.finish(navigator.rotation), seconds)
+    by_noise, by_errors = (fine.finish(navigator.rotation) for fine in filters)
+    lost = by_noise.largest > _MOVED >= by_errors.largest
+    found, warnings = _judged(recorded.label, by_errors if lost else by_noise, seconds)
+    if lost:
+        warnings += (_quiet(recorded.label, mean, site),)
     density = to_navigation(found.rotation, white**2)
     return Aligned(found, navigator.last, density, white, seconds, turned, warnings)
 
@@ -102,16 +114,16 @@ def stillness(segment: Segment, seconds: float) -> float:
     return min(first, seconds, _COARSE)
 
 
-def end_attitude(segment: Segment, table: TableModel | None) -> Array | None:
-    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None where it is not known."""
+def end_attitude(segment: Segment, table: TableModel | None, seconds: float | None = None) -> Array | None:
+    """The planned attitude at the end of a segment (3, 3), rows are the sensor's axes; None where it is not known. seconds: how long it was
+    recorded; it dwells as planned without that."""
     if segment.attitude is None or not isinstance(segment.motion, Cycle):
         return segment.attitude if isinstance(segment.motion, Rest) else None
-    if segment.dwell is None:
+    dwell = segment.dwell if seconds is None else seconds
+    if dwell is None:
         return None
     upright = [axis.max_acceleration for axis in table.axes if abs(axis.direction[2]) > 1 - 1e-9] if table else []
-    angle = float(
-        RotationCycle.of(segment.motion, upright[0] if upright else math.inf).angle(np.array([segment.dwell]))[0]
-    )
+    angle = float(RotationCycle.of(segment.motion, upright[0] if upright else math.inf).angle(np.array([dwell]))[0])
     turned = rotation_about((0.0, 0.0, 1.0), angle)
     return np.asarray(segment.attitude @ turned.T)
 
@@ -190,6 +202,28 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
         raise EstimationError(f"segment '{label}': the carrier moves with up to {speed:.3g} m/s: align during a stop")
 
 
+def _rate_error(mean: Array, site: Site) -> float:
+    """How far the mean rate at rest, its horizontal and its upward part, lies from the Earth's, rad/s. mean: (6,), rad/s and m/s²."""
+    found, earth = _rates(mean, site)
+    return float(np.linalg.norm(found - earth))
+
+
+def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
+    """Horizontal and upward part of the mean rate, (2,), and of the Earth's, rad/s."""
+    rate = float(np.linalg.norm(mean[:3]))
+    up = float(mean[:3] @ mean[3:]) / float(np.linalg.norm(mean[3:]))
+    earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])
+    return np.array([math.sqrt(max(0.0, rate * rate - up * up)), up]), earth
+
+
+def _quiet(label: str, mean: Array, site: Site) -> str:
+    shown = math.degrees(_rate_error(mean, site)) * 3600
+    return (
+        f"During '{label}' noise is far smaller than what the gyros show against the Earth's rate, {shown:.3g} deg/h; the alignment takes "
+        "this for their uncertainty."
+    )
+
+
 def _check_at_rest(label: str, mean: Array, site: Site) -> None:
     """mean: (6,), rad/s and m/s², at the first stop."""
     if not np.isfinite(mean).all():
@@ -200,11 +234,8 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
             f"segment '{label}': the mean specific force is {force:.5g} m/s^2 where gravity is {site.gravity:.5g}: check the "
             "accelerometers' units and order, and that the unit is at rest"
         )
-    rate = float(np.linalg.norm(mean[:3]))
-    up = float(mean[:3] @ mean[3:]) / force
-    found = np.array([math.sqrt(max(0.0, rate * rate - up * up)), up])
-    earth = site.earth_rate * np.array([math.cos(site.latitude), math.sin(site.latitude)])
-    if float(np.linalg.norm(found - earth)) > _EARTH_TOLERANCE * site.earth_rate:
+    if _rate_error(mean, site) > _EARTH_TOLERANCE * site.earth_rate:
+        found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
         raise EstimationError(
             f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, the Earth turns with "
@@ -231,6 +262,6 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
     if heading > _HEADING_LIMIT:
         raise EstimationError(
             f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg (standard uncertainty): "
-            "align longer, or use gyros with less noise"
+            "align longer, or use gyros with less noise and smaller errors"
         )
     return replace(found, covariance=covariance), tuple(warnings)

@@ -26,7 +26,7 @@ from planrunner.estimators.strapdown.alignment import (
 )
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigationParameters, parts
-from planrunner.estimators.strapdown.uncertainty import NAMES, SCHULER_PERIOD
+from planrunner.estimators.strapdown.uncertainty import NAMES, PERIODS, SCHULER_PERIOD
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import FineAlignment
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
@@ -89,8 +89,16 @@ def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
 def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> list[Remark]:
     found = []
     first = moving[0]
+    ends = end_attitude(stop, request.setup.table)
     known = stop.attitude is not None and first.attitude is not None
-    if known and not same_attitude(end_attitude(stop, request.setup.table), first.attitude):
+    if known and ends is None and isinstance(stop.motion, Cycle):
+        message = (
+            f"'{stop.label}' dwells as long as it was recorded, so where its cycle ends is not known; '{first.label}' can only "
+            "follow it where the two have no pause between them, or where whole cycles were recorded"
+        )
+        hint = f"write how long '{stop.label}' was recorded, such as `dwell: {{cycles: 2}}` or `dwell: 10 min`"
+        found.append(Remark("physics-navigation-gap", message, hint))
+    elif known and not same_attitude(ends, first.attitude):
         message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment does not hold for it"
         found.append(
             Remark(
@@ -242,6 +250,6 @@ def _coefficients(rotation: Array, angles: Array, covariances: Array) -> tuple[C
     nominal = dict(zip(("heading", "pitch", "roll"), np.degrees(attitude.angles(rotation)).tolist(), strict=True))
     nominal["cep_rate"] = rate * CEP_SHARE
     return tuple(
-        Coefficient(name, nominal.get(name, 0.0), text, u, description=words)
+        Coefficient(name, nominal.get(name, 0.0), text, u, description=words, period=PERIODS.get(name, math.inf))
         for (name, (text, words)), u in zip(NAMES.items(), expected, strict=True)
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Table
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.estimators.strapdown.strapdown_navigation import Navigated, StrapdownNavigationParameters
-from planrunner.estimators.strapdown.uncertainty import DEGREE, NAMES, RATE, SCHULER_PERIOD, Spread, influences
+from planrunner.estimators.strapdown.uncertainty import DEGREE, NAMES, PERIODS, RATE, SCHULER_PERIOD, Spread, influences
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations
 from planrunner.plan.schedule import Rest
@@ -77,7 +77,7 @@ def _coefficients(found: Navigated, spread: Spread) -> tuple[Coefficient, ...]:
     )
     uncertainties = np.sqrt(np.diag(spread.covariance)).tolist()
     return tuple(
-        Coefficient(name, value, unit, u, description=words)
+        Coefficient(name, value, unit, u, description=words, period=PERIODS.get(name, math.inf))
         for (name, (unit, words)), value, u in zip(NAMES.items(), values, uncertainties, strict=True)
     )
 

@@ -217,7 +217,9 @@ def _gap(
     between = f"{gap:.4g} s lie between '{stop.label}' and '{first.label}'"
     if max(map(reference_speed, (stop, *moving))) > STILL:
         raise EstimationError(f"{between}, in which the carrier may have turned: record the two without a pause")
-    if stop.truncated or not same_attitude(end_attitude(stop.segment, request.setup.table), first.segment.attitude):
+    if stop.truncated or not same_attitude(
+        end_attitude(stop.segment, request.setup.table, stop.statistics.duration), first.segment.attitude
+    ):
         raise EstimationError(
             f"{between}, and '{first.label}' does not begin in the orientation in which '{stop.label}' ends: align in the orientation "
             "in which navigation begins, or record the two without a pause"

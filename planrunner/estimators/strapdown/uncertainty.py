@@ -24,6 +24,8 @@ from planrunner.uncertainty.influences import Influence, InputQuantity
 Array = NDArray[np.float64]
 
 SCHULER_PERIOD = 5064.0  # s, 84.4 min
+PERIODS = {"heading": 360.0, "roll": 360.0}
+"""Of those that are circular, in their units; pitch goes from -90 to 90 deg only."""
 NAMES = {
     "heading": ("deg", "Azimuth of the unit's y axis after alignment, from true north towards east"),
     "pitch": ("deg", "Elevation of the unit's y axis after alignment"),

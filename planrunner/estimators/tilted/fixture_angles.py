@@ -249,6 +249,7 @@ def _shown(
             float(u),
             float(dof),
             f"{axes.names[k]}: {description}",
+            360.0 if word == "azimuth" else math.inf,
         )
         for word, value, own, u, dof, description in zip(
             ("K", "angle", "azimuth"), shape.values * scale, units, spread, freedom, _WORDS, strict=False
