@@ -1,16 +1,16 @@
 """Ending a command by a signal, from its first import to its last line: a short line on standard error and exit code 130, never a
 traceback.
 
-Ctrl-C, SIGTERM and a closed terminal raise `KeyboardInterrupt`, so that what is being written is left whole; during a run the executor
+Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that what is being written is left whole; during a run the executor
 listens itself (`execution.stopping`). While modules are imported, or objects are released, Python may print such an exception and go on
-as if nothing had happened, and libraries may turn it into another: the first is raised again, the second is known by `reason`. This
-module imports next to nothing, so that it can be in place before the rest is imported.
+as if nothing had happened, and libraries may turn it into another: the first is raised again, the second is known by `reason`.
 """
 
 from __future__ import annotations
 
 import _thread
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -28,6 +28,11 @@ AGAIN_AFTER = 0.01
 """Seconds after which an interruption that Python let go of is raised again."""
 
 
+class EndedError(KeyboardInterrupt):
+    """A signal ended the command. A kind of its own: after a bare `KeyboardInterrupt` within `exec`, which makes dataclasses, Python ends
+    the process by SIGINT, whatever exit code it was given."""
+
+
 class Interruption:
     """As a context manager it listens to the signals that end a command, where it is entered in the main thread; signals that are ignored
     on purpose, as by `nohup`, stay so. reason: what was heard, in words; empty before."""
@@ -35,6 +40,8 @@ class Interruption:
     def __init__(self) -> None:
         self.reason = ""
         self._heard = signal.SIGINT
+        self._raised = 0
+        self._listening = self._within_hook = False
         self._restore: dict[int, Any] = {}
         self._hook = sys.unraisablehook
 
@@ -44,11 +51,13 @@ class Interruption:
                 if signal.getsignal(number) != signal.SIG_IGN:
                     self._restore[number] = signal.signal(number, self._hear)
             self._hook, sys.unraisablehook = sys.unraisablehook, self._raise_again
+            self._listening = True
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._listening = False
         if sys.unraisablehook == self._raise_again:
             sys.unraisablehook = self._hook
         for number, handler in self._restore.items():
@@ -64,27 +73,37 @@ class Interruption:
     def _hear(self, number: int, frame: FrameType | None) -> None:
         self._heard = signal.Signals(number)
         self.reason = "interrupted" if number == signal.SIGINT else f"ended by {self._heard.name}"
-        raise KeyboardInterrupt
+        if not self._within_hook:  # where it would be lost again
+            self._raised += 1
+            raise EndedError
 
     def _raise_again(self, lost: UnraisableHookArgs, /) -> None:
         if not isinstance(lost.exc_value, KeyboardInterrupt):
             self._hook(lost)
             return
-        threading.Thread(target=self._interrupt, daemon=True).start()
+        self._within_hook = True
+        try:
+            threading.Thread(target=self._interrupt, args=(self._raised,), daemon=True).start()
+        finally:
+            self._within_hook = False
 
-    def _interrupt(self) -> None:
-        time.sleep(AGAIN_AFTER)
-        if sys.platform == "win32":
-            _thread.interrupt_main(self._heard)
-        else:  # a wait of the main thread ends at a signal alone
-            signal.pthread_kill(_main_thread(), self._heard)
+    def _interrupt(self, raised: int) -> None:
+        """Until it is raised once more than it was."""
+        while True:
+            time.sleep(AGAIN_AFTER)
+            if self._raised > raised or not self._listening:
+                return
+            if sys.platform == "win32":
+                _thread.interrupt_main(self._heard)
+            else:  # a wait of the main thread ends at a signal alone
+                signal.pthread_kill(_main_thread(), self._heard)
 
 
-def leave_to_the_system() -> None:
-    """The command is over: a signal that comes while the interpreter ends does what it does to any program, without a traceback."""
+def leave_with(code: int) -> None:
+    """The command is over: a signal that comes while the interpreter ends makes it end at once, with the command's exit code."""
     for number in _ending():
         if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, lambda number, frame: os._exit(code))
 
 
 def be_deaf() -> None:

@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SEND = "import os, signal\nos.kill(os.getpid(), signal.SIGNAL)\n"
 IMPORTS = {
     "plain": SEND,
+    "within exec, as where dataclasses are made": "import os, signal\nexec('os.kill(os.getpid(), signal.SIGNAL)')\n",
     "turned into another error": "try:\n    import os, signal\n    os.kill(os.getpid(), signal.SIGNAL)\n    [0 for _ in range(9)]\n"
     "except BaseException as error:\n    raise ImportError('yaml is broken') from error\n",
     "let go of": "import os, signal, time\nclass Released:\n    def __del__(self):\n        os.kill(os.getpid(), signal.SIGNAL)\n"
@@ -37,6 +38,25 @@ def test_while_modules_are_imported(tmp_path: Path, how: str, name: str, said: s
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert (run.returncode, run.stdout, run.stderr) == (130, "", said)
+
+
+def test_while_the_interpreter_ends(tmp_path: Path) -> None:
+    """The command's own exit code stands."""
+    code = (
+        "import atexit, os, signal, sys; from planrunner.__main__ import main; sys.argv[1:] = ['export', 'nowhere'];"
+        "atexit.register(lambda: (os.kill(os.getpid(), signal.SIGTERM), [0 for _ in range(9)])); sys.exit(main())"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == 2 and "Traceback" not in run.stderr
+
+
+def test_before_anything_is_imported(tmp_path: Path) -> None:
+    """Not even the module that listens from then on."""
+    (tmp_path / "threading.py").write_text(IMPORTS["plain"].replace("SIGNAL", "SIGINT"), encoding="utf-8")
+    command = [sys.executable, "-c", "from planrunner.__main__ import main; main()"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "interrupted\n")
 
 
 @pytest.mark.parametrize(("name", "said"), [("SIGINT", "interrupted\n"), ("SIGTERM", "ended by SIGTERM\n")])
