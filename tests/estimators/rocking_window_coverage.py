@@ -68,8 +68,9 @@ def campaign(count: int, seed: int = 1, told_after: int = 0) -> dict[str, tuple[
             runs = [run for quadruple in four_by_four for run in quadruple.runs]
             force, turn = windows(state, np.array([run.dynamic for run in runs]), draw)
             made = [
-                ReducedRun(run, *(Window(MIDDLES[[k]], force[i, [k]], turn[i, [k]]) for k in (0, 1)), False)
+                ReducedRun(run, first, second, before=None, lead=None)
                 for i, run in enumerate(runs)
+                for first, second in [[Window(MIDDLES[[k]], force[i, [k]], turn[i, [k]]) for k in (0, 1)]]
             ]
             drifts = np.array([drifts_of(run, CONDITIONS) for run in made]).reshape(REPEATS, 4, 4)
             states.append(StateDrifts(state, runs[0].state.level, four_by_four, drifts))
