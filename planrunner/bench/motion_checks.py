@@ -154,7 +154,7 @@ def _whole_turns(
     earth = models.site.earth_rate_enu
     across = float(np.linalg.norm(earth - about * (earth @ about)))
     cosines = np.abs(input_axes @ about)
-    leftover = across * abs(math.sin(math.pi * turns)) / (math.pi * turns)
+    leftover = across * mean_left(turns)
     worst = max(
         (leftover * math.sqrt(max(0.0, 1 - c * c)) / (abs(motion.rate) * c) for c in cosines if c > 0.05),
         default=0.0,
@@ -163,6 +163,14 @@ def _whole_turns(
         share = f"up to {worst * 1e6:.0f} ppm of the rate that a tilted axis sees"
         message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave Earth rate in the mean: {share}"
         log.warning("physics-whole-turns", mark, message, "write dwell: {turns: 1, at_least: …}")
+
+
+def mean_left(turns: float) -> float:
+    """The largest mean that a sine wave of amplitude one can have over so many turns, whatever the angle at which it begins.
+
+    (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN): at most |sin πN|/(πN), nothing after whole turns.
+    """
+    return abs(math.sin(math.pi * turns)) / (math.pi * turns)
 
 
 def _rock(

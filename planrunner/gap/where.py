@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,13 +43,16 @@ _LIVES = {
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A part of the recording. share: of all energy above the noise, at most 1. p: adjusted for the number of places."""
+    """A part of the recording. share: of all energy above the noise. Every factor cuts all of it anew: the shares of the levels of one
+    factor, over all channels, add up to 1 at most, those of several factors overlap. of: noise where the share is of the channel's
+    noise instead, as of what lies outside the basis. p: adjusted for the number of places."""
 
     channel: str
     factor: str
     level: str
     share: float
     p: float
+    of: Literal["gap", "noise"] = "gap"
 
 
 def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
@@ -104,7 +108,7 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
         channel
     ] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))
-    return Place(declared.name, "band", "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p)
+    return Place(declared.name, "band", "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
@@ -119,8 +123,10 @@ def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
     score = (energy - mean) / spread
     highest = ((noise - mean) / spread).reshape(len(noise), -1).max(1)
     excess = np.maximum(energy - mean, 0.0)
-    total = max(float((data**2).sum() - mean[:1].sum()), float(excess.max()), 1e-300)
+    whole = float((data**2).sum() - mean[:1].sum())
+    factors = np.array([factor for factor, _, _ in listed])
     for row, (factor, level, _) in enumerate(listed):
+        total = max(whole, float(excess[factors == factor].sum()), 1e-300)
         for c, name in enumerate(channels):
             p = (1 + np.count_nonzero(highest >= score[row, c])) / (1 + len(highest))
             yield Place(name, factor, level, float(excess[row, c] / total), float(p)), float(score[row, c])

@@ -28,6 +28,7 @@ FOOTER = (
     "Probabilities rest on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot tell apart are named together."
 )
+WHERE = "Where: each factor cuts the same gap anew, so that shares add up within one factor and not across factors"
 Data = Mapping[str, Any]
 
 
@@ -108,16 +109,15 @@ def _remainder(residue: str | None, named: list[str]) -> str:
 
 
 def closure_words(found: Data) -> str:
-    """How far the gap shrinks, in one sentence; not resolvable where the data cannot say."""
+    """How far the gap shrinks or grows, in one sentence; not resolvable where the data cannot say."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
         return "There is nothing to close."
     if not closure["resolvable"] or closure["shrinks_by"] is None:
         return "How far the gap of withheld segments shrinks is not resolvable with this recording."
-    text = f"The gap of withheld segments shrinks by {_percent(closure['shrinks_by'])}"
+    text = f"The gap of withheld segments {_change(closure['shrinks_by'])}"
     if closure["interval_90"] is not None:
-        low, high = closure["interval_90"]
-        text += f" (90 % interval {_percent(low)} to {_percent(high)})"
+        text += f" (90 % interval {_interval(*closure['interval_90'])})"
     if closure["before"] is not None and closure["after"] is not None:
         text += f", from {closure['before']:.3g} to {closure['after']:.3g} standard deviations of the noise"
     return text + "."
@@ -180,11 +180,17 @@ def _gap(found: Data) -> Table:
 
 def _where(found: Data) -> Table:
     rows = tuple(
-        (one["channel"], _spaced(one["factor"]), _plain(one["level"]), _percent(one["share"]), _p(one["p"]))
+        (
+            one["channel"],
+            _spaced(one["factor"]),
+            _plain(one["level"]),
+            f"{_percent(one['share'])} of the noise" if one.get("of") == "noise" else _percent(one["share"]),
+            _p(one["p"]),
+        )
         for one in found["where"][:MOST_PLACES]
         if one["p"] < CONSPICUOUS
     )
-    return Table("Where", ("Channel", "factor", "level", "share of the gap", "p"), rows)
+    return Table(WHERE, ("Channel", "factor", "level", "share of the gap", "p"), rows)
 
 
 def _hypotheses(found: Data) -> Table:
@@ -232,6 +238,19 @@ def _percent(share: float | None) -> str:
     if abs(share) < 0.1:
         return f"{100 * share:.2g} %"
     return f"{100 * share:.0f} %" if share < 0.985 else f"{100 * share:.1f} %"
+
+
+def _change(shrinks_by: float) -> str:
+    return f"shrinks by {_percent(shrinks_by)}" if shrinks_by >= 0 else f"grows by {_percent(-shrinks_by)}"
+
+
+def _interval(low: float, high: float) -> str:
+    """Of a gap that shrinks, or one that grows, the smaller figure first; in words where it may do either."""
+    if low >= 0:
+        return f"{_percent(low)} to {_percent(high)}"
+    if high <= 0:
+        return f"{_percent(-high)} to {_percent(-low)}"
+    return f"it {_change(low)} to it {_change(high)}"
 
 
 def _p(p: float) -> str:

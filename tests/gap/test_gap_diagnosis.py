@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -49,6 +50,18 @@ def test_nothing_is_found_in_noise() -> None:
     assert not found.closure.resolvable
     assert min(place.p for place in found.where) > 0.01
     assert found.absorbed["table_rate_error"] < 1e-6
+
+
+@pytest.mark.parametrize("fault", [None, _unbalance, _offsets])
+def test_shares_add_up_within_a_factor_and_cut_the_same_gap_anew_across_factors(fault: Callable[..., object]) -> None:
+    by_factor: dict[str, float] = {}
+    for place, _ in levels(Weighing(record(seed=12, fault=fault))):
+        assert place.of == "gap"
+        by_factor[place.factor] = by_factor.get(place.factor, 0.0) + place.share
+    assert len(by_factor) > 3
+    assert all(0 <= total <= 1 + 1e-9 for total in by_factor.values()), by_factor
+    if fault is not None:
+        assert sum(by_factor.values()) > 1.5, "which is why they are not added across factors"
 
 
 def test_one_effect_is_named_measured_and_closed() -> None:

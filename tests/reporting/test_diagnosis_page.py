@@ -127,6 +127,15 @@ def test_the_closure_with_its_interval_or_not_resolvable():
     assert closure_words(diagnosis()) == (
         "The gap of withheld segments shrinks by 96 % (90 % interval 94 % to 98 %), from 5.21 to 0.21 standard deviations of the noise."
     )
+    for low, middle, high, text in (
+        (-0.30, -0.21, -0.12, "grows by 21 % (90 % interval 12 % to 30 %)"),
+        (-0.03, 0.05, 0.12, "shrinks by 5 % (90 % interval it grows by 3 % to it shrinks by 12 %)"),
+        (-0.2, -0.0004, 0.2, "grows by < 0.1 % (90 % interval it grows by 20 % to it shrinks by 20 %)"),
+    ):
+        made = {"before": 1.0, "after": 1.2, "shrinks_by": middle, "interval_90": [low, high], "resolvable": True}
+        said = closure_words(diagnosis(closure=made))
+        assert text in said
+        assert "-" not in said
     cannot = {"before": None, "after": None, "shrinks_by": None, "interval_90": None, "resolvable": False}
     assert "not resolvable" in closure_words(diagnosis(closure=cannot))
     assert closure_words(diagnosis("none")) == "There is nothing to close."
