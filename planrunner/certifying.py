@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from datetime import UTC, date, datetime
-from pathlib import Path
 from typing import Any
 
+from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
 from planrunner.bench.references import Reference, references
@@ -180,11 +179,13 @@ def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Fin
 def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
     """7.8.8: a certificate that was issued is replaced by one of its own number that says which it replaces, and why."""
     told = shown.told
-    earlier = [folder for folder in reader.analyses() if any(is_certificate(path.name) for path in folder.iterdir())]
-    numbers = [_number_of(folder) for folder in earlier]
+    earlier = [one for one in reader.analyses if any(map(is_certificate, one.files))]
+    numbers = [_number_of(one) for one in earlier]
     amends, own = told.get("amends"), told.get("certificate_number")
     if earlier and not amends:
-        message = f"a certificate of this run was issued already, in analysis {', '.join(one.name for one in earlier)}"
+        message = (
+            f"a certificate of this run was issued already, in analysis {', '.join(str(one.number) for one in earlier)}"
+        )
         hint = "for another one give amends (its number), amendment_reason and a new certificate_number"
         log.error("report-certificate-amendment", mark, message, hint)
     elif amends and not told.get("amendment_reason"):
@@ -206,12 +207,12 @@ def issued_as(shown: CertificateFacts) -> dict[str, Any]:
     return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}
 
 
-def _number_of(analysis: Path) -> str | None:
-    """The number of the certificate that was issued with an analysis; None where that was not kept."""
-    try:
-        return str(json.loads((analysis / ISSUED).read_text(encoding="utf-8"))["certificate_number"])
-    except (OSError, ValueError, KeyError, TypeError):
+def _number_of(analysis: StoredAnalysis) -> str | None:
+    """The number of the certificate that was issued with an analysis; None where that was not kept. Raises `IntegrityError`."""
+    if ISSUED not in analysis.files:
         return None
+    number = analysis.read_json(ISSUED, "issued", "planrunner_issued", 1).get("certificate_number")
+    return None if number is None else str(number)
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:

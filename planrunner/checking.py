@@ -17,7 +17,7 @@ from statistics import NormalDist
 
 from planrunner.bench.calibration import check_validity
 from planrunner.bench.inputs import check_backed, stated_inputs
-from planrunner.bench.model import Bench, BenchModels, models, read_bench
+from planrunner.bench.model import Bench, BenchModels, bench_of, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.certificates import check_certificate
 from planrunner.design.identifiability import Identifiability, identify
@@ -117,17 +117,38 @@ class Sound:
     bench_bytes: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class BenchFile:
+    """The bytes of a bench file, and its name in messages."""
+
+    data: bytes
+    shown: str
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A plan and a bench that were read, and verified, before."""
+
+    plan: bytes
+    bench: BenchFile
+
+
 def check_plan(
-    path: Path, bench: str | None = None, bench_path: Path | None = None, today: date | None = None
+    path: Path,
+    bench: str | None = None,
+    bench_path: Path | None = None,
+    today: date | None = None,
+    given: Given | None = None,
 ) -> Checked:
     """Everything that can be said of a plan before it runs. Never raises for what the files hold.
 
     bench: use this bench instead of the plan's own (a shipped name or a file relative to the working folder); bench_path: use exactly
-    this file. today: the day that calibrations must hold on, the present one without it.
+    this file. today: the day that calibrations must hold on, the present one without it. given: what both files hold, which are then not
+    read; `path` is for messages alone.
     """
     checked = Checked(str(path), Findings())
     try:
-        checked.plan_bytes = source.read_bytes(path)
+        checked.plan_bytes = source.read_bytes(path) if given is None else given.plan
         text = source.decode(checked.plan_bytes, str(path))
     except InputError as error:
         checked.findings = Findings(list(error.findings))
@@ -140,8 +161,8 @@ def check_plan(
     stated = expand(plan, log)
     reports = report_names()
     check_meaning(plan, stated, reports, log)
-    if _find_bench(checked, plan, path, bench, bench_path):
-        named = plan.origin.parts("bench") if bench is None and bench_path is None else ()
+    if _find_bench(checked, plan, path, bench, bench_path, given):
+        named = plan.origin.parts("bench") if bench is None and bench_path is None and given is None else ()
         with log.resting_on(*named):
             _check_physics(checked, plan, stated)
         if checked.bench is not None:
@@ -160,9 +181,14 @@ def report_names() -> tuple[str, ...]:
     return tuple(name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis.")))
 
 
-def _find_bench(checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None) -> bool:
+def _find_bench(
+    checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None, given: Given | None
+) -> bool:
     try:
-        if bench_path is not None:
+        if given is not None:
+            file = given.bench
+            found = bench_of(file.data, file.shown), file.data, file.shown
+        elif bench_path is not None:
             found = read_bench(str(bench_path), None)
         elif bench is not None:
             found = read_bench(bench, Path())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from planrunner.instruments.interfaces import Block, InstrumentError, UnservedEr
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
 from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
-from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.plan.model import Plan
 from planrunner.plan.selection import Detection, select
 from planrunner.plan.span import Span
@@ -41,12 +41,14 @@ DIAGNOSIS_FORMAT = 1
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """A recording beside the plan that it was made by. where: the run folder or the file, for messages; bench: name or file of the bench,
-    as another plan would have it."""
+    as another plan would have it. created: when a run was begun; remarks: what is to be known of its folder."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
     where: str
     bench: str = ""
+    created: datetime | None = None
+    remarks: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,10 +224,12 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
 def recorded_run(run: Path) -> Recorded:
     """A run folder. Raises `InputError` and `IntegrityError`."""
-    sound = sound_run(run)
+    reader = RunReader.open(run)
+    sound = sound_run(reader)
     known = [name for name, path in shipped_benches().items() if path.read_bytes() == sound.bench_bytes]
     bench = known[0] if known else str((run / "bench.yaml").resolve())
-    return Recorded(sound, RunReader.open(run).recording(sound.schedule), str(run), bench)
+    created = datetime.fromisoformat(reader.run["created"])
+    return Recorded(sound, reader.recording(sound.schedule), str(run), bench, created, reader.findings)
 
 
 def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path | None = None) -> Recorded:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.archive.run_reader import RunReader
 from planrunner.diagnosing import Recorded, recorded_run
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.findings import InputError, Mark
@@ -21,24 +19,19 @@ def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
     Times go on: a later run begins as much later as the run folders say, but not before the end of the one before it. Raises
     `InputError` where a run has other channels, and for what stands against reading it.
     """
-    whole, origin = first, _created(first)
+    whole, origin = first, first.created
     for run in runs:
         further = recorded_run(run)
         if dict(further.segments[0].units) != dict(first.segments[0].units):
             message = "its channels are not those of the recording that it is to follow"
             raise InputError.at(Mark(str(run)), "gap-other-sensor", message, "join runs of one sensor on one bench")
-        made = _created(further)
+        made = further.created
         later = 0.0 if made is None or origin is None else (made - origin).total_seconds()
         end = max(item.statistics.end for item in whole.segments)
         later = max(later, end - min(0.0, min(item.statistics.start for item in further.segments)))
         segments = tuple(_moved(item, later, f"{run.name}/") for item in further.segments)
-        whole = replace(whole, segments=whole.segments + segments)
+        whole = replace(whole, segments=whole.segments + segments, remarks=whole.remarks + further.remarks)
     return whole
-
-
-def _created(recorded: Recorded) -> datetime | None:
-    where = Path(recorded.where)
-    return datetime.fromisoformat(RunReader.open(where).run["created"]) if where.is_dir() else None
 
 
 def _moved(item: RecordedSegment, seconds: float, before: str) -> RecordedSegment:

@@ -10,29 +10,34 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
+from typing import Any
 
-from planrunner.archive.analyses import add_analysis
-from planrunner.archive.formats import to_bytes
+from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.formats import from_bytes, to_bytes
+from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.lock import FolderLock
+from planrunner.archive.origin import OriginUnknownError, made_here
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
 from planrunner.attendance import check_unattended
 from planrunner.bench.guarding import guarded_bench
-from planrunner.bench.model import runs_on_virtual_clock
+from planrunner.bench.model import locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench
-from planrunner.bench.watchdog import REPORT
+from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
 from planrunner.certificates import is_certificate
 from planrunner.certifying import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
-from planrunner.checking import Sound, check_plan
+from planrunner.checking import BenchFile, Given, Sound, check_plan
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute
 from planrunner.execution.operator import Operator
 from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
+from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Foresees, InstrumentError, UnservedError
+from planrunner.plan import source
 from planrunner.plan.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext
@@ -40,16 +45,23 @@ from planrunner.reporting.from_run import report_context
 from planrunner.reporting.report import render_report
 from planrunner.reporting.verdict import Headline
 
+RESULTS = "results.json"
+
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: where it was written and what it found. withheld: why certificates that the plan asks for were not written."""
+    """An analysis of a run: where it was written and what it found. withheld: why certificates that the plan asks for were not written;
+    remarks: what is to be known of the run folder; before: number of the analysis before this one, if there is one, and whether it has the
+    same numbers."""
 
     folder: Path
     results: Results
     headline: Headline
     reports: tuple[Path, ...]
     withheld: tuple[Finding, ...] = ()
+    remarks: tuple[Finding, ...] = ()
+    before: int | None = None
+    same: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,49 +118,65 @@ def resume(
     progress: ProgressCallback | None = None,
     operator: Operator | None = None,
     retake: Retake | None = None,
+    bench: str | None = None,
+    trust_bench: bool = False,
 ) -> Outcome:
     """Go on with a run that was cut short, from its own plan and bench; or take segments of it again, whether it is finished or not.
+
+    bench: a shipped name or a file to be used instead of the folder's; it may say otherwise only how instruments are reached. A folder that
+    was not made on this computer goes on with such a bench, or with its own where `trust_bench` says so: it names what is connected to.
 
     The folder is locked first, then the bench, and only then is anything connected: of two that resume a run, one is refused before it has
     looked at an instrument.
     """
-    RunReader.open(run)  # no lock is left in what is no run folder
-    lock = _lock(run)
+    folder = RunReader.open(run, to_reopen=True).folder  # no lock is left in what is no run folder
+    lock = _lock(folder)
     try:
-        return _resume(run, lock, stop, data_root, progress, operator, retake)
+        reader = RunReader.of(folder, to_reopen=True)
+        file = None if bench is None else _stand_in(reader, bench)
+        return _resume(reader, lock, stop, data_root, progress, operator, retake, file, trust_bench=trust_bench)
     finally:
         lock.release()
 
 
-def _lock(run: Path) -> FolderLock:
+def _lock(run: GuardedFolder) -> FolderLock:
     """Raises `InputError` for a folder that another process writes, or that cannot be written."""
     try:
         return FolderLock(run)
     except OSError as error:
         message = f"the run folder cannot be written: {error.strerror or error}"
-        raise InputError.at(Mark(str(run)), "run-unwritable", message, "change its permissions") from None
+        raise InputError.at(Mark(str(run.path)), "run-unwritable", message, "change its permissions") from None
 
 
 def _resume(
-    run: Path,
+    reader: RunReader,
     lock: FolderLock,
     stop: StopRequest,
     data_root: Path | None,
     progress: ProgressCallback | None,
     operator: Operator | None,
     retake: Retake | None,
+    file: BenchFile | None,
+    *,
+    trust_bench: bool,
 ) -> Outcome:
-    reader = RunReader.open(run)
+    """file: the bench that is used instead of the folder's."""
+    if reader.sealed and retake is None:
+        raise InputError.at(
+            Mark(str(reader.path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
+        )
     seed = reader.run["seed"]
-    sound = sound_run(run, date.today())
+    sound = sound_run(reader, date.today(), file)
+    if file is None and not trust_bench:
+        _require_made_here(reader, sound)
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason
 
     def reopen() -> RunWriter:
-        writer = RunWriter.reopen(run, reason=reason, lock=lock)
+        writer = RunWriter.reopen(reader.folder, reason=reason, lock=lock, bench=None if file is None else file.data)
         try:
-            _take_report(writer)
+            writer.take_watchdog_report()
             for index in again:
                 writer.reject(index, reason or "")
         except BaseException:
@@ -157,6 +185,33 @@ def _resume(
         return writer
 
     return _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
+
+
+def _stand_in(reader: RunReader, bench: str) -> BenchFile:
+    """A bench to be used instead of the run's. Raises `InputError` for one on which the run would be another one."""
+    path, shown = locate(bench, Path())
+    data = source.read_bytes(path, shown)
+    other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
+    if other:
+        more = f" and {len(other) - 5} more" if len(other) > 5 else ""
+        message = f"this bench is not the one that the run began on: {', '.join(other[:5])}{more} differ"
+        hint = f"it may differ in {', '.join(REACHED_BY)} of instruments only: copy the folder's bench.yaml, and change these"
+        raise InputError.at(Mark(shown), "run-other-bench", message, hint)
+    return BenchFile(data, shown)
+
+
+def _require_made_here(reader: RunReader, sound: Sound) -> None:
+    """Raises `InputError` for a folder of unknown origin: its bench file says what would be connected to and commanded."""
+    why = "this run folder was not made on this computer by you"
+    try:
+        if made_here(reader.folder, reader.first):
+            return
+    except OriginUnknownError as error:
+        why = f"it cannot be known whether this run folder was made on this computer: {error}"
+    reached = ", ".join(f"{name} at {address}" for name, address in addresses(sound.bench).items())
+    message = f"{why}; its bench file {f'connects to {reached}' if reached else 'connects to no address'}"
+    hint = "read it, then add --trust-bench; or name your own bench file with --bench"
+    raise InputError.at(Mark(str(reader.path / "bench.yaml")), "run-not-made-here", message, hint)
 
 
 def _carry_out(
@@ -214,14 +269,6 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
     return tuple(sorted({known[label] for label in labels}))
 
 
-def _take_report(writer: RunWriter) -> None:
-    """What a watchdog did since, into the journal."""
-    report = writer.path / REPORT
-    if report.is_file():
-        writer.note("rescued", report=report.read_text(encoding="utf-8", errors="replace"))
-        report.unlink()
-
-
 @contextmanager
 def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[OpenBench]:
     """The bench, connected and able to serve the schedule. A recording that is not is wrong input: nothing can have moved."""
@@ -245,13 +292,14 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
     return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
 
 
-def sound_run(run: Path, today: date | None = None) -> Sound:
+def sound_run(reader: RunReader, today: date | None = None, bench: BenchFile | None = None) -> Sound:
     """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass.
 
-    today: the day that calibrations must hold on; the one on which the run was made without it.
+    today: the day that calibrations must hold on; the one on which the run was made without it. bench: used instead of the folder's.
     """
-    made = datetime.fromisoformat(RunReader.open(run).run["created"]).astimezone().date()
-    return check_plan(run / "plan.yaml", bench_path=run / "bench.yaml", today=today or made).sound()
+    made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
+    given = Given(reader.plan_bytes, bench or BenchFile(reader.bench_bytes, str(reader.path / "bench.yaml")))
+    return check_plan(reader.path / "plan.yaml", today=today or made, given=given).sound()
 
 
 def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
@@ -269,13 +317,35 @@ def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
         if withheld and issue.reports:
             raise InputError(withheld)
         reports = tuple(name for name in reports if not withheld or not is_certificate(name))
-    files = {"results.json": to_bytes(made.results.to_json())}
+    files = {RESULTS: to_bytes(made.results.to_json())}
     for report in reports:
         files[report] = render_report(made.context, report).encode()
     if any(is_certificate(name) for name in reports):
         files[ISSUED] = to_bytes(issued_as(made.shown))
-    folder = add_analysis(run, files)
-    return Analysis(folder, made.results, made.context.headline, tuple(folder / name for name in reports), withheld)
+    earlier = made.reader.analyses[-1] if made.reader.analyses else None
+    same = earlier is not None and _read_results(earlier) == from_bytes(files[RESULTS])
+    stored = made.reader.add_analysis(files)
+    paths = tuple(stored.path / name for name in reports)
+    before = None if earlier is None else earlier.number
+    return Analysis(
+        stored.path, made.results, made.context.headline, paths, withheld, made.reader.findings, before, same
+    )
+
+
+def stored_results(analysis: StoredAnalysis) -> Results:
+    """The results that an analysis kept. Raises `IntegrityError` where they are not as they were written."""
+    try:
+        return Results.from_json(_read_results(analysis), str(analysis.path / RESULTS))
+    except (InputError, AttributeError, OverflowError) as error:  # as no version wrote it
+        raise IntegrityError(f"{analysis.path / RESULTS}: no results as planrunner writes them: {error}") from None
+
+
+def _read_results(analysis: StoredAnalysis) -> Any:
+    """As JSON data: an older version's results lack keys that today's schema asks for. Raises `IntegrityError`."""
+    try:
+        return from_bytes(analysis.read(RESULTS))
+    except ValueError as error:
+        raise IntegrityError(f"{analysis.path / RESULTS}: not JSON: {str(error)[:200]}; estimate again") from None
 
 
 def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
@@ -296,7 +366,7 @@ class _Made:
 def _analyse(run: Path, issue: Issue, *, kept: bool = False) -> _Made:
     """kept: whether it becomes the run's next analysis, whose number its reports then show."""
     reader = RunReader.open(run)
-    sound = sound_run(run)
+    sound = sound_run(reader)
     recording = reader.recording(sound.schedule)
     setup = replace(sound.setup, information=recorded_information(reader))
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
@@ -310,8 +380,8 @@ def _analyse(run: Path, issue: Issue, *, kept: bool = False) -> _Made:
         None if before is None else before.results.estimates,
         "" if before is None else before.reader.run["run"],
     )
-    earlier = reader.analyses()
-    number = str(int(earlier[-1].name) + 1 if earlier else 1) if kept else ""
+    earlier = reader.analyses
+    number = str(earlier[-1].number + 1 if earlier else 1) if kept else ""
     context = report_context(reader, sound, recording, results, analysis=number, certificate=shown)
     return _Made(reader, sound, results, context, shown)
 

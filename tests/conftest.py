@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +17,10 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+# The key by which a run folder is known again is the tests' own, in the processes that they start too.
+os.environ["PLANRUNNER_STATE"] = tempfile.mkdtemp(prefix="planrunner-state-")
+atexit.register(shutil.rmtree, os.environ["PLANRUNNER_STATE"], ignore_errors=True)
 
 # How fast cases are drawn says how busy the machine is, not whether they pass.
 settings.register_profile("planrunner", suppress_health_check=[HealthCheck.too_slow])

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from planrunner.archive import formats
+from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.certificates import ASKED
 from planrunner.certifying import ISSUED
@@ -206,7 +207,9 @@ def test_a_second_certificate_is_an_amendment(run: Path) -> None:
     assert refused(run, GIVEN) == ["amendment"]
     amended = {**GIVEN, "certificate_number": "2026-0118", "amends": "2026-0117", "amendment_reason": "customer's name"}
     again = analyse_run(run, Issue(PAGE, amended))
-    kept = formats.read_json(again.folder / ISSUED, "issued", "planrunner_issued", 1)
+    kept = formats.parse_json(
+        (again.folder / ISSUED).read_bytes(), again.folder / ISSUED, "issued", "planrunner_issued", 1
+    )
     assert (kept["certificate_number"], kept["amends"]) == ("2026-0118", "2026-0117")
     page = page_of(again)
     assert "Amendment to calibration certificate 2026-0117, which this certificate replaces" in page
@@ -245,7 +248,7 @@ def test_results_of_the_run_before_the_adjustment(run: Path, earlier: Path, tmp_
 
 
 def test_a_run_that_is_not_finished_has_no_certificate(run: Path) -> None:
-    (run / "seal.json").unlink()
+    RunWriter.reopen(run, reason="a segment is to be taken again").close()
     assert refused(run, GIVEN) == ["incomplete"]
 
 

@@ -1,33 +1,147 @@
-"""Analyses of a run: numbered folders, each written whole, each with its own list of digests, none ever changed
-afterwards."""
+"""Analyses of a run: numbered folders, each written whole, each with its own list of digests, none ever changed afterwards.
+
+Each list carries the digest of the list before it, the head of the journal and the seal that the analysis was made from: analyses are a
+chain, like the events of the journal, in which one that is changed or removed shows as long as a later one stands.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from planrunner.archive import formats
 from planrunner.archive.integrity import IntegrityError
-from planrunner.archive.journal import utc_now
-from planrunner.archive.storage import ASIDE, Storage, digest, digest_file
+from planrunner.archive.journal import FIRST, utc_now
+from planrunner.archive.storage import ASIDE, Storage, digest, digest_of
+from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.plan.findings import InputError, Mark
 
 FOLDER = "analyses"
 DIGESTS = "digests.json"
+MOST_BYTES = 2**28
+"""Bytes that a file of an analysis has at most."""
+MOST_DIGESTS = 2**20
+MOST_RESULTS = 2**27
+"""Bytes of a list of digests, and of results that are read again, at most."""
 
 
-def analyses(run: Path) -> tuple[Path, ...]:
-    """The folders of a run's analyses, oldest first."""
-    folder = run / FOLDER
-    found = [path for path in folder.iterdir() if path.name.isdecimal() and path.is_dir()] if folder.is_dir() else []
-    return tuple(sorted(found, key=lambda path: int(path.name)))
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What an analysis is made from: the journal after `events` events, with the digest `head` of the last, and the digest of the seal, if
+    the run had one."""
+
+    events: int
+    head: str
+    seal: str | None
 
 
-def add_analysis(run: Path, files: Mapping[str, bytes], *, storage: Storage | None = None) -> Path:
-    """Add an analysis: `files` are its contents by name. Returns its folder, `analyses/<n>`.
+@dataclass(frozen=True)
+class StoredAnalysis:
+    """An analysis as it stands: its number, its folder, and its list of digests with the digest of that list itself."""
+
+    run: GuardedFolder
+    number: int
+    digests: Mapping[str, Any]
+    digest: str
+
+    @property
+    def path(self) -> Path:
+        return self.run.path / FOLDER / str(self.number)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        return tuple(self.digests["files"])
+
+    @property
+    def basis(self) -> Basis | None:
+        """None where the format did not tell yet."""
+        if self.digests["planrunner_digests"] == 1:
+            return None
+        return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
+
+    def read(self, name: str, limit: int = MOST_RESULTS) -> bytes:
+        """A file of the analysis, held against its digest. Raises `IntegrityError`."""
+        try:
+            data = self._folder().read(name, limit)
+        except OSError as error:
+            raise _unreadable(self.path / name, error) from None
+        if digest(data) != self.digests["files"].get(name):
+            raise _changed(self.path / name)
+        return data
+
+    def read_json(self, name: str, schema: str, version_key: str, newest: int) -> dict[str, Any]:
+        """A JSON file of the analysis, held against its digest and its schema. Raises `IntegrityError`."""
+        return formats.parse_json(self.read(name), self.path / name, schema, version_key, newest)
+
+    def check(self) -> Iterator[IntegrityError]:
+        """What is missing, changed or was added, file by file."""
+        folder, listed = self._folder(), self.digests["files"]
+        standing = set(folder.entries()) - {DIGESTS}
+        for name in sorted(standing | set(listed)):
+            if name not in standing:
+                yield IntegrityError(
+                    f"{self.path / name}: missing from the analysis; take the run folder from a backup, or estimate again"
+                )
+            elif name not in listed:
+                yield IntegrityError(f"{self.path / name}: added after the analysis was made; remove it")
+            else:
+                try:
+                    with folder.open_file(name, MOST_BYTES) as file:
+                        same = digest_of(file) == listed[name]
+                except OSError as error:
+                    yield _unreadable(self.path / name, error)
+                    continue
+                if not same:
+                    yield _changed(self.path / name)
+
+    def _folder(self) -> GuardedFolder:
+        return self.run.folder(FOLDER).folder(str(self.number))
+
+
+def _changed(path: Path) -> IntegrityError:
+    return IntegrityError(
+        f"{path}: changed after the analysis was made; take the run folder from a backup, or estimate again"
+    )
+
+
+def _unreadable(path: Path, error: OSError) -> IntegrityError:
+    how = "" if isinstance(error, NotOrdinaryError) else "cannot be read: "
+    return IntegrityError(f"{path}: {how}{error.strerror}; take the run folder from a backup")
+
+
+def numbers(run: GuardedFolder) -> tuple[int, ...]:
+    """The numbers of a run's analyses, in order. Raises `OSError`."""
+    if run.entry(FOLDER) is None:
+        return ()
+    found = [
+        int(name) for name, entry in run.folder(FOLDER).entries().items() if _is_number(name) and entry.kind == "folder"
+    ]
+    return tuple(sorted(found))
+
+
+def _is_number(name: str) -> bool:
+    return name.isascii() and name.isdecimal() and len(name) <= 9 and name[0] != "0"
+
+
+def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
+    """An analysis with its list of digests, which is held against its schema; its files are not. Raises `IntegrityError`."""
+    path = run.path / FOLDER / str(number) / DIGESTS
+    try:
+        data = run.folder(FOLDER).folder(str(number)).read(DIGESTS, MOST_DIGESTS)
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    digests = formats.parse_json(data, path, "digests", "planrunner_digests", formats.DIGESTS_FORMAT)
+    return StoredAnalysis(run, number, digests, digest(data))
+
+
+def add_analysis(
+    run: GuardedFolder, files: Mapping[str, bytes], basis: Basis, *, storage: Storage | None = None
+) -> StoredAnalysis:
+    """Add an analysis: `files` are its contents by name. Returns it as it stands, in `analyses/<n>`.
 
     Written beside its name and renamed, so it is there whole or not at all; two at the same time get two numbers.
     Raises `InputError` when it cannot be written.
@@ -36,53 +150,59 @@ def add_analysis(run: Path, files: Mapping[str, bytes], *, storage: Storage | No
     for name in files:
         if name == DIGESTS or Path(name).name != name or name in ("", ".", ".."):
             raise ValueError(f"not a file name for an analysis: {name!r}")
-    folder = run / FOLDER
-    aside = folder / f".{os.getpid()}-{os.urandom(4).hex()}{ASIDE}"
+    aside = f".{os.getpid()}-{os.urandom(4).hex()}{ASIDE}"
     try:
-        if not folder.exists():
-            with contextlib.suppress(FileExistsError):
-                storage.make_folder(folder)
+        if run.entry(FOLDER) is None:
+            with contextlib.suppress(FileExistsError):  # another process was first
+                storage.make_folder(run, FOLDER)
             storage.sync_folder(run)
-        storage.make_folder(aside)
-        for name, data in files.items():
-            storage.write_whole(aside / name, data)
-        digests = {
-            "planrunner_digests": formats.DIGESTS_FORMAT,
-            "made": utc_now(),
-            "files": {name: digest(data) for name, data in sorted(files.items())},
-        }
-        storage.write_whole(aside / DIGESTS, formats.to_bytes(digests))
-        return _take_number(run, aside, storage)
+        folder = run.folder(FOLDER)
+        try:
+            beside = storage.make_folder(folder, aside)
+            for name, data in files.items():
+                storage.write_whole(beside, name, data)
+            number = _take_number(run, folder, aside, files, basis, storage)
+        except OSError:
+            folder.remove_folder(aside)
+            raise
+        return stored_analysis(run, number)
     except OSError as error:
-        shutil.rmtree(aside, ignore_errors=True)
         message = f"the analysis cannot be written: {error.strerror or error}"
         raise InputError.at(
-            Mark(str(folder)), "analysis-unwritable", message, "make room or change permissions, then estimate again"
+            Mark(str(run.path / FOLDER)),
+            "analysis-unwritable",
+            message,
+            "make room or change permissions, then estimate again",
         ) from None
 
 
-def _take_number(run: Path, aside: Path, storage: Storage) -> Path:
+def _take_number(
+    run: GuardedFolder,
+    folder: GuardedFolder,
+    aside: str,
+    files: Mapping[str, bytes],
+    basis: Basis,
+    storage: Storage,
+) -> int:
+    """Give the analysis the next number, with the digest of the one before it."""
     while True:
-        standing = analyses(run)
-        target = run / FOLDER / str(int(standing[-1].name) + 1 if standing else 1)
+        standing = numbers(run)
+        last = stored_analysis(run, standing[-1]) if standing else None
+        number = 1 if last is None else last.number + 1
+        digests = {
+            "planrunner_digests": formats.DIGESTS_FORMAT,
+            "made": utc_now(),
+            "previous": FIRST if last is None else last.digest,
+            "journal": {"events": basis.events, "head": basis.head},
+            "seal": basis.seal,
+            "files": {name: digest(data) for name, data in sorted(files.items())},
+        }
+        storage.write_whole(folder.folder(aside), DIGESTS, formats.to_bytes(digests))
         try:
-            os.rename(aside, target)  # refused when another process took the number: its folder is not empty
+            storage.rename(folder, aside, str(number))  # refused when another process took the number
         except OSError:
-            if not target.exists():
+            if number not in numbers(run):
                 raise
             continue
-        storage.sync_folder(target.parent)
-        return target
-
-
-def check_analysis(folder: Path) -> None:
-    """Hold an analysis against its digests. Raises `IntegrityError` for a file that is missing, changed or added."""
-    listed = formats.read_json(folder / DIGESTS, "digests", "planrunner_digests", formats.DIGESTS_FORMAT)["files"]
-    standing = {path.name for path in folder.iterdir()} - {DIGESTS}
-    for name in sorted(standing | set(listed)):
-        if name not in standing:
-            raise IntegrityError(f"{folder / name}: missing from the analysis; estimate again for a new one")
-        if name not in listed:
-            raise IntegrityError(f"{folder / name}: added after the analysis was made; remove it")
-        if digest_file(folder / name) != listed[name]:
-            raise IntegrityError(f"{folder / name}: changed after the analysis was made; estimate again for a new one")
+        storage.sync_folder(folder)
+        return number

@@ -6,23 +6,18 @@ import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.schema_check import Check, compile_schema
 
 RUN_FORMAT = 1
 SEAL_FORMAT = 1
-DIGESTS_FORMAT = 1
-
-_TYPES: dict[str, tuple[type, ...]] = {
-    "integer": (int,),
-    "number": (int, float),
-    "string": (str,),
-    "boolean": (bool,),
-    "object": (dict,),
-    "array": (list,),
-    "null": (type(None),),
-}
+DIGESTS_FORMAT = 2
+"""2: carries the analysis before it, the seal and the journal's head; 1 did not, and is still read."""
+MOST_LEVELS = 64
+"""Brackets within each other that a JSON file or line may have."""
+FROM_BACKUP = "take the run folder from a backup"
 
 
 def to_bytes(value: Any) -> bytes:
@@ -30,84 +25,90 @@ def to_bytes(value: Any) -> bytes:
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode("utf-8", "backslashreplace")
 
 
+def from_bytes(data: bytes) -> Any:
+    """JSON data, without the numbers that JSON lacks and of bearable depth. Raises ValueError."""
+    try:
+        value = _decode(data.decode("utf-8"))
+    except RecursionError:
+        raise ValueError(f"more than {MOST_LEVELS} brackets within each other") from None
+    if data.count(b"{") + data.count(b"[") > MOST_LEVELS and _too_deep(value):
+        raise ValueError(f"more than {MOST_LEVELS} brackets within each other")
+    return value
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+_decode = json.JSONDecoder(parse_constant=_refuse).decode
+
+
+def _too_deep(value: Any) -> bool:
+    level = [value]
+    for _ in range(MOST_LEVELS + 1):
+        if not level:
+            return False
+        level = [
+            inner
+            for item in level
+            if isinstance(item, dict | list)
+            for inner in (item.values() if isinstance(item, dict) else item)
+        ]
+    return True
+
+
 @lru_cache(maxsize=8)
 def schema(name: str) -> dict[str, Any]:
-    """A shipped JSON Schema: `run`, `journal-event`, `seal`, `digests` or `issued`."""
+    """A shipped JSON Schema: `run`, `journal-event`, `seal`, `digests`, `issued` or `results`."""
     from planrunner.shipped import shipped
 
     data: dict[str, Any] = json.loads((shipped("schemas") / f"{name}.schema.json").read_text(encoding="utf-8"))
     return data
 
 
-def read_json(path: Path, name: str, version_key: str, newest: int) -> dict[str, Any]:
-    """A JSON file of a run folder, held against its schema. Raises `IntegrityError`."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise IntegrityError(f"{path}: cannot be read: {error.strerror}; is this a run folder?") from None
-    except (ValueError, RecursionError) as error:
-        raise IntegrityError(f"{path}: not JSON: {str(error)[:200]}; take the file from a backup") from None
-    version = data.get(version_key) if isinstance(data, dict) else None
-    if isinstance(version, int) and version > newest:
-        raise IntegrityError(f"{path}: format {version}; this planrunner reads up to {newest}: use a newer planrunner")
-    from jsonschema import Draft202012Validator
+@lru_cache(maxsize=8)
+def _check_of(name: str) -> Check:
+    whole = schema(name)
+    return compile_schema(whole, whole)
 
-    for fault in sorted(
-        Draft202012Validator(schema(name)).iter_errors(data), key=lambda fault: list(map(str, fault.path))
-    ):
-        place = "/".join(map(str, fault.path)) or "the top"
-        raise IntegrityError(f"{path}: at {place}: {fault.message[:300]}; take the file from a backup")
-    checked: dict[str, Any] = data
+
+def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> dict[str, Any]:
+    """The content of a JSON file of a run folder, held against its schema. path: for messages. Raises `IntegrityError`."""
+    try:
+        value = from_bytes(data)
+    except ValueError as error:
+        raise IntegrityError(f"{path}: not JSON: {str(error)[:200]}; {FROM_BACKUP}") from None
+    version = value.get(version_key) if isinstance(value, dict) else None
+    if type(version) is int and version > newest:
+        raise IntegrityError(f"{path}: format {version}; this planrunner reads up to {newest}: use a newer planrunner")
+    fault = _check_of(name)(value)
+    if fault is not None:
+        place, _, what = fault.partition(": ")
+        raise IntegrityError(f"{path}: at {place.strip('/') or 'the top'}: {what}; {FROM_BACKUP}")
+    checked: dict[str, Any] = value
     return checked
 
 
 def event_fault(event: Mapping[str, Any]) -> str | None:
-    """What is wrong with a journal event, quickly: its kind, required keys and their types as the schema gives them.
-
-    A long journal has hundreds of thousands of events; the whole schema is for `check_event`.
-    """
-    required = _required()
+    """What is wrong with a journal event by its whole schema; None when nothing is."""
     kind = event.get("event")
-    if kind not in required:
-        return f"is of an unknown kind {kind!r}"
-    for key, types in required[kind].items():
-        value = event.get(key, _TYPES)
-        if value is _TYPES:
-            return f"lacks '{key}'"
-        if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-            return f"has a {type(value).__name__} as '{key}'"
-    return None
-
-
-def check_event(event: Mapping[str, Any]) -> str | None:
-    """What is wrong with a journal event by its whole schema."""
-    from jsonschema import Draft202012Validator
-
-    for error in Draft202012Validator(schema("journal-event")).iter_errors(event):
-        return str(error.message)[:300]
-    return None
+    check = _events().get(kind) if isinstance(kind, str) else None
+    if check is None:
+        return f"is of an unknown kind {str(kind)[:40]!r}"
+    fault = check(event)
+    if fault is None:
+        return None
+    place, _, what = fault.partition(": ")
+    return f"is not as its schema says: {place.strip('/')}{': ' if place else ''}{what}"
 
 
 @lru_cache(maxsize=1)
-def _required() -> dict[str, dict[str, tuple[type, ...]]]:
-    """Event kind → required key → Python types."""
-    table = {}
+def _events() -> dict[str, Check]:
+    """Event kind → check of an event of that kind: what all events have in common, and its own keys."""
     whole = schema("journal-event")
-    common = whole["properties"]
+    checks = {}
     for kind, branch in whole["$defs"]["events"].items():
-        properties = {**branch["properties"], **common}
-        keys = [*whole["required"], *branch["required"]]
-        table[kind] = {key: _python_types(properties[key], whole) for key in keys}
-    return table
-
-
-def _python_types(entry: Mapping[str, Any], whole: Mapping[str, Any]) -> tuple[type, ...]:
-    while "$ref" in entry:
-        target: Any = whole
-        for step in entry["$ref"].removeprefix("#/").split("/"):
-            target = target[step]
-        entry = target
-    if "const" in entry:
-        return (type(entry["const"]),)
-    kinds = entry["type"] if isinstance(entry["type"], list) else [entry["type"]]
-    return tuple(kind for name in kinds for kind in _TYPES[name])
+        properties = {**branch["properties"], **{name: whole["properties"][name] for name in ("seq", "at", "previous")}}
+        required = [*whole["required"], *branch["required"]]
+        checks[kind] = compile_schema({**branch, "properties": properties, "required": required}, whole)
+    return checks

@@ -2,7 +2,8 @@
 
 A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process killed in the
 middle of a write leaves a torn last line, which was never acknowledged and is cut off when the run is resumed. A
-break anywhere else means that the file was changed, and is refused.
+break anywhere else means that the file was changed, and is refused. So is a journal that no run writes: a line, the file or the
+number of events beyond what a writer keeps to.
 """
 
 from __future__ import annotations
@@ -10,16 +11,21 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from io import FileIO
-from pathlib import Path
 from typing import Any
 
+from planrunner.archive.formats import from_bytes
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.storage import Storage
+from planrunner.guarded_folder import GuardedFolder
 
 NAME = "journal.jsonl"
+MOST_LINE = 4 * 2**20
+MOST_BYTES = 2**28
+MOST_EVENTS = 2_000_000
+"""Bytes of a line and of a journal, and events, at most: ten thousand segments take some ten megabytes."""
 FIRST = "0" * 64
 """What the first line carries in place of a digest."""
 
@@ -76,6 +82,11 @@ class Journal:
         head, count, size = before
         text = _encode({"seq": count + 1, "at": utc_now(), "event": event, **data, "previous": head})
         line = text.encode("utf-8", "backslashreplace")  # a lone surrogate becomes its JSON escape
+        if len(line) >= MOST_LINE or size + len(line) >= MOST_BYTES or count >= MOST_EVENTS:
+            raise OSError(
+                f"the journal takes lines of {MOST_LINE} bytes, {MOST_BYTES} bytes and {MOST_EVENTS} events at most: make the rest a "
+                "run of its own"
+            )
         try:
             self._storage.write(self._file, line + b"\n")
             if acknowledge:
@@ -99,41 +110,50 @@ class Journal:
 
 
 class JournalScan:
-    """The reading end: iterate once over the events; afterwards `head`, `count`, `size` and `torn` are known.
+    """The reading end: iterate once over the events; afterwards `head`, `count`, `size`, `torn` and `heads` are known.
 
-    size: bytes of whole lines. torn: bytes of an unfinished last line. Raises `IntegrityError` where the chain is
-    broken.
+    size: bytes of whole lines. torn: bytes of an unfinished last line. marks: numbers of events after which the chain's head is kept in
+    `heads`. Raises `IntegrityError` where the chain is broken, and `OSError`.
     """
 
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, folder: GuardedFolder, marks: Collection[int] = ()):
+        self.folder = folder
+        self.path = folder.path / NAME
         self.head = FIRST
         self.count = 0
         self.size = 0
         self.torn = 0
+        self.heads: dict[int, str] = {0: FIRST}
+        self._marks = frozenset(marks)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        with self.path.open("rb") as file:
-            for line in file:
+        with self.folder.open_file(NAME, MOST_BYTES) as file:
+            while line := file.readline(MOST_LINE + 1):
+                if len(line) > MOST_LINE:
+                    raise self._error(f"is longer than the {MOST_LINE} bytes that a line can have")
                 if not line.endswith(b"\n") or b"\0" in line:  # a power cut may leave zeros where a line was to be
                     self.torn = len(line)
                     if file.read(1) or _two_lines(line):
                         raise self._error("is damaged")
                     return
+                if self.count >= MOST_EVENTS:
+                    raise self._error(f"is beyond the {MOST_EVENTS} events that a journal can have")
                 event = self._event(line)
                 if event.get("previous") != self.head:
                     raise self._error("does not carry the digest of the line before")
                 if event.get("seq") != self.count + 1:
-                    raise self._error(f"is numbered {event.get('seq')!r}")
+                    raise self._error("is not numbered as its place is")
                 self.head = hashlib.sha256(line[:-1]).hexdigest()
                 self.count += 1
                 self.size += len(line)
+                if self.count in self._marks:
+                    self.heads[self.count] = self.head
                 yield event
 
     def _event(self, line: bytes) -> dict[str, Any]:
         try:
-            event = json.loads(line)
-        except (ValueError, RecursionError):
+            event = from_bytes(line)
+        except ValueError:
             event = None
         if not isinstance(event, dict):
             raise self._error("is not a JSON object")
@@ -152,7 +172,7 @@ def _two_lines(line: bytes) -> bool:
     if not zeros or not line.endswith(b"\n"):
         return False
     try:
-        json.loads(first)
-    except (ValueError, RecursionError):
+        from_bytes(first)
+    except ValueError:
         return False
     return True

@@ -4,15 +4,15 @@ broke off."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from planrunner.archive import formats
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import JournalScan
 from planrunner.archive.segment_file import Part
+from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,8 @@ class Rejected:
 
 @dataclass(slots=True)
 class JournalState:
-    """clock, states: of the last acknowledged segment, to resume from. open: the segment in which the process ended."""
+    """clock, states: of the last acknowledged segment, to resume from. open: the segment in which the process ended. sealed_before: whether
+    the journal tells of a seal that stood when the run was opened again."""
 
     created: dict[str, Any] = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -64,6 +65,7 @@ class JournalState:
     clock: float = 0.0
     states: Mapping[str, Any] = field(default_factory=dict)
     finished: bool = False
+    sealed_before: bool = False
     failures: list[str] = field(default_factory=list)
 
     def files(self) -> Iterator[Part]:
@@ -132,24 +134,26 @@ class JournalState:
 
     def _reopened(self, event: Mapping[str, Any]) -> None:
         self.finished = False
+        self.sealed_before = self.sealed_before or "seal" in event
 
 
-def read_state(path: Path) -> tuple[JournalState, JournalScan]:
-    """The state that a journal amounts to, and the scan with its head and size. Raises `IntegrityError`."""
-    scan = JournalScan(path)
-    state = JournalState()
+def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:
+    """The state that a journal amounts to, and the scan with its head and size. marks: numbers of events after which the scan keeps the
+    head. Raises `IntegrityError`."""
+    scan = JournalScan(folder, marks)
+    state, path = JournalState(), scan.path
     try:
         for event in scan:
             fault = formats.event_fault(event)
-            if fault is None and scan.count == 1 and event["event"] != "created":
-                fault = "is the first, but does not say how the run was created"
+            if fault is None and (scan.count == 1) != (event["event"] == "created"):
+                fault = "does not stand where it belongs: the first one, and only it, tells how the run was created"
             if fault is not None:
                 raise IntegrityError(f"{path}:{scan.count}: this event {fault}; was it written by a newer planrunner?")
             state.take(event)
+    except NotOrdinaryError as error:
+        raise IntegrityError(f"{path}: {error.strerror}; {formats.FROM_BACKUP}") from None
     except OSError as error:
         raise IntegrityError(f"{path}: cannot be read: {error.strerror}; is this a run folder?") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise IntegrityError(f"{path}:{scan.count}: this event is not as its schema says: {error!r}") from None
     if not state.created:
         raise IntegrityError(f"{path}: the journal is empty: the run never began; start it again")
     return state, scan

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from planrunner.exclusive import ExclusiveFile, HeldError
+from planrunner.guarded_folder import GuardedFolder
 from planrunner.plan.findings import InputError, Mark
 
 NAME = ".lock"
@@ -13,15 +12,17 @@ NAME = ".lock"
 class FolderLock:
     """An exclusive lock on a folder, held from creation to `release`.
 
-    Raises `InputError` when another process, or another writer of this one, holds it.
+    Raises `InputError` when another process, or another writer of this one, holds it, and `OSError`.
     """
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: GuardedFolder):
         try:
-            self._file = ExclusiveFile(folder / NAME)
+            self._file = ExclusiveFile(folder.path / NAME, opened=folder.open_or_make(NAME))
         except HeldError:
             hint = "wait until the other one ends, or stop it"
-            raise InputError.at(Mark(str(folder)), "run-in-use", "another planrunner writes this run", hint) from None
+            raise InputError.at(
+                Mark(str(folder.path)), "run-in-use", "another planrunner writes this run", hint
+            ) from None
 
     def release(self) -> None:
         self._file.release()

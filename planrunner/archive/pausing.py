@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
-from pathlib import Path
+import os
 
-from planrunner.archive import journal
+from planrunner.archive.lock import NAME as LOCK
 from planrunner.archive.lock import FolderLock
+from planrunner.guarded_folder import GuardedFolder
 from planrunner.plan.findings import InputError
 
 NAME = ".pause"
 
 
-def ask_to_pause(run: Path) -> None:
+def ask_to_pause(run: GuardedFolder) -> None:
     """Raises `OSError` when the folder cannot be written."""
-    (run / NAME).touch()
+    os.close(run.open_or_make(NAME))
 
 
-def asked_to_pause(run: Path) -> bool:
-    return (run / NAME).exists()
+def asked_to_pause(run: GuardedFolder) -> bool:
+    return run.entry(NAME) is not None
 
 
-def take_back(run: Path) -> bool:
+def take_back(run: GuardedFolder) -> bool:
     """End the pause that was asked for; whether a run went on by that. One that has ended meanwhile is to be resumed."""
     asked = asked_to_pause(run)
-    with contextlib.suppress(FileNotFoundError):
-        (run / NAME).unlink()
+    run.remove(NAME)
     return asked and is_written(run)
 
 
-def is_written(run: Path) -> bool:
+def is_written(run: GuardedFolder) -> bool:
     """Whether a process writes the run now."""
-    if not (run / journal.NAME).is_file():
+    if run.entry(LOCK) is None:
         return False
     try:
         FolderLock(run).release()

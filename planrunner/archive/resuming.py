@@ -10,8 +10,9 @@ from typing import Any
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import Journal
 from planrunner.archive.journal_state import Acknowledged, JournalState, name_parts
-from planrunner.archive.segment_file import FOLDER, Part
-from planrunner.archive.storage import ASIDE, Storage, digest_file
+from planrunner.archive.segment_file import FOLDER, MOST_BYTES, Part, check_part, rows_of
+from planrunner.archive.storage import ASIDE, Storage, digest
+from planrunner.guarded_folder import GuardedFolder
 
 REASON = "the process ended in this segment"
 
@@ -41,13 +42,13 @@ class ResumePoint:
         return index
 
 
-def settle_break(path: Path, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
+def settle_break(folder: GuardedFolder, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
     """Bring the journal and the files of a run that broke off together again; returns where to go on.
 
     Files aside are removed. The segment in progress keeps its finished parts: they count, marked truncated, where the
     plan said `on_break: keep`; otherwise they are rejected and the segment is taken again.
     """
-    found = _unknown_files(path, storage, state)
+    found = _unknown_files(folder, storage, state)
     begun = state.open
     if begun is not None:
         parts = [*begun.parts, *found.pop((begun.index, begun.attempt), [])]
@@ -88,27 +89,30 @@ def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str,
     state.take({"event": kind, **data})
 
 
-def _unknown_files(path: Path, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
+def _unknown_files(run: GuardedFolder, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
     """Whole files of samples that the journal does not know, by segment and attempt: their event was not written."""
     known = {part.file for part in state.files()}
     found: dict[tuple[int, int], list[Part]] = {}
-    for file in sorted((path / FOLDER).iterdir()):
-        if file.name.endswith(ASIDE):
-            storage.remove(file)
+    folder = run.folder(FOLDER)
+    for file, entry in folder.entries().items():
+        if file.endswith(ASIDE) and entry.kind == "file":
+            storage.remove(folder, file)
             continue
-        name = f"{FOLDER}/{file.name}"
-        place = name_parts(file.name)
+        name = f"{FOLDER}/{file}"
+        place = name_parts(file)
         if place is not None and name not in known:
-            part = Part(name, digest_file(file), _rows(file), file.stat().st_size)
+            part = _part(run, folder, file)
             found.setdefault((place[0], place[2]), []).append(part)
     return found
 
 
-def _rows(file: Path) -> int:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+def _part(run: GuardedFolder, folder: GuardedFolder, file: str) -> Part:
     try:
-        return int(pq.read_metadata(file).num_rows)
-    except (pa.ArrowException, OSError):
-        raise IntegrityError(f"{file}: not samples of this run: move it elsewhere, then resume again") from None
+        data = folder.read(file, MOST_BYTES)
+        part = Part(f"{FOLDER}/{file}", digest(data), rows_of(data), len(data))
+        check_part(run, part)
+    except (IntegrityError, OSError, ValueError):
+        raise IntegrityError(
+            f"{folder.path / file}: not samples of this run: move it elsewhere, then resume again"
+        ) from None
+    return part

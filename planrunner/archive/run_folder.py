@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from io import FileIO
@@ -21,9 +20,10 @@ from typing import Any
 from planrunner.archive import formats
 from planrunner.archive import journal as journal_lines
 from planrunner.archive import seal as seals
+from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import Journal, finite, utc_now
-from planrunner.archive.journal_state import read_state
 from planrunner.archive.lock import FolderLock
+from planrunner.archive.origin import leave_origin
 from planrunner.archive.provenance import versions
 from planrunner.archive.resuming import ResumePoint, settle_break
 from planrunner.archive.segment_file import (
@@ -36,16 +36,31 @@ from planrunner.archive.segment_file import (
     safe_name,
 )
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
+from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, examine, open_run
+from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.findings import InputError, Mark
 from planrunner.plan.schedule import Segment
+from planrunner.watchdog_report import NAME as REPORT
+from planrunner.watchdog_report import read_report
 
 
 class RunWriter:
     """The one writer of a run folder. Made by `create` or `reopen`; `close` it, or use it as a context manager."""
 
-    def __init__(self, path: Path, storage: Storage, lock: FolderLock, journal: Journal, point: ResumePoint):
-        self.path = path
+    def __init__(
+        self,
+        folder: GuardedFolder,
+        name: str,
+        storage: Storage,
+        lock: FolderLock,
+        journal: Journal,
+        point: ResumePoint,
+    ):
+        self.path = folder.path
+        self.folder = folder
+        self._segments = folder.folder(FOLDER)
+        self._name = name
         self.part_bytes = PART_BYTES
         self.part_seconds = PART_SECONDS
         self._storage = storage
@@ -90,11 +105,7 @@ class RunWriter:
             "versions": versions(),
             "info": dict(info),
         }
-        given = {
-            "run.json": formats.to_bytes(run),
-            "plan.yaml": plan_bytes,
-            "bench.yaml": bench_bytes,
-        }
+        given = {RUN: formats.to_bytes(run), PLAN: plan_bytes, BENCH: bench_bytes}
         try:
             return cls._build(root, name, given, storage)
         except OSError as error:
@@ -105,80 +116,90 @@ class RunWriter:
     @classmethod
     def _build(cls, root: Path, name: str, given: Mapping[str, bytes], storage: Storage) -> RunWriter:
         root.mkdir(parents=True, exist_ok=True)
-        path, aside = root / name, root / f".{name}{ASIDE}"
-        storage.make_folder(aside)
+        runs, aside = GuardedFolder.open(root), f".{name}{ASIDE}"
+        begun = storage.make_folder(runs, aside)
         try:
             for given_name, data in given.items():
-                storage.write_whole(aside / given_name, data)
-            storage.make_folder(aside / FOLDER)
-            with storage.open_new(aside / journal_lines.NAME) as file:
+                storage.write_whole(begun, given_name, data)
+            storage.make_folder(begun, FOLDER)
+            with storage.open_new(begun, journal_lines.NAME) as file:
                 created = Journal(storage, file)
                 digests = {given_name: digest(data) for given_name, data in given.items()}
                 created.append("created", {"run": name, "files": digests})
-            storage.sync_folder(aside)
-            storage.replace(aside, path)
-            storage.sync_folder(root)
+            leave_origin(begun, created.head)
+            storage.sync_folder(begun)
+            storage.rename(runs, aside, name)
+            storage.sync_folder(runs)
         except OSError:
-            shutil.rmtree(aside, ignore_errors=True)
+            runs.remove_folder(aside)
             raise
-        lock = FolderLock(path)
+        folder = runs.folder(name)
+        lock = FolderLock(folder)
         try:
-            file = storage.open_existing(path / journal_lines.NAME)
+            file = storage.open_existing(folder, journal_lines.NAME)
         except BaseException:
             lock.release()
             raise
         journal = Journal(storage, file, head=created.head, count=created.count, size=file.tell())
-        return cls(path, storage, lock, journal, ResumePoint(files=digests))
+        return cls(folder, name, storage, lock, journal, ResumePoint(files=digests))
 
     @classmethod
     def reopen(
         cls,
-        path: Path,
+        run: Path | GuardedFolder,
         *,
         reason: str | None = None,
         durability: Durability | None = None,
         storage: Storage | None = None,
         lock: FolderLock | None = None,
+        bench: bytes | None = None,
     ) -> RunWriter:
-        """Go on with a run that was cut short: repairs a torn last line, and settles the segment that was in progress.
+        """Go on with a run that was cut short, by its path or as it was opened: repairs a torn last line, and settles the segment that was
+        in progress.
 
         reason: why a finished, sealed run is opened again; without it, that is refused. lock: of the folder, where the caller holds it
-        already; it is given away. Raises `InputError` (in use,
-        finished, unwritable) and `IntegrityError`.
+        already; it is given away. bench: the bench file that is used instead of the folder's, which the journal then knows by its digest.
+        Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
         """
-        if not (path / journal_lines.NAME).is_file():
-            raise InputError.at(
-                Mark(str(path)), "run-not-found", "this is not a run folder", "give a folder beneath runs/"
-            )
-        run = formats.read_json(path / "run.json", "run", "planrunner_run", formats.RUN_FORMAT)
-        storage = storage or Storage(durability or run["durability"])
+        folder = run if isinstance(run, GuardedFolder) else open_run(run)
         file: FileIO | None = None
         try:
-            lock = lock or FolderLock(path)
-            state, scan = read_state(path / journal_lines.NAME)
-            seal = seals.read_seal(path)
-            if seal is not None:
-                seals.check_seal(path, seal, scan, state)
-                if state.finished and reason is None:
-                    raise InputError.at(
-                        Mark(str(path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
-                    )
-            file = storage.open_existing(path / journal_lines.NAME)
+            lock = lock or FolderLock(folder)
+            examined = examine(folder, samples=True)
+            examined.require_whole(*MENDED)
+            state, scan = examined.state, examined.scan
+            assert state is not None and scan is not None
+            if examined.seal is not None and state.finished and reason is None:
+                raise InputError.at(
+                    Mark(str(folder.path)),
+                    "run-finished",
+                    "this run is finished and sealed",
+                    "use `planrunner estimate`",
+                )
+            storage = storage or Storage(durability or examined.run["durability"])
+            file = storage.open_existing(folder, journal_lines.NAME)
             if scan.torn:
                 storage.truncate(file, scan.size)
                 storage.sync(file)
+            file.seek(scan.size)
             journal = Journal(storage, file, head=scan.head, count=scan.count, size=scan.size)
-            journal.append("reopened", {"repaired_bytes": scan.torn, "reason": reason or "resumed"})
-            return cls(path, storage, lock, journal, settle_break(path, storage, journal, state))
+            told = {} if examined.seal_digest is None else {"seal": examined.seal_digest}
+            if bench is not None:
+                told["bench"] = digest(bench)
+            journal.append("reopened", {"repaired_bytes": scan.torn, "reason": reason or "resumed", **told})
+            point = settle_break(folder, storage, journal, state)
+            return cls(folder, examined.run["run"], storage, lock, journal, point)
         except BaseException as error:
             if file is not None:
                 file.close()
             if lock is not None:
                 lock.release()
+            if isinstance(error, NotOrdinaryError):
+                raise IntegrityError(f"{error.filename}: {error.strerror}; {formats.FROM_BACKUP}") from None
             if isinstance(error, OSError):
                 message = f"the run folder cannot be written: {error.strerror or error}"
                 raise InputError.at(
-                    Mark(str(path)), "run-unwritable", message, "make room, or change its permissions"
+                    Mark(str(folder.path)), "run-unwritable", message, "make room, or change its permissions"
                 ) from None
             raise
 
@@ -204,6 +225,13 @@ class RunWriter:
         """Add an event that concerns the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
         self._journal.append(event, data)
 
+    def take_watchdog_report(self) -> None:
+        """What a watchdog did since the run was left, into the journal. Raises `OSError`."""
+        report = read_report(self.folder)
+        if report is not None:
+            self.note("rescued", report=report)
+            self.folder.remove(REPORT)
+
     def begin(self, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
         """Begin a segment; channels (name → unit) is empty when there is nothing to stream."""
         index = segment.index
@@ -223,7 +251,7 @@ class RunWriter:
         if channels:
             stem = file_stem(index, segment.label, self._attempt)
             self._samples = SegmentWriter(
-                self.path / FOLDER,
+                self._segments,
                 stem,
                 channels,
                 self._storage,
@@ -312,7 +340,9 @@ class RunWriter:
     def finish(self) -> None:
         """Every segment is acknowledged: close the journal's account and seal the folder."""
         self._journal.append("finished", {"finished": utc_now()})
-        seals.write_seal(self.path, self._storage, self._point.files, self._journal.head, self._journal.count)
+        seals.write_seal(
+            self.folder, self._name, self._storage, self._point.files, self._journal.head, self._journal.count
+        )
 
     def close(self) -> None:
         """Let go of the folder. A segment in progress stays as after a crash."""

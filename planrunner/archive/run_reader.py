@@ -3,67 +3,80 @@ blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from planrunner.archive import formats
-from planrunner.archive import journal as journal_lines
-from planrunner.archive import seal as seals
-from planrunner.archive.analyses import analyses, check_analysis
+from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
 from planrunner.archive.integrity import IntegrityError
-from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected, read_state
+from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
 from planrunner.archive.recording import RecordedSegment
-from planrunner.archive.segment_file import read_part, units_of
+from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
-from planrunner.archive.storage import digest_file
+from planrunner.archive.verifying import BENCH, MENDED, PLAN, examine, open_run
+from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
-from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.findings import Finding
 from planrunner.plan.schedule import Schedule
 
 
 @dataclass(frozen=True)
 class RunReader:
-    """A run folder as it stands. `run`: the content of run.json. Reading changes nothing and needs no lock."""
+    """A run folder as it stood when it was opened. Reading changes nothing and needs no lock.
 
-    path: Path
+    run: the content of run.json. torn: bytes of an unfinished last line of the journal. first: digest of its first line. basis: what an
+    analysis is made from. analyses: oldest first. findings: warnings, such as that the run is not sealed.
+    """
+
+    folder: GuardedFolder
     run: dict[str, Any]
+    plan_bytes: bytes
+    bench_bytes: bytes
     seal: dict[str, Any] | None
     state: JournalState
     torn: int
+    first: str
+    basis: Basis
+    analyses: tuple[StoredAnalysis, ...]
+    findings: tuple[Finding, ...]
 
     @classmethod
-    def open(cls, path: Path) -> RunReader:
-        """Checks run.json, the journal's chain, the seal and the digests of plan and bench; samples are checked as
-        they are read.
+    def open(cls, path: Path, *, to_reopen: bool = False) -> RunReader:
+        """Everything but the samples is held against its digest here, and samples as they are read (see `verifying`).
 
         Raises `InputError` when `path` is not a run folder and `IntegrityError` when it is not as it was written. A
-        torn last line of a run that was killed is left out.
+        torn last line of a run that was killed is left out. to_reopen: what opening it again mends does not matter.
         """
-        if not (path / journal_lines.NAME).is_file() and not (path / "run.json").is_file():
-            hint = "give a folder beneath runs/"
-            raise InputError.at(Mark(str(path)), "run-not-found", "this is not a run folder", hint)
-        run = formats.read_json(path / "run.json", "run", "planrunner_run", formats.RUN_FORMAT)
-        state, scan = read_state(path / journal_lines.NAME)
-        seal = seals.read_seal(path)
-        if seal is not None:
-            seals.check_seal(path, seal, scan, state)
-        reader = cls(path, run, seal, state, scan.torn)
-        for name, expected in state.created["files"].items():
-            reader._check(name, expected)
-        return reader
+        return cls.of(open_run(path), to_reopen=to_reopen)
+
+    @classmethod
+    def of(cls, folder: GuardedFolder, *, to_reopen: bool = False) -> RunReader:
+        """A run folder that is open already, as it stands now; see `open`."""
+        found = examine(folder)
+        found.require_whole(*(MENDED if to_reopen else ()))
+        assert found.state is not None and found.scan is not None
+        return cls(
+            folder,
+            found.run,
+            found.given[PLAN],
+            found.given[BENCH],
+            found.seal,
+            found.state,
+            found.scan.torn,
+            found.scan.heads[1],
+            found.basis,
+            found.analyses,
+            tuple(found.findings),
+        )
 
     # -- what was run --------------------------------------------------------------------------------------------------
 
     @property
-    def plan_bytes(self) -> bytes:
-        return (self.path / "plan.yaml").read_bytes()
-
-    @property
-    def bench_bytes(self) -> bytes:
-        return (self.path / "bench.yaml").read_bytes()
+    def path(self) -> Path:
+        return self.folder.path
 
     @property
     def instruments(self) -> dict[str, dict[str, str]]:
@@ -83,10 +96,6 @@ class RunReader:
         """Data that were kept but do not count, with the reason."""
         return tuple(self.state.rejected)
 
-    def analyses(self) -> tuple[Path, ...]:
-        """Folders of the analyses, oldest first."""
-        return analyses(self.path)
-
     # -- samples -------------------------------------------------------------------------------------------------------
 
     def recording(self, schedule: Schedule) -> tuple[RecordedSegment, ...]:
@@ -100,50 +109,49 @@ class RunReader:
             if item.index >= len(schedule.segments) or schedule.segments[item.index].label != item.label:
                 message = f"segment {item.index + 1} was recorded as '{item.label}', which the plan does not have there"
                 raise IntegrityError(f"{self.path}: {message}; was planrunner updated since?")
-            units = units_of(self.path, item.parts[0]) if item.parts else {}
+            first = SegmentData(self.folder, item.parts[0]) if item.parts else None
+            units = {} if first is None else first.units
             read = partial(self.blocks, item)
             rows = sum(part.rows for part in item.parts)
             readings = {name: float("nan") if value is None else float(value) for name, value in item.readings.items()}
-            statistics = statistics_of(read(tuple(units)), tuple(units), rows)
+            statistics = statistics_of(self._blocks(item, first, tuple(units)), tuple(units), rows)
             segment = schedule.segments[item.index]
             segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings))
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
         """The samples of a segment in blocks of bounded size; `channels` None for all."""
-        for part in item.parts:
-            yield from read_part(self.path, part, channels)
+        return self._blocks(item, None, channels)
+
+    def _blocks(self, item: Acknowledged, first: SegmentData | None, channels: Sequence[str] | None) -> Iterator[Block]:
+        """first: the first part, where it is at hand. All parts have its columns, and times go on from part to part."""
+        units: Mapping[str, str] | None = None if first is None else first.units
+        last = float("-inf")
+        read = (SegmentData(self.folder, part) for part in item.parts[0 if first is None else 1 :])
+        for data in chain(() if first is None else (first,), read):
+            first = None
+            if units is not None and data.units != units:
+                raise IntegrityError(f"{data.path}: its columns are not those of the segment's first part")
+            units = data.units
+            for block in data.blocks(channels):
+                if len(block.time):
+                    if not block.time[0] > last:
+                        raise IntegrityError(f"{data.path}: its time does not increase after the part before it")
+                    last = float(block.time[-1])
+                yield block
+
+    # -- analyses ------------------------------------------------------------------------------------------------------
+
+    def add_analysis(self, files: Mapping[str, bytes]) -> StoredAnalysis:
+        """Keep an analysis that was made from what was read here; see `analyses.add_analysis`."""
+        return add_analysis(self.folder, files, self.basis)
 
     # -- integrity -----------------------------------------------------------------------------------------------------
 
     def check_digests(self) -> int:
-        """Hold every recorded file and analysis against its digest; returns how many files were checked. Raises
-        `IntegrityError`."""
-        files: dict[str, str] = {part.file: part.sha256 for part in self.state.files()}
-        files |= self.state.created["files"]
-        if self.seal is not None:
-            files |= {name: value for name, value in self.seal["files"].items() if name != journal_lines.NAME}
-        for name, expected in files.items():
-            self._check(name, expected)
-        for folder in self.analyses():
-            check_analysis(folder)
-        return len(files)
-
-    def check_events(self) -> int:
-        """Hold every event of the journal against its whole schema; returns how many. Raises `IntegrityError`."""
-        path = self.path / journal_lines.NAME
-        scan = journal_lines.JournalScan(path)
-        for event in scan:
-            fault = formats.check_event(event)
-            if fault is not None:
-                raise IntegrityError(f"{path}:{scan.count}: {fault}")
-        return scan.count
-
-    def _check(self, name: str, expected: str) -> None:
-        path = self.path / name
-        try:
-            found = digest_file(path)
-        except OSError as error:
-            raise IntegrityError(f"{path}: cannot be read: {error.strerror}; take the file from a backup") from None
-        if found != expected:
-            raise IntegrityError(f"{path}: differs from what was recorded (SHA-256); take the file from a backup")
+        """Hold everything in the folder, every sample included, against its digest, as it stands now; returns how many recorded files there
+        are. Raises `IntegrityError`."""
+        found = examine(self.folder, samples=True)
+        found.require_whole()
+        assert found.state is not None
+        return len({part.file for part in found.state.files()}) + len(found.given)

@@ -3,65 +3,63 @@ finished."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from planrunner.archive import formats
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.journal import MOST_BYTES as MOST_OF_JOURNAL
 from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal import JournalScan, utc_now
 from planrunner.archive.journal_state import JournalState
-from planrunner.archive.storage import Storage, digest_file
+from planrunner.archive.storage import Storage, digest_of
+from planrunner.guarded_folder import GuardedFolder
 
 NAME = "seal.json"
+MOST_BYTES = 2**25
 
 
-def write_seal(folder: Path, storage: Storage, files: Mapping[str, str], head: str, events: int) -> None:
+def write_seal(
+    folder: GuardedFolder, run: str, storage: Storage, files: Mapping[str, str], head: str, events: int
+) -> None:
     """Seal a run whose journal ends with `head` after `events` events; a seal that already stands is replaced.
 
-    files: name → SHA-256 of everything else that was recorded, as computed while it was written.
+    run: its name; files: name → SHA-256 of everything else that was recorded, as computed while it was written.
     """
+    with folder.open_file(JOURNAL, MOST_OF_JOURNAL) as journal:
+        digests = {**files, JOURNAL: digest_of(journal)}
     seal = {
         "planrunner_seal": formats.SEAL_FORMAT,
-        "run": folder.name,
+        "run": run,
         "sealed": utc_now(),
         "journal": {"events": events, "head": head},
-        "files": dict(sorted({**files, JOURNAL: digest_file(folder / JOURNAL)}.items())),
+        "files": dict(sorted(digests.items())),
     }
-    storage.write_whole(folder / NAME, formats.to_bytes(seal))
+    storage.write_whole(folder, NAME, formats.to_bytes(seal))
 
 
-def read_seal(folder: Path) -> dict[str, Any] | None:
-    """The seal, or None while a run is not finished. Raises `IntegrityError` for one that is not as its schema says."""
-    path = folder / NAME
-    return formats.read_json(path, "seal", "planrunner_seal", formats.SEAL_FORMAT) if path.exists() else None
+def parse_seal(data: bytes, path: Path) -> dict[str, Any]:
+    """The content of a seal. Raises `IntegrityError` for one that is not as its schema says."""
+    return formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
 
 
-def check_seal(folder: Path, seal: dict[str, Any], scan: JournalScan, state: JournalState) -> None:
-    """Hold a seal against the journal as read. Raises `IntegrityError`.
+def seal_faults(path: Path, seal: Mapping[str, Any], scan: JournalScan, state: JournalState) -> Iterator[str]:
+    """What a seal says other than the journal as read. scan: with its head after as many events as the seal counts.
 
     A finished run that was opened again, to take a segment another time, has a journal that goes on after its seal;
     then the sealed beginning is checked instead.
     """
-    sealed, path = seal["journal"], folder / NAME
+    sealed = seal["journal"]
     if sealed["events"] > scan.count:
-        message = f"the seal counts {sealed['events']} events, the journal has {scan.count} that are whole"
-        raise IntegrityError(f"{path}: {message}; take the run folder from a backup")
-    head = scan.head if sealed["events"] == scan.count else _head_after(folder / JOURNAL, sealed["events"])
-    if head != sealed["head"]:
-        raise IntegrityError(f"{path}: the journal is not the one that was sealed; take the run folder from a backup")
+        yield (f"{path}: the seal counts {sealed['events']} events, the journal has {scan.count} that are whole")
+        return
+    if scan.heads.get(sealed["events"]) != sealed["head"]:
+        yield f"{path}: the journal is not the one that was sealed"
+        return
     known = {part.file: part.sha256 for part in state.files()} | state.created["files"]
     for name, value in seal["files"].items():
         if name != JOURNAL and known.get(name) != value:
-            raise IntegrityError(
-                f"{path}: the digest of {name} is not the one in the journal; take the run folder from a backup"
-            )
-
-
-def _head_after(path: Path, events: int) -> str:
-    scan = JournalScan(path)
-    for _ in scan:
-        if scan.count == events:
-            break
-    return scan.head
+            yield f"{path}: the digest of {name} is not the one in the journal"
+    if sealed["events"] == scan.count:
+        for name in sorted(set(known) - set(seal["files"])):
+            yield f"{path}: it does not list {name}, which the journal knows"

@@ -3,7 +3,8 @@
 Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written beside
 its name (`….partial`), synced and renamed; its SHA-256 is computed from the bytes as they are written. Reading takes
 a part into memory as one piece, checks the digest over exactly those bytes and decodes them, so that data are read
-once and nothing unchecked is used.
+once and nothing unchecked is used. What the file then says of itself (rows, columns, their types) is held against the journal and against
+what a part can be, before anything of it is decoded.
 """
 
 from __future__ import annotations
@@ -13,14 +14,18 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.integrity import IntegrityError
-from planrunner.archive.storage import ASIDE, Storage
+from planrunner.archive.storage import ASIDE, Storage, digest
+from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block, InstrumentError
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 FOLDER = "segments"
 FORMAT = 1
@@ -29,6 +34,10 @@ PART_BYTES = 32 * 2**20
 PART_SECONDS = 600.0
 """… or spans more than this time, so that a crash costs no more."""
 GROUP_ROWS = 65_536
+MOST_BYTES = 2 * PART_BYTES
+"""Bytes that a file of samples has at most: what does not shrink by compression, and the file's own tables."""
+MOST_COLUMNS = 1000
+"""Columns that a file of samples has at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +75,7 @@ class SegmentWriter:
 
     def __init__(
         self,
-        folder: Path,
+        folder: GuardedFolder,
         stem: str,
         channels: Mapping[str, str],
         storage: Storage,
@@ -77,6 +86,10 @@ class SegmentWriter:
     ):
         if "time" in channels:
             raise InstrumentError("the sensor has a channel named 'time', which is the recording's own: rename it")
+        if len(channels) >= MOST_COLUMNS:
+            raise InstrumentError(
+                f"the sensor has {len(channels)} channels; a recording takes {MOST_COLUMNS - 1} at most"
+            )
         self.folder = folder
         self.stem = stem
         self.channels = dict(channels)
@@ -165,7 +178,7 @@ class SegmentWriter:
 
         if self._open is None:
             name = f"{self.stem}.parquet" if self.parts == 0 else f"{self.stem}.part{self.parts + 1:03d}.parquet"
-            self._open = _OpenPart(self.folder / name, self._schema, self._storage)
+            self._open = _OpenPart(self.folder, name, self._schema, self._storage)
         if not self._waiting:
             return
         waiting, self._waiting, self._waiting_rows = self._waiting, [], 0
@@ -186,9 +199,9 @@ class SegmentWriter:
 class _HashedSink:
     """What pyarrow writes into: hashes and passes on."""
 
-    def __init__(self, storage: Storage, path: Path):
+    def __init__(self, storage: Storage, folder: GuardedFolder, name: str):
         self.storage = storage
-        self.file = storage.open_new(path)
+        self.file = storage.open_new(folder, name)
         self.hash = hashlib.sha256()
         self.size = 0
         self.closed = False
@@ -225,15 +238,16 @@ class _HashedSink:
 class _OpenPart:
     """One Parquet file being written aside."""
 
-    def __init__(self, path: Path, schema: Any, storage: Storage):
+    def __init__(self, folder: GuardedFolder, name: str, schema: Any, storage: Storage):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        self.path = path
-        self.aside = path.with_name(path.name + ASIDE)
+        self.folder = folder
+        self.name = name
+        self.aside = name + ASIDE
         self.rows = 0
         self._storage = storage
-        self._sink = _HashedSink(storage, self.aside)
+        self._sink = _HashedSink(storage, folder, self.aside)
         self._native = pa.PythonFile(self._sink, mode="w")
         self._writer = pq.ParquetWriter(
             self._native, schema, compression="snappy", use_dictionary=False, write_statistics=False
@@ -251,13 +265,12 @@ class _OpenPart:
                 raise OSError("an earlier write of this file failed")
             self._storage.sync(self._sink.file)
             self._sink.file.close()
-            self._storage.replace(self.aside, self.path)
+            self._storage.replace(self.folder, self.aside, self.name)
         except BaseException:
             self.abandon()
             raise
-        self._storage.sync_folder(self.path.parent)
-        name = f"{self.path.parent.name}/{self.path.name}"
-        return Part(name, self._sink.hash.hexdigest(), self.rows, self._sink.size)
+        self._storage.sync_folder(self.folder)
+        return Part(f"{FOLDER}/{self.name}", self._sink.hash.hexdigest(), self.rows, self._sink.size)
 
     def abandon(self) -> None:
         """Let go of the file and remove it, as far as that goes."""
@@ -268,7 +281,7 @@ class _OpenPart:
         finally:
             self._sink.file.close()
         with contextlib.suppress(OSError):
-            self._storage.remove(self.aside)
+            self._storage.remove(self.folder, self.aside)
 
 
 def _schema(channels: Mapping[str, str], description: Mapping[str, str]) -> Any:
@@ -291,53 +304,129 @@ def _cut(block: Block, start: int, stop: int) -> Block:
 # -- reading -----------------------------------------------------------------------------------------------------------
 
 
-def read_part(folder: Path, part: Part, channels: Sequence[str] | None = None) -> Iterator[Block]:
-    """The samples of one part in blocks of a row group; `channels` None for all.
+class SegmentData:
+    """The samples of one part: its bytes, held against the journal's digest, and what they say of themselves.
 
-    Raises `IntegrityError` when the file is missing, differs from its digest or is not what this version reads.
+    folder: the run folder. Raises `IntegrityError` when the file is missing, differs from its digest or is not a part as this
+    version writes it.
     """
+
+    def __init__(self, folder: GuardedFolder, part: Part):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self.path = folder.path / part.file
+        data = _checked_bytes(folder, part)
+        try:
+            self._file = pq.ParquetFile(pa.BufferReader(data))
+            schema = self._file.schema_arrow
+            self._check_version(schema)
+            self._check_shape(part, schema)
+            self.units = {
+                field.name: (field.metadata or {}).get(b"unit", b"").decode()
+                for field in schema
+                if field.name != "time"
+            }
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+            raise self._foreign(str(error)[:200]) from None
+
+    def blocks(self, channels: Sequence[str] | None = None) -> Iterator[Block]:
+        """The samples in blocks of a row group; `channels` None for all."""
+        import pyarrow as pa
+
+        names = list(self.units) if channels is None else list(channels)
+        missing = [name for name in names if name not in self.units]
+        if missing:
+            raise self._foreign(f"it has no column '{missing[0][:60]}'")
+        last = -np.inf
+        try:
+            for group in range(self._file.num_row_groups):
+                table = self._file.read_row_group(group, columns=["time", *names], use_threads=False)
+                block = Block(_column(table, "time"), {name: _column(table, name) for name in names})
+                last = self._later(block.time, last)
+                yield block
+        except (pa.ArrowException, OSError) as error:
+            raise self._foreign(str(error)[:200]) from None
+
+    def _check_version(self, schema: Any) -> None:
+        version = (schema.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
+        if version != str(FORMAT):
+            raise IntegrityError(
+                f"{self.path}: segment format {version[:40]!r}; this planrunner reads {FORMAT}: use a newer planrunner"
+            )
+
+    def _check_shape(self, part: Part, schema: Any) -> None:
+        """By the footer alone: rows as the journal counts them, columns of 64-bit floats, no more of both than a part can hold."""
+        import pyarrow as pa
+
+        about: pq.FileMetaData = self._file.metadata
+        groups = [about.row_group(number) for number in range(about.num_row_groups)]
+        columns = len(schema.names)
+        if about.num_rows != part.rows or sum(group.num_rows for group in groups) != part.rows:
+            raise self._foreign(f"it holds {about.num_rows} rows, the journal counts {part.rows}")
+        if not 1 <= columns <= MOST_COLUMNS or len(set(schema.names)) != columns or "time" not in schema.names:
+            raise self._foreign("its columns are not time and channels, each of a name of its own")
+        if any(field.type != pa.float64() for field in schema) or about.num_columns != columns:
+            raise self._foreign("not every column is of 64-bit floats")
+        if part.rows > max(1, PART_BYTES // (8 * columns)):
+            raise self._foreign(f"{part.rows} rows of {columns} columns are more than a part holds")
+        for group in groups:
+            for number in range(columns):
+                column = group.column(number)
+                if column.physical_type != "DOUBLE" or column.num_values != group.num_rows:
+                    raise self._foreign("its tables contradict each other")
+                if column.total_uncompressed_size > MOST_BYTES:
+                    raise self._foreign("its samples would need more memory than a part does")
+
+    def _later(self, time: NDArray[np.float64], last: float) -> float:
+        """The last time of a block whose times are finite and increase from `last` on, as the writer takes them."""
+        if len(time) == 0:
+            return last
+        if not (time[0] > last and np.isfinite(time[-1]) and bool(np.all(time[1:] > time[:-1]))):
+            raise self._foreign("its time does not increase")
+        return float(time[-1])
+
+    def _foreign(self, what: str) -> IntegrityError:
+        return IntegrityError(f"{self.path}: not a recording of a segment: {what}; take the file from a backup")
+
+
+def read_part(folder: GuardedFolder, part: Part, channels: Sequence[str] | None = None) -> Iterator[Block]:
+    """The samples of one part in blocks of a row group; see `SegmentData`."""
+    yield from SegmentData(folder, part).blocks(channels)
+
+
+def rows_of(data: bytes) -> int:
+    """How many rows a Parquet file says that it holds. Raises ValueError when it is none."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path = folder / part.file
     try:
-        data = path.read_bytes()
+        return int(pq.read_metadata(pa.BufferReader(data)).num_rows)
+    except (pa.ArrowException, OSError) as error:
+        raise ValueError(str(error)) from None
+
+
+def check_part(folder: GuardedFolder, part: Part) -> None:
+    """Hold a part against the journal, its samples undecoded. Raises `IntegrityError`."""
+    SegmentData(folder, part)
+
+
+def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
+    """The bytes of a part, which have the journal's digest. Raises `IntegrityError`."""
+    path = folder.path / part.file
+    try:
+        data = folder.folder(FOLDER).read(part.file.removeprefix(f"{FOLDER}/"), MOST_BYTES)
     except OSError as error:
-        raise IntegrityError(
-            f"{path}: the samples cannot be read: {error.strerror}; take the file from a backup"
-        ) from None
-    if hashlib.sha256(data).hexdigest() != part.sha256:
+        how = "" if isinstance(error, NotOrdinaryError) else "cannot be read: "
+        raise IntegrityError(f"{path}: the samples: {how}{error.strerror}; take the file from a backup") from None
+    if digest(data) != part.sha256 or len(data) != part.bytes:
         raise IntegrityError(
             f"{path}: the samples differ from what was recorded (SHA-256); take the file from a backup"
         )
-    try:
-        file = pq.ParquetFile(pa.BufferReader(data))
-        version = (file.schema_arrow.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
-        if version != str(FORMAT):
-            raise IntegrityError(
-                f"{path}: segment format {version!r}; this planrunner reads {FORMAT}: use a newer planrunner"
-            )
-        names = [name for name in file.schema_arrow.names if name != "time"] if channels is None else list(channels)
-        for group in range(file.num_row_groups):
-            table = file.read_row_group(group, columns=["time", *names], use_threads=False)
-            yield Block(_column(table, "time"), {name: _column(table, name) for name in names})
-    except (pa.ArrowException, KeyError) as error:
-        raise IntegrityError(f"{path}: not a recording of a segment: {error}") from None
+    return data
 
 
-def _column(table: Any, name: str) -> Any:
+def _column(table: Any, name: str) -> NDArray[np.float64]:
     column = table.column(name)
-    return column.chunk(0).to_numpy() if column.num_chunks == 1 else column.to_numpy()
-
-
-def units_of(folder: Path, part: Part) -> dict[str, str]:
-    """Channel → unit, in the order of the columns. Raises `IntegrityError`."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        schema = pq.read_schema(folder / part.file)
-    except (pa.ArrowException, OSError) as error:
-        message = f"{folder / part.file}: the samples cannot be read: {str(error)[:200]}; take the file from a backup"
-        raise IntegrityError(message) from None
-    return {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schema if field.name != "time"}
+    values: NDArray[np.float64] = column.chunk(0).to_numpy() if column.num_chunks == 1 else column.to_numpy()
+    return values

@@ -1,8 +1,8 @@
-"""The few ways in which a run folder touches the disk, all in one place.
+"""The few ways in which a run folder is written, all in one place.
 
 Every write of the archive goes through a `Storage`, which knows whether a write must survive a power cut (`durable`:
 fsync of the file and of the folder that names it) or only the end of the process (`flushed`: handed to the operating
-system).
+system). Where it writes is a `GuardedFolder`, so that no link leads a write elsewhere.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from io import FileIO
-from pathlib import Path
+from io import BufferedReader, FileIO
 from typing import Literal
+
+from planrunner.guarded_folder import GuardedFolder
 
 Durability = Literal["durable", "flushed"]
 ASIDE = ".partial"
@@ -27,16 +28,16 @@ class Storage:
         self.durability = durability
         self.durable = durability == "durable"
 
-    def make_folder(self, path: Path) -> None:
-        path.mkdir()
+    def make_folder(self, folder: GuardedFolder, name: str) -> GuardedFolder:
+        return folder.make_folder(name)
 
-    def open_new(self, path: Path) -> FileIO:
-        """Open a file for writing from its beginning, unbuffered."""
-        return FileIO(path, "w")
+    def open_new(self, folder: GuardedFolder, name: str) -> FileIO:
+        """Open a new file for writing, unbuffered."""
+        return folder.open_new(name)
 
-    def open_existing(self, path: Path) -> FileIO:
+    def open_existing(self, folder: GuardedFolder, name: str) -> FileIO:
         """Open a file for reading and writing, unbuffered, at its end."""
-        file = FileIO(path, "r+")
+        file = folder.open_existing(name)
         file.seek(0, os.SEEK_END)
         return file
 
@@ -58,36 +59,33 @@ class Storage:
         if self.durable:
             os.fsync(file.fileno())
 
-    def sync_folder(self, path: Path) -> None:
-        """Wait until the names in a folder are on the disk, in durable mode. Windows keeps names by itself and cannot
-        be asked."""
-        if not self.durable or os.name == "nt":
-            return
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+    def sync_folder(self, folder: GuardedFolder) -> None:
+        """Wait until the names in a folder are on the disk, in durable mode."""
+        if self.durable:
+            folder.sync()
 
-    def replace(self, source: Path, target: Path) -> None:
-        os.replace(source, target)
+    def replace(self, folder: GuardedFolder, source: str, target: str) -> None:
+        folder.replace(source, target)
 
-    def remove(self, path: Path) -> None:
-        path.unlink(missing_ok=True)
+    def rename(self, folder: GuardedFolder, source: str, target: str) -> None:
+        folder.rename(source, target)
 
-    def write_whole(self, path: Path, data: bytes) -> None:
+    def remove(self, folder: GuardedFolder, name: str) -> None:
+        folder.remove(name)
+
+    def write_whole(self, folder: GuardedFolder, name: str, data: bytes) -> None:
         """Write a file so that it is there whole or not at all, whenever the power goes."""
-        aside = path.with_name(path.name + ASIDE)
+        aside = name + ASIDE
         try:
-            with self.open_new(aside) as file:
+            with self.open_new(folder, aside) as file:
                 self.write(file, data)
                 self.sync(file)
-            self.replace(aside, path)
+            self.replace(folder, aside, name)
         except OSError:
             with contextlib.suppress(OSError):
-                self.remove(aside)
+                self.remove(folder, aside)
             raise
-        self.sync_folder(path.parent)
+        self.sync_folder(folder)
 
 
 def digest(data: bytes) -> str:
@@ -95,7 +93,6 @@ def digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def digest_file(path: Path) -> str:
-    """SHA-256 of a file, read in pieces."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def digest_of(file: BufferedReader) -> str:
+    """SHA-256 of an open file, read in pieces."""
+    return hashlib.file_digest(file, "sha256").hexdigest()

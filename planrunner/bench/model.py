@@ -280,11 +280,11 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
     """
     path, shown = locate(name_or_path, beside)
     data = source.read_bytes(path, shown)
-    return _bench_of(data, shown), data, shown
+    return bench_of(data, shown), data, shown
 
 
 @lru_cache(maxsize=16)
-def _bench_of(data: bytes, shown: str) -> Bench:
+def bench_of(data: bytes, shown: str) -> Bench:
     """The bench that a file's bytes hold, kept because many plans name the same one. Raises `InputError`."""
     bench, log = parse_bench(source.parse(source.decode(data, shown), shown))
     if bench is None or log.errors:

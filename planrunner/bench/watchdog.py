@@ -32,8 +32,6 @@ _GONE = (
     "the watchdog process has ended, or made the bench safe after a silence: look whether the computer stood still or somebody ended it, "
     "then resume the run"
 )
-REPORT = "watchdog.txt"
-"""File in the run folder that tells what the watchdog did, until the run is resumed."""
 
 
 class Watchdog:

@@ -27,10 +27,10 @@ from planrunner.bench.clock import WallClock
 from planrunner.bench.lock import watchdog_lock
 from planrunner.bench.model import Bench, driver_of, parse_bench, real_instruments, site_of
 from planrunner.bench.opening import real_clock
-from planrunner.bench.watchdog import REPORT
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.plan import source
 from planrunner.plan.findings import InputError
+from planrunner.watchdog_report import append_report
 
 ATTEMPTS = 3
 BETWEEN = 1.0
@@ -179,18 +179,7 @@ def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
         sys.stderr.write(text)
     if charge.report is not None:
         with contextlib.suppress(OSError):
-            _append(charge.report / REPORT, text)
-
-
-def _append(report: Path, text: str) -> None:
-    """Whoever finds the report finds it whole. By hand: the bench knows nothing of the archive."""
-    before = report.read_text(encoding="utf-8") if report.exists() else ""
-    beside = report.with_suffix(".part")
-    with beside.open("w", encoding="utf-8") as file:
-        file.write(before + text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, report)
+            append_report(charge.report, text)
 
 
 def live() -> NoReturn:

@@ -70,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
     from planrunner.joining import joined
 
     recorded = joined(recorded, args.also)
+    print_findings(recorded.remarks)
 
     made = diagnose_recorded(recorded, _options(args.nominal), args.jobs)
     print_findings(made.findings)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -24,11 +23,7 @@ def _estimate(folder: Path, *, as_json: bool) -> Done:
     from planrunner import running
 
     analysis = running.analyse_run(folder)
-    earlier = analysis.folder.parent / str(int(analysis.folder.name) - 1) / "results.json"
-    if earlier.is_file():
-        same = json.loads(earlier.read_text(encoding="utf-8")) == json.loads(
-            (analysis.folder / "results.json").read_text(encoding="utf-8")
-        )
-        verdict = "the same numbers as" if same else "OTHER NUMBERS than"
-        print(f"analysis {analysis.folder.name} has {verdict} analysis {earlier.parent.name}", file=sys.stderr)
+    if analysis.before is not None:
+        verdict = "the same numbers as" if analysis.same else "OTHER NUMBERS than"
+        print(f"analysis {analysis.folder.name} has {verdict} analysis {analysis.before}", file=sys.stderr)
     return conclude(analysis, as_json=as_json)

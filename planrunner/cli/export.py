@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from planrunner import cli
 from planrunner.cli.each_run import Done, each_run
 from planrunner.cli.failures import COMMAND_LINE
-from planrunner.cli.printing import write_file
+from planrunner.cli.printing import print_findings, write_file
 from planrunner.plan.findings import InputError, Mark, closest
 
 FORMS = {"csv": "csv", "matlab": "m", "yaml": "yaml", "c": "h"}
@@ -53,28 +52,30 @@ def _told(words: list[Path]) -> tuple[list[Path], str]:
 
 
 def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) -> Done:
-    from planrunner.archive.analyses import check_analysis
     from planrunner.archive.run_reader import RunReader
-    from planrunner.estimators.analysis import Results
+    from planrunner.archive.segment_file import safe_name
+    from planrunner.estimators.results import Results
     from planrunner.reporting.export import export
+    from planrunner.running import stored_results
 
     reader = RunReader.open(run)
-    folders = {int(place.name): place for place in reader.analyses()}
-    number = args.analysis if args.analysis is not None else max(folders, default=0)
-    if number not in folders:
-        message = "this run has no such analysis" if folders else "this run has no analysis yet"
-        known = ", ".join(map(str, folders))
-        hint = f"known here: {known}" if folders else "make one with `planrunner estimate`"
+    print_findings(reader.findings)
+    analyses = {analysis.number: analysis for analysis in reader.analyses}
+    number = args.analysis if args.analysis is not None else max(analyses, default=0)
+    if number not in analyses:
+        message = "this run has no such analysis" if analyses else "this run has no analysis yet"
+        known = ", ".join(map(str, analyses))
+        hint = f"known here: {known}" if analyses else "make one with `planrunner estimate`"
         raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
-    check_analysis(folders[number])
-    results = Results.from_json(json.loads((folders[number] / "results.json").read_text(encoding="utf-8")))
+    analysis = analyses[number]
+    results = stored_results(analysis)
     if not results.estimates:
         message, hint = "no estimate of this analysis came to a result", "its reports say why"
-        raise InputError.at(Mark(str(folders[number])), "estimate-missing", message, hint)
+        raise InputError.at(Mark(str(analysis.path)), "estimate-missing", message, hint)
     name = asked or next(iter(results.estimates), "")
     if name not in results.estimates:
         hint = closest(name, results.estimates)
-        raise InputError.at(Mark(str(folders[number])), "estimate-missing", f"there is no estimate '{name}'", hint)
+        raise InputError.at(Mark(str(analysis.path)), "estimate-missing", f"there is no estimate '{name}'", hint)
     estimate = results.estimates[name]
     whole = Results({name: estimate}).to_json()["estimates"][0]
     found: dict[str, Any] = {
@@ -92,7 +93,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     if target is None:
         print(text, end="")
         return Done(cli.DONE)
-    target = target / f"{reader.run['run']}-{name}.{FORMS[args.format]}" if folder else target
+    target = target / f"{reader.run['run']}-{safe_name(name)}.{FORMS[args.format]}" if folder else target
     write_file(target, text)
     if not args.json:
         print(target)

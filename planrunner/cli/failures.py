@@ -40,6 +40,7 @@ class _Known:
 
 _KINDS = {
     "IntegrityError": _Known(cli.INTEGRITY, "run-integrity"),
+    "NotOrdinaryError": _Known(cli.INTEGRITY, "run-integrity"),
     "InstrumentError": _Known(cli.FAULT, "run-instrument"),
     "EstimationError": _Known(cli.WRONG_INPUT, "estimate-failed"),
     "ReportError": _Known(cli.WRONG_INPUT, "report-failed"),
@@ -59,7 +60,8 @@ def failure_of(error: Exception, where: str = COMMAND_LINE) -> Failure:
     for kind in type(error).__mro__:
         known = _KINDS.get(kind.__name__)
         if known is not None:
-            return _failure(known, where, str(error))
+            said = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else str(error)
+            return _failure(known, where, said)
     if isinstance(error, OSError):
         place = str(error.filename or where)
         reason = error.strerror or str(error)

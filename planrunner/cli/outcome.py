@@ -55,7 +55,7 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
         print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
             print(path)
-    print_findings(analysis.withheld)
+    print_findings((*analysis.remarks, *analysis.withheld))
     found = {"analysis": str(analysis.folder), **analysis.results.to_json()} if as_json else {}
     return Done(code_of(analysis.results), found)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from planrunner import cli
 from planrunner.archive import pausing
+from planrunner.archive.verifying import open_run
 from planrunner.cli.printing import print_json
 from planrunner.plan.findings import InputError, Mark
 
@@ -17,17 +18,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    folder: Path = args.run_folder
+    folder = open_run(args.run_folder)
     if not pausing.is_written(folder):
         raise InputError.at(
-            Mark(str(folder)),
+            Mark(str(folder.path)),
             "run-not-running",
             "no planrunner writes this run",
             "give the folder of a run that is going on",
         )
     pausing.ask_to_pause(folder)
     if args.json:
-        print_json({"run": str(folder), "asked": "pause"})
+        print_json({"run": str(folder.path), "asked": "pause"})
         return cli.DONE
-    print(f"The run waits after this segment, with the bench safe. Go on with: planrunner resume {folder}")
+    print(f"The run waits after this segment, with the bench safe. Go on with: planrunner resume {folder.path}")
     return cli.DONE

@@ -84,7 +84,7 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
     issue = running.Issue(names, given, args.before)
     if args.template is None:
         analysis = running.analyse_run(run, issue)
-        print_findings(analysis.withheld)
+        print_findings((*analysis.remarks, *analysis.withheld))
         written = [*analysis.reports]
         found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}
     else:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from planrunner import cli
 from planrunner.archive import pausing
+from planrunner.archive.verifying import open_run
 from planrunner.cli.operator import operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_json
@@ -26,6 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="set this recorded segment aside, whose data stay, and take it again (with --reason)",
     )
     parser.add_argument("--reason", metavar="TEXT", help="why, for --retake; kept in the run folder")
+    parser.add_argument(
+        "--bench",
+        metavar="BENCH",
+        help="use this bench file instead of the folder's; it may differ only in how instruments are reached",
+    )
+    parser.add_argument(
+        "--trust-bench",
+        action="store_true",
+        help="go on with the bench file of a folder that was not made on this computer, and connect to what it names",
+    )
     add_run_arguments(parser)
 
 
@@ -33,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     folder: Path = args.run_folder
     if bool(args.retake) != bool(args.reason):
         raise InputError.at(Mark("<command line>"), "run-retake", "--retake and --reason belong together", "give both")
-    if pausing.take_back(folder):
+    if pausing.take_back(open_run(folder)):
         if args.json:
             print_json({"run": str(folder), "asked": "go on"})
         else:
@@ -51,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
             progress=progress,
             operator=operator_of(args, notify),
             retake=retake,
+            bench=args.bench,
+            trust_bench=args.trust_bench,
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)

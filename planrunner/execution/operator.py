@@ -46,7 +46,7 @@ class Boundary:
 
     def wait(self, segment: Segment, now: Callable[[], float]) -> None:
         """Before `segment`: the prompts and a pause, if any. Returns early when the run is to stop."""
-        if asked_to_pause(self._writer.path):
+        if asked_to_pause(self._writer.folder):
             self._pause(now)
         if not segment.prompts or self._stop.after_segment:
             return
@@ -66,7 +66,7 @@ class Boundary:
         self._writer.note("paused", clock=now())
         if self._operator is not None:
             self._operator.tell(f"paused in the safe state; go on with: planrunner resume {self._writer.path}")
-        if self._until(lambda: not asked_to_pause(self._writer.path)):
+        if self._until(lambda: not asked_to_pause(self._writer.folder)):
             self._go_on()
             self._writer.note("continued", clock=now())
 

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import FIRST, Journal, JournalScan, finite
 from planrunner.archive.storage import Storage
+from planrunner.guarded_folder import GuardedFolder
 
 
 def write(path: Path, events: int, storage: Storage | None = None) -> Journal:
     storage = storage or Storage("flushed")
-    journal = Journal(storage, storage.open_new(path))
+    journal = Journal(storage, storage.open_new(GuardedFolder.open(path.parent), path.name))
     for number in range(events):
         journal.append("failed", {"where": "here", "kind": "K", "message": f"±{number}"})
     return journal
@@ -40,7 +41,7 @@ def test_scan_gives_events_and_end(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     journal = write(path, 3)
     journal.close()
-    scan = JournalScan(path)
+    scan = JournalScan(GuardedFolder.open(path.parent))
     assert [event["message"] for event in scan] == ["±0", "±1", "±2"]
     assert (scan.head, scan.count, scan.size, scan.torn) == (journal.head, 3, path.stat().st_size, 0)
 
@@ -52,7 +53,7 @@ def test_every_torn_end_is_left_out(tmp_path: Path) -> None:
     second = whole.index(b"\n", whole.index(b"\n") + 1) + 1
     for length in range(second, len(whole)):
         path.write_bytes(whole[:length])
-        scan = JournalScan(path)
+        scan = JournalScan(GuardedFolder.open(path.parent))
         assert len(list(scan)) == 2
         assert (scan.size, scan.torn) == (second, length - second)
 
@@ -63,12 +64,12 @@ def test_zeros_at_the_end_are_torn(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for hole in (bytes(100), bytes(100) + b'"tail"}\n'):
         path.write_bytes(whole + hole)
-        scan = JournalScan(path)
+        scan = JournalScan(GuardedFolder.open(path.parent))
         assert len(list(scan)) == 3
         assert (scan.size, scan.torn) == (len(whole), len(hole))
     path.write_bytes(whole[:100] + bytes(10) + whole[110:])
     with pytest.raises(IntegrityError):
-        list(JournalScan(path))
+        list(JournalScan(GuardedFolder.open(path.parent)))
 
 
 @settings(max_examples=300, deadline=None)
@@ -87,7 +88,7 @@ def test_a_changed_byte_before_the_last_line_is_found(
     data[place] = byte
     path.write_bytes(data)
     with pytest.raises(IntegrityError, match="changed after it was written"):
-        list(JournalScan(path))
+        list(JournalScan(GuardedFolder.open(path.parent)))
 
 
 def test_a_zero_for_a_line_feed_does_not_swallow_a_line_that_counts(tmp_path: Path) -> None:
@@ -97,7 +98,7 @@ def test_a_zero_for_a_line_feed_does_not_swallow_a_line_that_counts(tmp_path: Pa
     data[data[:-1].rindex(b"\n")] = 0
     path.write_bytes(data)
     with pytest.raises(IntegrityError, match="changed after it was written"):
-        list(JournalScan(path))
+        list(JournalScan(GuardedFolder.open(path.parent)))
 
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
@@ -107,7 +108,7 @@ def test_a_missing_line_is_found(tmp_path: Path, lost: int) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:lost] + lines[lost + 1 :]))
     with pytest.raises(IntegrityError, match=f"journal.jsonl:{lost + 1}:"):
-        list(JournalScan(path))
+        list(JournalScan(GuardedFolder.open(path.parent)))
 
 
 class FailingOnce(Storage):
@@ -134,7 +135,7 @@ def test_a_write_that_fails_did_not_happen(tmp_path: Path, error: BaseException)
         journal.append("failed", {"where": "w", "kind": "k", "message": "lost"})
     journal.append("failed", {"where": "w", "kind": "k", "message": "after"})
     journal.close()
-    assert [event["message"] for event in JournalScan(path)] == ["±0", "±1", "after"]
+    assert [event["message"] for event in JournalScan(GuardedFolder.open(path.parent))] == ["±0", "±1", "after"]
 
 
 def test_what_json_cannot_carry_is_refused_or_null(tmp_path: Path) -> None:
@@ -143,5 +144,5 @@ def test_what_json_cannot_carry_is_refused_or_null(tmp_path: Path) -> None:
         journal.append("segment", {"clock": float("nan")})
     journal.append("failed", {"message": "\udc80"})
     journal.close()
-    assert [event["message"] for event in JournalScan(tmp_path / "journal.jsonl")] == ["±0", "\udc80"]
+    assert [event["message"] for event in JournalScan(GuardedFolder.open(tmp_path))] == ["±0", "\udc80"]
     assert finite({"a": float("inf"), "b": 1.5}) == {"a": None, "b": 1.5}

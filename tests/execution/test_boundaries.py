@@ -18,6 +18,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.execution import operator
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
+from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Condition, InstrumentError
 from planrunner.plan.schedule import Schedule
 
@@ -151,8 +152,8 @@ def test_a_run_waits_at_the_boundary_and_goes_on(tmp_path: Path) -> None:
 
         def asking(item: object) -> object:
             if item is schedule.segments[0]:
-                assert is_written(writer.path)
-                ask_to_pause(writer.path)
+                assert is_written(writer.folder)
+                ask_to_pause(writer.folder)
             return stream(item)
 
         bench.sensor.stream = asking
@@ -165,23 +166,23 @@ def test_a_run_waits_at_the_boundary_and_goes_on(tmp_path: Path) -> None:
     assert len(events(reader, "paused")) == len(events(reader, "continued")) == 1
     assert bench.calls.count("table.safe") == 2  # for the pause, and at the end
     assert person.told == [f"paused in the safe state; go on with: planrunner resume {writer.path}"]
-    assert not is_written(writer.path)
+    assert not is_written(writer.folder)
 
 
 def _go_on_later(run: Path, bench: Bench) -> None:
     deadline = time.monotonic() + 10
     while "table.safe" not in bench.calls and time.monotonic() < deadline:
         time.sleep(0.005)
-    assert take_back(run)
+    assert take_back(GuardedFolder.open(run))
 
 
 def test_a_pause_can_be_ended_by_stopping(tmp_path: Path) -> None:
     bench, stop = make_watched_bench(), StopRequest()
     with new_run(tmp_path) as writer:
-        ask_to_pause(writer.path)
+        ask_to_pause(writer.folder)
         timer = threading.Timer(0.05, lambda: stop.request(at_once=True, reason="SIGTERM"))
         timer.start()
         outcome = execute(TWO, bench, writer, stop=stop)
         timer.join()
     assert outcome.stopped == "at once" and outcome.completed == 0
-    assert asked_to_pause(writer.path) and not take_back(writer.path) and not asked_to_pause(writer.path)
+    assert asked_to_pause(writer.folder) and not take_back(writer.folder) and not asked_to_pause(writer.folder)

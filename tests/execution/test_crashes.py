@@ -30,6 +30,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.storage import Storage
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
+from planrunner.guarded_folder import GuardedFolder
 from planrunner.plan.findings import InputError
 
 HERE = Path(__file__).parent
@@ -42,6 +43,7 @@ OPERATIONS = (
     "sync",
     "sync_folder",
     "replace",
+    "rename",
     "remove",
 )
 
@@ -61,7 +63,7 @@ class Faulty(Storage):
     def sync(self, file: FileIO) -> None:
         """The tests' disk never loses power, so its syncs need not wait."""
 
-    def sync_folder(self, path: Path) -> None: ...
+    def sync_folder(self, folder: GuardedFolder) -> None: ...
 
     def __getattribute__(self, name: str) -> Any:
         found = super().__getattribute__(name)
@@ -124,7 +126,7 @@ def contents(run: Path) -> list[Any]:
 def acknowledged(run: Path) -> dict[int, list[str]]:
     """Segment → digests of its files, from the lines of the journal that are whole."""
     found: dict[int, list[str]] = {}
-    for event in JournalScan(run / "journal.jsonl"):
+    for event in JournalScan(GuardedFolder.open(run)):
         if event["event"] == "segment":
             found[event["segment"]] = [part["sha256"] for part in event["parts"]]
     return found
@@ -173,7 +175,11 @@ def crash_everywhere(root: Path, whole: list[Any], numbers: range, error: BaseEx
             run = next((path for path in folder.iterdir() if not path.name.startswith(".")), None)
         if run is not None:
             before = acknowledged(run)
-            assert attempt(folder, Storage("flushed"), run) == run if not RunReader.open(run).sealed else True
+            assert (
+                attempt(folder, Storage("flushed"), run) == run
+                if not RunReader.open(run, to_reopen=True).sealed
+                else True
+            )
             check_resumed(run, before, whole)
         shutil.rmtree(folder)
 
@@ -260,10 +266,10 @@ def kill_and_resume(root: Path, moment: float, rng: random.Random) -> tuple[Path
         run, _, killed = run_in_process(root, run, moment)
         kills += killed
         before = acknowledged(root / run)
-        if not killed or RunReader.open(root / run).sealed or rng.random() < 0.7:
+        if not killed or RunReader.open(root / run, to_reopen=True).sealed or rng.random() < 0.7:
             break
         moment = rng.uniform(0.0, moment)
-    if not RunReader.open(root / run).sealed:
+    if not RunReader.open(root / run, to_reopen=True).sealed:
         run_in_process(root, run, None)
     return root / run, before, kills
 
@@ -317,8 +323,7 @@ def test_events_of_a_crashed_and_resumed_run_fit_the_schema(
     assert run is not None
     attempt(tmp_path, Storage("flushed"), run)
     kinds = set()
-    for event in JournalScan(run / "journal.jsonl"):
-        assert formats.check_event(event) is None
+    for event in JournalScan(GuardedFolder.open(run)):
         assert formats.event_fault(event) is None
         kinds.add(event["event"])
     assert kinds >= {

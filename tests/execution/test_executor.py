@@ -95,7 +95,7 @@ def test_recording_is_what_the_sensor_gave(tmp_path: Path) -> None:
     assert reader.instruments["sensor"] == {"model": "S", "serial": "9"}
     assert reader.sealed
     assert reader.check_digests() == 11
-    assert reader.check_events() == 4 + 2 * 8 + 1  # created, instruments, started, safe; two a segment; finished
+    assert reader.basis.events == 4 + 2 * 8 + 1  # created, instruments, started, safe; two a segment; finished
 
 
 CALLS = (

@@ -21,7 +21,7 @@ def plan(watch: Watch | None, **given: object) -> Schedule:
 
 def events(reader: RunReader, kind: str) -> list[dict[str, object]]:
     lines = (reader.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    assert reader.check_events() == len(lines)
+    assert reader.basis.events == len(lines)
     return [event for event in map(json.loads, lines) if event["event"] == kind]
 
 

@@ -49,7 +49,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_report_says_what_was_run_and_what_it_rests_on(run: Path) -> None:
-    reader, sound = RunReader.open(run), sound_run(run)
+    reader = RunReader.open(run)
+    sound = sound_run(reader)
     recording = reader.recording(sound.schedule)
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor)
     context = report_context(reader, sound, recording, results, analysis="3", analysed="2026-01-02T03:04:05+00:00")
@@ -78,7 +79,8 @@ def test_the_report_says_what_was_run_and_what_it_rests_on(run: Path) -> None:
 
 
 def test_what_went_wrong_stands_on_top(run: Path) -> None:
-    reader, sound = RunReader.open(run), sound_run(run)
+    reader = RunReader.open(run)
+    sound = sound_run(reader)
     recording = reader.recording(sound.schedule)
     cut = replace(reader, seal=None)
     results = replace(analyse({}, (), recording, sound.models.site, sound.sensor), failures={"drift": "no positions"})

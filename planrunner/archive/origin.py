@@ -1,0 +1,150 @@
+"""Whether a run folder was made on this computer, by this user: known without a network, and not by what the folder says.
+
+A key of 32 random bytes lies in the user's state folder and leaves it never. The run folder holds `.origin`: the HMAC-SHA-256, under that
+key, of the digest of the journal's first line, which in turn carries the digests of run.json, plan and bench. Without the key nobody can
+make one, and one run's does not fit another's; it says nothing of the key, the user or the computer. Where there is no state folder, runs
+are made all the same, and nothing is known of where they come from.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from planrunner.archive.lock import NAME as LOCK
+from planrunner.archive.storage import ASIDE
+from planrunner.exclusive import ExclusiveFile, HeldError
+from planrunner.guarded_folder import GuardedFolder
+from planrunner.trusted_folders import UntrustedFolderError, make_private, this_user, trusted, user_data
+
+NAME = ".origin"
+STATE = "PLANRUNNER_STATE"
+"""Environment variable that names another folder for the key."""
+KEY = "origin.key"
+KEY_BYTES = 32
+PATIENCE = 5.0
+"""Seconds that another process may take to make the key."""
+_PURPOSE = b"planrunner run folder 1\n"
+
+
+class OriginUnknownError(Exception):
+    """The key cannot be read or made. The message says why."""
+
+
+def state_folder() -> Path:
+    """Where this user's key lies. Raises `OriginUnknownError` when there is no such place."""
+    stated = os.environ.get(STATE)
+    try:
+        if stated:
+            return Path(stated)
+        if sys.platform == "win32":
+            return user_data() / "planrunner"
+        if sys.platform == "darwin":
+            return _home() / "Library" / "Application Support" / "planrunner"
+        return Path(os.environ.get("XDG_STATE_HOME") or _home() / ".local" / "state") / "planrunner"
+    except (RuntimeError, OSError):
+        raise OriginUnknownError(f"this user has no home folder; name a folder of your own in {STATE}") from None
+
+
+def _home() -> Path:
+    """As the environment has it. An empty HOME is none: what stands in the folder that one happens to work in is nobody's own."""
+    if os.environ.get("HOME") == "":
+        raise RuntimeError
+    return Path.home()
+
+
+def leave_origin(run: GuardedFolder, first: str) -> None:
+    """Mark a new run folder as made here, where that can be done. first: the digest of the journal's first line. Raises `OSError` when the
+    run folder cannot be written."""
+    try:
+        key = _key(make=True)
+    except OriginUnknownError:
+        return
+    if not key:
+        return
+    with run.open_new(NAME) as file:
+        file.write(_mark(key, first).encode() + b"\n")
+
+
+def made_here(run: GuardedFolder, first: str) -> bool:
+    """Whether the run folder was made on this computer by this user. Raises `OriginUnknownError` when that cannot be known."""
+    key = _key(make=False)
+    if not key:
+        return False
+    try:
+        mark = run.read(NAME, 100)
+    except OSError:
+        return False
+    return hmac.compare_digest(mark.strip(), _mark(key, first).encode())
+
+
+def _mark(key: bytes, first: str) -> str:
+    return hmac.new(key, _PURPOSE + first.encode(), "sha256").hexdigest()
+
+
+def _key(make: bool) -> bytes:
+    """The key; made when absent and asked for, else empty. Raises `OriginUnknownError`."""
+    path = state_folder()
+    try:
+        if make:
+            make_private(path)
+        folder = GuardedFolder.open(trusted(path))
+        if folder.entry(KEY) is None:
+            if not make:
+                return b""
+            _make_key(folder)
+        return _read_key(folder)
+    except FileNotFoundError:
+        return b""
+    except (OSError, UntrustedFolderError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise OriginUnknownError(f"{path}: {why}; name a folder of your own in {STATE}") from None
+
+
+def _make_key(folder: GuardedFolder) -> None:
+    """Two processes at once end with one key: the second waits, and finds it."""
+    with _alone(folder):
+        if folder.entry(KEY) is not None:
+            return
+        aside = KEY + ASIDE
+        with folder.open_new(aside) as file:
+            with contextlib.suppress(AttributeError, OSError):
+                os.fchmod(file.fileno(), 0o600)
+            file.write(os.urandom(KEY_BYTES))
+            os.fsync(file.fileno())
+        folder.replace(aside, KEY)
+        folder.sync()
+
+
+@contextlib.contextmanager
+def _alone(folder: GuardedFolder) -> Iterator[None]:
+    """Raises `OSError` when another process does not let go."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        try:
+            lock = ExclusiveFile(folder.path / LOCK, opened=folder.open_or_make(LOCK, 0o600))
+            break
+        except HeldError:
+            if time.monotonic() > deadline:
+                raise OSError(f"another process holds {LOCK}") from None
+            time.sleep(0.01)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _read_key(folder: GuardedFolder) -> bytes:
+    with folder.open_file(KEY, KEY_BYTES) as file:
+        status = os.fstat(file.fileno())
+        key = file.read(KEY_BYTES + 1)
+    if sys.platform != "win32" and (status.st_uid != this_user() or status.st_mode & 0o077):
+        raise OriginUnknownError(f"{folder.path / KEY} belongs to another user, or others may read it: remove it")
+    if len(key) != KEY_BYTES:
+        raise OriginUnknownError(f"{folder.path / KEY} is no key: remove it")
+    return key

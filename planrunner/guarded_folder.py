@@ -1,0 +1,291 @@
+"""A folder opened once: everything in it is reached relative to the open folder, and nothing in it leads elsewhere.
+
+A run folder may come from a stranger, and may change while it is read. So no link in it is followed, only regular files with one name are
+opened, never a pipe or a device, and nothing larger than what the caller allows. A name is one component: no path leads out of the folder.
+
+Where the system can open names relative to an open folder (Linux, macOS), this is how it is done: whatever is put at a name meanwhile, the
+file that was opened is the one that was looked at. Elsewhere (Windows) the folder and the name are looked at before a file is opened and
+again after it, and both looks have to show the same file: the strictest that can be done there. A change that lasts only between the two
+looks at the folder stays unseen.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+import time
+import weakref
+from dataclasses import dataclass
+from io import BufferedReader, FileIO
+from pathlib import Path
+from typing import Literal
+
+RELATIVE = os.open in os.supports_dir_fd and os.rename in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
+"""Whether this system opens names relative to an open folder."""
+MOST_ENTRIES = 250_000
+"""Entries of one folder that are looked at, at most."""
+
+_READ = os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_WRITE = os.O_RDWR | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NEVER = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+"""No link is followed, and nothing is waited for, such as the other end of a pipe."""
+_REPARSE_POINT = 0x400  # FILE_ATTRIBUTE_REPARSE_POINT: links and junctions of Windows
+_LOOKS = 3
+
+Kind = Literal["file", "folder", "other"]
+
+
+class NotOrdinaryError(OSError):
+    """At a name stands something else than a regular file (or folder) with one name and of bearable size. `strerror` says what,
+    `filename` where."""
+
+    def __init__(self, path: Path, what: str):
+        super().__init__(errno.EPERM, what, str(path))
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What stands at a name: its kind and, of a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names."""
+
+    kind: Kind
+    size: int
+    what: str
+
+
+class GuardedFolder:
+    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`: `NotOrdinaryError` for what
+    is not a plain file or folder, ValueError for a name that is a path.
+
+    The folder is let go of when the object is, or by `close`.
+    """
+
+    def __init__(self, path: Path, descriptor: int | None, identity: tuple[int, int]):
+        self.path = path
+        self._descriptor = descriptor
+        self._identity = identity
+        self._release = weakref.finalize(self, os.close, descriptor) if descriptor is not None else None
+
+    @classmethod
+    def open(cls, path: Path) -> GuardedFolder:
+        """The folder that a user named: `path` itself may lead through links. Raises `OSError`."""
+        if not RELATIVE:
+            status = os.stat(path)
+            if not stat.S_ISDIR(status.st_mode):
+                raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
+            return cls(path, None, (status.st_dev, status.st_ino))
+        descriptor = os.open(path, _READ | os.O_DIRECTORY)
+        return cls(path, descriptor, _identity(os.fstat(descriptor)))
+
+    def close(self) -> None:
+        if self._release is not None:
+            self._release()
+            self._descriptor = None
+            self._release = None
+
+    # -- looking -----------------------------------------------------------------------------------------------------
+
+    def entries(self) -> dict[str, Entry]:
+        """Name → what stands there, in the order of the names."""
+        self._check_place()
+        found: dict[str, Entry] = {}
+        with os.scandir(self.path if self._descriptor is None else self._descriptor) as listed:
+            for item in listed:
+                if len(found) >= MOST_ENTRIES:
+                    raise NotOrdinaryError(self.path, f"it has more than {MOST_ENTRIES} entries")
+                with contextlib.suppress(FileNotFoundError):
+                    found[item.name] = _entry(self._status(item.name))
+        return dict(sorted(found.items()))
+
+    def entry(self, name: str) -> Entry | None:
+        """What stands at a name; None when nothing does."""
+        self._check_place()
+        try:
+            return _entry(self._status(_plain(name)))
+        except FileNotFoundError:
+            return None
+
+    # -- folders -----------------------------------------------------------------------------------------------------
+
+    def folder(self, name: str) -> GuardedFolder:
+        """A folder in this one."""
+        path = self.path / _plain(name)
+        self._check_place()
+        entry = _entry(self._status(name))
+        if entry.kind != "folder":
+            raise NotOrdinaryError(path, f"it is {entry.what}, where a folder belongs")
+        if self._descriptor is None:
+            return GuardedFolder(path, None, _identity(self._status(name)))
+        try:
+            descriptor = os.open(name, _READ | os.O_DIRECTORY | _NEVER, dir_fd=self._descriptor)
+        except OSError as error:
+            if error.errno in (errno.ELOOP, errno.EMLINK, errno.ENOTDIR):
+                raise NotOrdinaryError(path, "it is a link, where a folder belongs") from None
+            raise
+        return GuardedFolder(path, descriptor, _identity(os.fstat(descriptor)))
+
+    def make_folder(self, name: str) -> GuardedFolder:
+        self._check_place()
+        os.mkdir(self._at(_plain(name)), dir_fd=self._descriptor)
+        return self.folder(name)
+
+    def remove_folder(self, name: str) -> None:
+        """With all that is in it, as far as that goes; links in it are removed, not followed."""
+        self._check_place()
+        shutil.rmtree(self._at(_plain(name)), ignore_errors=True, dir_fd=self._descriptor)
+
+    # -- files -------------------------------------------------------------------------------------------------------
+
+    def open_file(self, name: str, limit: int) -> BufferedReader:
+        """A file of at most `limit` bytes, to be read."""
+        return os.fdopen(self._open(name, _READ, limit), "rb")
+
+    def read(self, name: str, limit: int) -> bytes:
+        """What a file of at most `limit` bytes holds."""
+        with self.open_file(name, limit) as file:
+            data = file.read(limit + 1)
+        if len(data) > limit:
+            raise NotOrdinaryError(self.path / name, f"it grew beyond {limit} bytes while it was read")
+        return data
+
+    def open_existing(self, name: str) -> FileIO:
+        """A file to be read and written, unbuffered, at its beginning."""
+        return FileIO(self._open(name, _WRITE, None), "r+")
+
+    def open_new(self, name: str) -> FileIO:
+        """A new file to be written, unbuffered. What stood at the name before is removed, not followed."""
+        self._check_place()
+        where = self._at(_plain(name))
+        flags = _WRITE | os.O_CREAT | os.O_EXCL | _NEVER
+        try:
+            descriptor = os.open(where, flags, 0o666, dir_fd=self._descriptor)
+        except FileExistsError:
+            os.unlink(where, dir_fd=self._descriptor)
+            descriptor = os.open(where, flags, 0o666, dir_fd=self._descriptor)
+        return FileIO(descriptor, "w")
+
+    def open_or_make(self, name: str, mode: int = 0o644) -> int:
+        """A descriptor of a file to be read and written, which is made when absent; only to be read where it may not be written."""
+        where = self._at(_plain(name))
+        with contextlib.suppress(FileNotFoundError):
+            try:
+                return self._open(name, _WRITE, None)
+            except PermissionError as error:
+                if isinstance(error, NotOrdinaryError):
+                    raise
+                return self._open(name, _READ, None)
+        with contextlib.suppress(FileExistsError):  # another process was first
+            return os.open(where, _WRITE | os.O_CREAT | os.O_EXCL | _NEVER, mode, dir_fd=self._descriptor)
+        return self._open(name, _WRITE, None)
+
+    def replace(self, source: str, target: str) -> None:
+        """Rename a file to `target`, in place of what stands there."""
+        self._check_place()
+        os.replace(
+            self._at(_plain(source)),
+            self._at(_plain(target)),
+            src_dir_fd=self._descriptor,
+            dst_dir_fd=self._descriptor,
+        )
+
+    def rename(self, source: str, target: str) -> None:
+        """Rename a file or folder. Refused where a file, or a folder that is not empty, stands at `target`."""
+        self._check_place()
+        os.rename(
+            self._at(_plain(source)),
+            self._at(_plain(target)),
+            src_dir_fd=self._descriptor,
+            dst_dir_fd=self._descriptor,
+        )
+
+    def remove(self, name: str) -> None:
+        """Remove a file; a link is removed, not what it leads to. Nothing happens when there is none."""
+        self._check_place()
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self._at(_plain(name)), dir_fd=self._descriptor)
+
+    def sync(self) -> None:
+        """Wait until the names in the folder are on the disk. Windows keeps them by itself and cannot be asked."""
+        if self._descriptor is not None:
+            os.fsync(self._descriptor)
+
+    # -- how it is guarded -------------------------------------------------------------------------------------------
+
+    def _at(self, name: str) -> str:
+        """A name as the system calls need it: relative to the open folder, or with its path where there is none."""
+        return name if self._descriptor is not None else str(self.path / name)
+
+    def _status(self, name: str) -> os.stat_result:
+        return os.stat(self._at(name), dir_fd=self._descriptor, follow_symlinks=False)
+
+    def _check_place(self) -> None:
+        """Without an open folder: the one at the path has to be the same as before."""
+        if self._descriptor is None and _identity(os.stat(self.path)) != self._identity:
+            raise NotOrdinaryError(self.path, "the folder was exchanged meanwhile")
+
+    def _open(self, name: str, flags: int, limit: int | None) -> int:
+        """A descriptor of a regular file with one name, and of at most `limit` bytes."""
+        path = self.path / _plain(name)
+        for look in range(_LOOKS):
+            self._check_place()
+            before = self._status(name)
+            _require(path, before, limit)  # before it is opened: opening a device may set something going
+            try:
+                descriptor = os.open(self._at(name), flags | _NEVER, dir_fd=self._descriptor)
+            except OSError as error:
+                if error.errno in (errno.ELOOP, errno.EMLINK, errno.ENXIO):
+                    raise NotOrdinaryError(path, "it is a link or a pipe, where a file belongs") from None
+                raise
+            try:
+                status = os.fstat(descriptor)
+                _require(path, status, limit)
+                if self._descriptor is not None:
+                    return descriptor
+                self._check_place()
+                if _identity(before) == _identity(status) == _identity(self._status(name)):
+                    return descriptor
+            except BaseException:
+                os.close(descriptor)
+                raise
+            os.close(descriptor)
+            time.sleep(0.01 * look)
+        raise NotOrdinaryError(path, "the file was exchanged while it was opened")
+
+
+def _plain(name: str) -> str:
+    if name in ("", ".", "..") or any(letter in name for letter in "/\\\0") or (os.name == "nt" and ":" in name):
+        raise ValueError(f"not the name of one file: {name!r}")
+    return name
+
+
+def _identity(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino
+
+
+def _entry(status: os.stat_result) -> Entry:
+    what = _what(status)
+    kind: Kind = "folder" if what == "a folder" else "file" if what == "a file" else "other"
+    return Entry(kind, status.st_size, what)
+
+
+def _what(status: os.stat_result) -> str:
+    mode = status.st_mode
+    if stat.S_ISLNK(mode) or getattr(status, "st_file_attributes", 0) & _REPARSE_POINT:
+        return "a link"
+    if stat.S_ISDIR(mode):
+        return "a folder"
+    if stat.S_ISREG(mode):
+        return "a file" if status.st_nlink <= 1 else "a file that has a second name (a hard link)"
+    if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
+        return "a pipe"
+    return "a device"
+
+
+def _require(path: Path, status: os.stat_result, limit: int | None) -> None:
+    what = _what(status)
+    if what != "a file":
+        raise NotOrdinaryError(path, f"it is {what}, where a file of one name belongs")
+    if limit is not None and status.st_size > limit:
+        raise NotOrdinaryError(path, f"it has {status.st_size} bytes; at most {limit} belong there")
