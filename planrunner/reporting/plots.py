@@ -254,11 +254,23 @@ def _inline(text: str, key: str, title: str, described: str) -> str:
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)
+    body = re.sub(r"<style\b.*?</style>\s*", "", body, flags=re.DOTALL)  # its one rule stands in `named`
+    body = re.sub(r"<[^<>]+>", _with_attributes, body)
     body = re.sub(r'\bid="', f'id="{key}-', body)
     body = re.sub(r'(xlink:href="|url\()#', rf"\1#{key}-", body)
     body = body.replace("'DejaVu Sans'", "'DejaVu Sans', 'Verdana', 'Segoe UI', 'Helvetica', sans-serif")
     opening, rest = body.split(">", 1)
     opening = re.sub(r'\s(?:width|height)="[^"]*"', "", opening)
-    named = f' class="chart" role="img" aria-labelledby="{key}-title {key}-desc"'
+    named = f' class="chart" stroke-linejoin="round" stroke-linecap="butt" role="img" aria-labelledby="{key}-title {key}-desc"'
     words = f'<title id="{key}-title">{escape(title)}</title><desc id="{key}-desc">{escape(described)}</desc>'
     return f"{opening}{named}>{words}{rest}".strip()
+
+
+def _with_attributes(tag: re.Match[str]) -> str:
+    """A tag with its style as attributes: pages allow the style of their head and no other."""
+    return re.sub(r' style="([^"]*)"', _attributes, tag[0])
+
+
+def _attributes(style: re.Match[str]) -> str:
+    pairs = (rule.split(":", 1) for rule in style[1].split(";") if rule.strip())
+    return "".join(f' {name.strip()}="{value.strip()}"' for name, value in pairs)

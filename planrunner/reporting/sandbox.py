@@ -7,6 +7,8 @@ folder and, when one is named, from a user's folder that comes first, and from n
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -172,11 +174,16 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
     for removed in _REMOVED_FILTERS:
         environment.filters.pop(removed)
     environment.globals = {"range": environment.globals["range"], "namespace": environment.globals["namespace"]}
-    environment.globals |= {"language": language, **spoken(language)}
+    environment.globals |= {"language": language, "digest": digest, **spoken(language)}
     # Placeholders are filled by our functions, not by formatting in the template.
     environment.newstyle_gettext = True  # type: ignore[attr-defined]
     environment.policies["ext.i18n.trimmed"] = True
     return environment
+
+
+def digest(text: str) -> str:
+    """SHA-256 of a style as a page's content security policy names it."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
 
 
 _SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
