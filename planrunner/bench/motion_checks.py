@@ -36,10 +36,15 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class TableState:
-    """Where the table is: joint angles [rad], outermost first, and how long [s] it takes to come to rest."""
+    """Where the table is: joint angles [rad], outermost first, and how long [s] it takes to come to rest.
+
+    roughly: index of a joint that was stopped out of a motion and so stands only roughly there, until an orientation is taken; None where
+    every joint stands where it was sent.
+    """
 
     joints: Array
     stopping: float = 0.0
+    roughly: int | None = None
 
 
 def start_motion(
@@ -75,7 +80,7 @@ def start_motion(
         return _rock(table, motion, hold.dwell, state, mark, log)
     joints = state.joints.copy()
     joints[0], stopping = check_cycle(table.axes[0], float(joints[0]), motion, hold.dwell, models.site, at, log)
-    return 0.0, TableState(joints, stopping)
+    return 0.0, TableState(joints, stopping, roughly=0)
 
 
 def no_table(what: str, mark: Mark, log: Findings) -> None:
@@ -124,6 +129,12 @@ def _spin(
     except Unreachable as error:
         log.error("physics-rate-axis", mark, f"the table cannot spin about that direction: {error}", "spin about up")
         return 0.0, state
+    if state.roughly is not None and course.joint > state.roughly:
+        # Where an axis points follows from the joints that carry it.
+        carrier, axis = table.axes[state.roughly].name, table.axes[course.joint].name
+        message = f"the {axis} axis lies along that direction only if the {carrier} axis stands where the motion before it was to end"
+        log.error("physics-rate-axis", mark, message, "give the segment an orientation, which the table takes first")
+        return 0.0, state
     seconds = None if hold.dwell is None else hold.settle + hold.dwell
     excess = spin_excess(table.axes, state.joints, course, seconds)
     if excess:
@@ -132,7 +143,8 @@ def _spin(
     if hold.dwell is not None:
         _whole_turns(motion, hold.dwell, input_axes, models, mark, log)
         state = _turned(table, course, course.travel(hold.settle + hold.dwell), state)
-    return course.ramp, replace(state, stopping=course.ramp)
+    roughly = course.joint if state.roughly is None else min(course.joint, state.roughly)
+    return course.ramp, replace(state, stopping=course.ramp, roughly=roughly)
 
 
 def _turned(table: TableModel, course: SpinCourse, angle: float, state: TableState) -> TableState:

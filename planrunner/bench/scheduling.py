@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,9 @@ def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
     """Where the first of some segments stands, and what all of them lack; segments as place → label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
+
+
+_ELSEWHERE = 1e-3  # rad from where a joint is expected, to see whether an orientation depends on that
 
 
 class _Planner:
@@ -239,8 +243,22 @@ class _Planner:
             )
             return 0.0
         seconds = self.state.stopping + transition_time(table.axes, joints, target)
-        self.state = TableState(target)
+        self.state = TableState(target, roughly=self._still_roughly(attitude, target))
         return seconds
+
+    def _still_roughly(self, attitude: Array, target: Array) -> int | None:
+        """The joint that keeps standing where a motion left it, as one may whose axis lies along that of another."""
+        table, joint = self.models.table, self.state.roughly
+        if table is None or joint is None:
+            return None
+        near = self.state.joints.copy()
+        near[joint] += _ELSEWHERE
+        try:
+            moved = joint_angles(table.axes, attitude, near=near, azimuth=self.models.site.azimuth)
+        except Unreachable:
+            return joint
+        followed = abs(math.remainder(float(moved[joint] - target[joint]), 2 * math.pi)) > _ELSEWHERE / 2
+        return joint if followed else None
 
     def _start(self, motion: Motion, hold: Hold, orientation: Orientation, item: StatedSegment) -> float:
         stated = item.state.get("motion")
@@ -250,7 +268,7 @@ class _Planner:
             return stated.at(key) if key and isinstance(stated, model.Motion) else whole
 
         seen = None if orientation.attitude is None else self.input_axes @ orientation.attitude
-        stopping, before = self.state.stopping, TableState(self.state.joints)
+        stopping, before = self.state.stopping, replace(self.state, stopping=0.0)
         seconds, self.state = start_motion(motion, hold, seen, before, self.models, at, self.log)
         return stopping + seconds
 

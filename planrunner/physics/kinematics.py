@@ -115,7 +115,8 @@ def _joint_angles(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azim
             continue
         angles = tuple(angle for angle, _ in placed)
         distance = sum((angle - start) ** 2 for angle, start in zip(angles, near, strict=True))
-        choice = (round(transition_time(axes, near, angles), 9), distance, angles)
+        # Rounded, so that of two ways as good as each other the same one is taken whatever the last digits are.
+        choice = (round(transition_time(axes, near, angles), 6), round(distance, 6), angles)
         best = choice if best is None or choice[:2] < best[:2] else best
     if best is None:
         raise Unreachable(min(reasons)[1])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from planrunner import running
-from planrunner.checking import check_plan
+from planrunner.checking import Sound, check_plan
 from planrunner.cli.outcome import code_of
 from planrunner.execution.stopping import StopRequest
 from planrunner.plan.findings import InputError
@@ -45,18 +45,16 @@ def carried_out(path: Path, runs: Path) -> Ended:
         assert errors, "refused without an error"
         return Ended(False, errors)
     try:
-        return Ended(True, errors, *_run(path, runs))
+        return Ended(True, errors, *_run(checked.sound(), runs))
     except Exception:  # a traceback is what must not be
         return Ended(True, errors, None, traceback.format_exc())
     finally:
         shutil.rmtree(runs, ignore_errors=True)
 
 
-def _run(path: Path, runs: Path) -> tuple[int, str]:
+def _run(sound: Sound, runs: Path) -> tuple[int, str]:
     try:
-        folder, outcome = running.start(
-            check_plan(path).sound(), info={}, runs=runs, stop=StopRequest(), durability="flushed"
-        )
+        folder, outcome = running.start(sound, info={}, runs=runs, stop=StopRequest(), durability="flushed")
     except InputError as error:
         return 2, str(error)
     if not outcome.ok:

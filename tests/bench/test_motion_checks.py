@@ -99,3 +99,19 @@ def test_one_angle_cannot_describe_three_rings(found: Found) -> None:
     rock = "motion: {rock: {amplitude: 1 deg, frequency: 0.5 Hz, phases: [0 deg, 90 deg]}}"
     assert codes(found(rock, "virtual_imu_nominal")) == ["physics-table-angle"]
     assert codes(found(rock, "virtual_mems")) == []
+
+
+def test_a_joint_that_was_stopped_carries_no_other_axis(tmp_path: Path) -> None:
+    def errors(second: str) -> list[str]:
+        path = tmp_path / "plan.yaml"
+        first = "motion: {rate: 50 deg/s, about: up}, dwell: {turns: 1}"
+        path.write_text(
+            PLAN.format(bench="virtual_mems", kind="imu", segment=first) + f"  - {{label: T, {second}}}\n",
+            encoding="utf-8",
+        )
+        return codes(check_plan(path).findings.errors)
+
+    north = "motion: {rate: 10 deg/s, about: north}"
+    assert errors(north) == []  # the table takes its orientation first
+    assert errors(f"{north}, orientation: unknown") == ["physics-rate-axis"]
+    assert errors("motion: {rate: 10 deg/s, about: up}, orientation: unknown") == []
