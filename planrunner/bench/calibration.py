@@ -29,9 +29,9 @@ class Calibration(Record):
         Text(_DATE, "a date", "write for example 2027-03-01"),
         "Last day on which it may be relied on.",
         "2027-03-01",
-        None,
+        default=None,
     )
-    laboratory: str | None = key(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory", None)
+    laboratory: str | None = key(Text(LINE, "a laboratory"), "Who calibrated.", "accredited laboratory", default=None)
 
     @property
     def words(self) -> str:

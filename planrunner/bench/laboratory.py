@@ -16,17 +16,20 @@ class Laboratory(Record):
         Text(LINE, "a place"),
         "Where the bench stands, if not at that address: another site, a customer's, a mobile facility.",
         "Building 7, basement",
-        None,
+        default=None,
     )
-    contact: str | None = key(Text(LINE, "a contact"), "How to reach it.", "calibration@example.org", None)
+    contact: str | None = key(Text(LINE, "a contact"), "How to reach it.", "calibration@example.org", default=None)
     accreditation: str | None = key(
-        Text(LINE, "an accreditation"), "Accreditation body, number and scope.", "accreditation body, no. 0000", None
+        Text(LINE, "an accreditation"),
+        "Accreditation body, number and scope.",
+        "accreditation body, no. 0000",
+        default=None,
     )
     traceability: str | None = key(
         Text(r"[^\x00-\x1f]{1,1000}", "a statement"),
         "How results are traceable to the SI, beyond the calibrations that instruments and site name.",
         "Angles and rates through the table's calibration; Earth rate from the conventional value (WGS 84).",
-        None,
+        default=None,
     )
     authorised: tuple[str, ...] = key(
         ListOf(Text(LINE, "a name or role"), single=True),

@@ -35,7 +35,7 @@ SINGLE_ROLES = ("table", "chamber", "sensor")  # that drivers have a model for
 class MagneticFieldSpec(Record):
     """The Earth's magnetic field at the site, by its true components. Only ratios matter unless sensitivities are to have a unit."""
 
-    east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, 0.0)
+    east: float = key(Number(-1e6, 1e6), "Component towards east.", 0.0, default=0.0)
     north: float = key(Number(-1e6, 1e6), "Component towards north.", 22.0)
     up: float = key(Number(-1e6, 1e6), "Component upwards; negative on the northern hemisphere.", -44.0)
 
@@ -49,37 +49,39 @@ class SiteSpec(Record):
         QuantityOf("angle", uncertain=True),
         "Azimuth of the table's reference direction from true north, positive towards east.",
         "0 deg",
-        parse_quantity("0 deg"),
+        default=parse_quantity("0 deg"),
     )
     longitude: Quantity = key(
         QuantityOf("angle"),
         "Geodetic longitude, east positive; for navigation.",
         "116.34 deg",
-        parse_quantity("0 deg"),
+        default=parse_quantity("0 deg"),
     )
     height: Quantity = key(
-        QuantityOf("length"), "Height above the ellipsoid; for navigation.", "50 m", parse_quantity("0 m")
+        QuantityOf("length"), "Height above the ellipsoid; for navigation.", "50 m", default=parse_quantity("0 m")
     )
     magnetic_field: MagneticFieldSpec | None = key(
         RecordOf(MagneticFieldSpec),
         "The Earth's magnetic field, all components in one unit; for sensors that feel it.",
         {"north": 22.0, "up": -44.0},
-        None,
+        default=None,
     )
     survey: Calibration | None = key(
         RecordOf(Calibration),
         "Survey that latitude, gravity and azimuth come from.",
         {"certificate": "site survey 2026-1", "date": "2026-02-10"},
-        None,
+        default=None,
     )
 
 
 class AmbientSpec(Record):
     """The room that the bench stands in."""
 
-    temperature: Quantity | None = key(QuantityOf("temperature"), "Air temperature of the room.", "23 degC", None)
-    pressure: Quantity | None = key(QuantityOf("pressure", "positive"), "Air pressure.", "101.3 kPa", None)
-    humidity: Quantity | None = key(QuantityOf("ratio", "not negative"), "Relative humidity.", "45 %", None)
+    temperature: Quantity | None = key(
+        QuantityOf("temperature"), "Air temperature of the room.", "23 degC", default=None
+    )
+    pressure: Quantity | None = key(QuantityOf("pressure", "positive"), "Air pressure.", "101.3 kPa", default=None)
+    humidity: Quantity | None = key(QuantityOf("ratio", "not negative"), "Relative humidity.", "45 %", default=None)
 
 
 class InstrumentEntry(Record):
@@ -87,13 +89,16 @@ class InstrumentEntry(Record):
 
     driver: str = key(Text(NAME, "a driver's name"), "Driver that talks to the instrument.", "virtual_table")
     asset: str | None = key(
-        Text(LINE, "an asset number"), "Your own number for the instrument, kept in the run folder.", "RT-0042", None
+        Text(LINE, "an asset number"),
+        "Your own number for the instrument, kept in the run folder.",
+        "RT-0042",
+        default=None,
     )
     calibration: Calibration | None = key(
         RecordOf(Calibration),
         "Calibration that the instrument's stated uncertainties come from.",
         {"certificate": "RT-0042 / 2026-117", "date": "2026-03-01", "due": "2027-03-01"},
-        None,
+        default=None,
     )
     parameters: Any = field(default=None)
 
@@ -101,12 +106,12 @@ class InstrumentEntry(Record):
 class FixtureSpec(Record):
     """The fixture that the sensor is mounted in; its angles stand in a plan's `mounting`."""
 
-    asset: str | None = key(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007", None)
+    asset: str | None = key(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007", default=None)
     calibration: Calibration | None = key(
         RecordOf(Calibration),
         "Calibration that the stated uncertainties of the fixture's angles come from.",
         {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20", "due": "2028-02-20"},
-        None,
+        default=None,
     )
 
 
@@ -124,33 +129,33 @@ class Bench(Record):
 
     planrunner_bench: int = key(Number(1, 1, integer=True), "Version of the bench language.", 1)
     name: str = key(Text(LINE, "a name"), "Name of the bench.", "virtual")
-    description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", "")
+    description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", default="")
     clock: str | None = key(
         Choice(("virtual", "wall")),
         "virtual: time is simulated and runs as fast as it can; wall: real time. Without it, virtual where the sensor plays back a "
         "recording, else wall.",
         "virtual",
-        None,
+        default=None,
     )
     laboratory: Laboratory | None = key(
         RecordOf(Laboratory),
         "The laboratory that the bench belongs to; needed for certificates.",
         {"name": "Inertial calibration laboratory", "address": "1 Example Street, 00000 Example Town"},
-        None,
+        default=None,
     )
     simulation: Simulation | None = key(
         RecordOf(Simulation),
         "What stands behind the bench's addresses under `planrunner simulate-bench`, whose clock a run then takes; a bench with real "
         "instruments has none.",
         {"bench": "virtual", "control": "127.0.0.1:9870"},
-        None,
+        default=None,
     )
     site: SiteSpec = key(
         RecordOf(SiteSpec), "Where the bench stands.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
     )
-    seed: int = key(Number(0, 2**63 - 1, integer=True), "Seed of all that a simulated bench draws.", 20, 0)
+    seed: int = key(Number(0, 2**63 - 1, integer=True), "Seed of all that a simulated bench draws.", 20, default=0)
     ambient: AmbientSpec | None = key(
-        RecordOf(AmbientSpec), "The room that the bench stands in.", {"temperature": "23 degC"}, None
+        RecordOf(AmbientSpec), "The room that the bench stands in.", {"temperature": "23 degC"}, default=None
     )
     instruments: dict[str, InstrumentEntry] = key(
         MapOf(INSTRUMENT, pattern=NAME),
@@ -161,7 +166,7 @@ class Bench(Record):
         RecordOf(FixtureSpec),
         "The fixture that the sensor is mounted in.",
         {"asset": "FX-0007", "calibration": {"certificate": "FX-0007 / 2026-31", "date": "2026-02-20"}},
-        None,
+        default=None,
     )
     protection: Protection = key(
         PROTECTION,

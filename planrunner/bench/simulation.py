@@ -37,7 +37,7 @@ class Simulation(Record):
         Choice(("words", "ascii")),
         "How a simulated ACUTROL marks its replies over TCP: error code and length as two words, or as eight characters.",
         "ascii",
-        "words",
+        default="words",
     )
 
 

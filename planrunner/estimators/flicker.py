@@ -33,7 +33,7 @@ def drift_span() -> Quantity:
         "Span over which constants are meant to hold: with a declared bias instability, their uncertainty is that of the average "
         "over this span around the test, or over the test where that is longer.",
         "24 h",
-        SPAN,
+        default=SPAN,
     )
     return span
 

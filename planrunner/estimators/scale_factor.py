@@ -53,25 +53,25 @@ class ScaleFactorParameters(Record):
         default_factory=tuple,
     )
     rate_unit: str = key(
-        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
     )
     rate_uncertainty: Quantity | None = key(
         QuantityOf("ratio", "not negative"),
         "Relative standard uncertainty of the table's rate, common to all rates.",
         "50 ppm",
-        None,
+        default=None,
     )
     weights: str = key(
         Choice(("noise", "equal")),
         "Weight each rate by the noise within it, so that an unsteady one counts less; or all alike, as in ordinary least squares.",
         "noise",
-        "noise",
+        default="noise",
     )
     uncertainty: str = key(
         Choice(BASES),
         "What the uncertainties rest on: the scatter of the rates about the line, or the noise within the segments.",
         "residual",
-        "residual",
+        default="residual",
     )
     drift_span: Quantity = drift_span()
 

@@ -16,25 +16,28 @@ class ChamberKeys(Record):
     highest: Quantity = key(QuantityOf("temperature"), "Highest temperature it reaches.", "85 degC")
     ramp: Quantity = key(QuantityOf("temperature rate", "positive"), "Rate of its setpoint.", "3 K/min")
     ambient: Quantity = key(
-        QuantityOf("temperature"), "Temperature it starts from and is left at.", "25 degC", parse_quantity("25 degC")
+        QuantityOf("temperature"),
+        "Temperature it starts from and is left at.",
+        "25 degC",
+        default=parse_quantity("25 degC"),
     )
     lag: Quantity = key(
         QuantityOf("time", "positive"),
         "Time constant of the air behind the setpoint.",
         "2 min",
-        parse_quantity("2 min"),
+        default=parse_quantity("2 min"),
     )
     tolerance: Quantity = key(
         QuantityOf("temperature", "positive"),
         "How near the air must be to count as there.",
         "0.5 K",
-        parse_quantity("0.5 K"),
+        default=parse_quantity("0.5 K"),
     )
     temperature_uncertainty: Quantity = key(
         QuantityOf("temperature", "not negative"),
         "Declared standard uncertainty of the air's temperature, beside the tolerance.",
         "0.1 K",
-        parse_quantity("0 K"),
+        default=parse_quantity("0 K"),
     )
 
     def model(self) -> ChamberModel:

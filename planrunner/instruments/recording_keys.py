@@ -38,12 +38,12 @@ class TimeColumn(Record):
     """The column that holds time."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
-    unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", "s")
+    unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
     power_on: Quantity | None = key(
         QuantityOf("time"),
         "When the sensor was switched on, in the column's own time; time then counts from there, else from the first row.",
         "0 s",
-        None,
+        default=None,
     )
 
 
@@ -52,36 +52,41 @@ class ChannelColumn(Record):
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
     unit: str = key(UnitText(), "Unit of the channel, that of the numbers in the file unless they are counts.", "deg/s")
-    sign: int = key(Number(-1, 1, integer=True), "-1 where the sensor's axis points the other way.", -1, 1)
+    sign: int = key(Number(-1, 1, integer=True), "-1 where the sensor's axis points the other way.", -1, default=1)
     zero: float = key(
-        Number(), "What the column reads where the channel is zero in its unit, for a file of raw counts.", 59136, 0.0
+        Number(),
+        "What the column reads where the channel is zero in its unit, for a file of raw counts.",
+        59136,
+        default=0.0,
     )
     per_unit: float = key(
-        Number(), "By how much the column grows per unit of the channel, for a file of raw counts.", 256, 1.0
+        Number(), "By how much the column grows per unit of the channel, for a file of raw counts.", 256, default=1.0
     )
     noise: Quantity | None = key(
         QuantityOf(None, "not negative"),
         "White noise as the standard deviation of one sample at rest.",
         "0.1 deg/s",
-        None,
+        default=None,
     )
     noise_density: Quantity | None = key(
         QuantityOf(None, "not negative"),
         "White noise as a one-sided density D, as data sheets give it: one sample at f Hz scatters by D·√(f/2).",
         "0.002 deg/s/sqrt(Hz)",
-        None,
+        default=None,
     )
     random_walk: Quantity | None = key(
         QuantityOf(None, "not negative"),
         "White noise as the coefficient N of an Allan deviation: a mean over T scatters by N/√T.",
         "0.085 deg/sqrt(h)",
-        None,
+        default=None,
     )
     bias_instability: Quantity | None = key(
-        QuantityOf(None, "not negative"), "Flicker floor of the output.", "2 deg/h", None
+        QuantityOf(None, "not negative"), "Flicker floor of the output.", "2 deg/h", default=None
     )
-    resolution: Quantity | None = key(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s", None)
-    full_scale: Quantity | None = key(QuantityOf(None, "positive"), "Full scale, either sign.", "2000 deg/s", None)
+    resolution: Quantity | None = key(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s", default=None)
+    full_scale: Quantity | None = key(
+        QuantityOf(None, "positive"), "Full scale, either sign.", "2000 deg/s", default=None
+    )
 
     def white(self, sample_rate: float) -> float:
         """The random-walk coefficient N, in output units times √s; 0 where no noise is declared. sample_rate: Hz."""
@@ -137,13 +142,18 @@ class SegmentColumns(Record):
     """The table that says which stretch of the recording belongs to which label."""
 
     table: str = key(Text(r"[^\x00-\x1f]{1,400}", "a file's path"), "CSV file beneath the data root.", "jig/stops.csv")
-    label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", "label")
+    label: str = key(Text(COLUMN, "a column's name"), "Column of the labels.", "label", default="label")
     start: str = key(
-        Text(COLUMN, "a column's name"), "Column of the beginnings, in the recording's time.", "start_s", "start_s"
+        Text(COLUMN, "a column's name"),
+        "Column of the beginnings, in the recording's time.",
+        "start_s",
+        default="start_s",
     )
-    end: str = key(Text(COLUMN, "a column's name"), "Column of the ends.", "end_s", "end_s")
-    unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", "s")
-    trim: Quantity = key(QuantityOf("time", "not negative"), "Left out at either end of a stretch.", "2 s", _NO_TRIM)
+    end: str = key(Text(COLUMN, "a column's name"), "Column of the ends.", "end_s", default="end_s")
+    unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", default="s")
+    trim: Quantity = key(
+        QuantityOf("time", "not negative"), "Left out at either end of a stretch.", "2 s", default=_NO_TRIM
+    )
 
     @classmethod
     def of(cls, table: str) -> SegmentColumns:
@@ -172,13 +182,13 @@ class RecordingParameters(Record):
         RecordOf(SegmentColumns),
         "Where the segments lie; without it the whole recording is one segment.",
         {"table": "jig/stops.csv", "trim": "2 s"},
-        None,
+        default=None,
     )
     pauses: Quantity | None = key(
         QuantityOf("time", "positive"),
         "In place of a table: longer steps in time part the recording into segments, which are the plan's in its order.",
         "10 s",
-        None,
+        default=None,
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
 

@@ -25,9 +25,12 @@ class AxisSpec(Record):
         QuantityOf("angular acceleration", "positive"), "Highest acceleration.", "200 deg/s^2"
     )
     lowest: Quantity | None = key(
-        QuantityOf("angle"), "Lower joint limit; without limits the axis is continuous (slip rings).", "-100 deg", None
+        QuantityOf("angle"),
+        "Lower joint limit; without limits the axis is continuous (slip rings).",
+        "-100 deg",
+        default=None,
     )
-    highest: Quantity | None = key(QuantityOf("angle"), "Upper joint limit.", "100 deg", None)
+    highest: Quantity | None = key(QuantityOf("angle"), "Upper joint limit.", "100 deg", default=None)
 
     def axis(self) -> TableAxis:
         east, north, up = DIRECTIONS[self.direction]
@@ -86,19 +89,19 @@ class TableKeys(Record):
         QuantityOf("angle", "not negative"),
         "Declared standard uncertainty of an orientation.",
         "3 arcsec",
-        parse_quantity("0 arcsec"),
+        default=parse_quantity("0 arcsec"),
     )
     orthogonality: Quantity = key(
         QuantityOf("angle", "not negative"),
         "Declared standard uncertainty of the right angles between neighbouring axes.",
         "5 arcsec",
-        parse_quantity("0 arcsec"),
+        default=parse_quantity("0 arcsec"),
     )
     rate_stability: Quantity = key(
         QuantityOf("ratio", "not negative"),
         "Declared relative standard uncertainty of a rate.",
         "10 ppm",
-        parse_quantity("0 ppm"),
+        default=parse_quantity("0 ppm"),
     )
 
     def model(self) -> TableModel:

@@ -24,7 +24,7 @@ class DiagnosisSpec(Record):
         ListOf(Choice(NOMINAL_TERMS)),
         "What the simulation fits to the recording; what is left out is a candidate like any other effect.",
         ["accel_bias"],
-        NOMINAL_TERMS,
+        default=NOMINAL_TERMS,
     )
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1),
@@ -36,5 +36,5 @@ class DiagnosisSpec(Record):
         SelectionKind(),
         "Labels of the segments to diagnose, with * and ?; or {detect: still} for a sensor tumbled by hand, whose orientation is unknown.",
         "P*",
-        ("*",),
+        default=("*",),
     )

@@ -16,19 +16,25 @@ class Tolerated(Record):
     """Largest values of what the instruments read, on either side of zero."""
 
     position_error: Quantity | None = key(
-        QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec", None
+        QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec", default=None
     )
     rate_error: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Measured less commanded rate, on every axis.", "0.002 deg/s", None
+        QuantityOf("angular rate", "positive"),
+        "Measured less commanded rate, on every axis.",
+        "0.002 deg/s",
+        default=None,
     )
     temperature_error: Quantity | None = key(
-        QuantityOf("temperature", "positive"), "Measured less commanded temperature of the chamber.", "0.5 K", None
+        QuantityOf("temperature", "positive"),
+        "Measured less commanded temperature of the chamber.",
+        "0.5 K",
+        default=None,
     )
     temperature_drift: Quantity | None = key(
         QuantityOf("temperature rate", "positive"),
         "Rate at which the temperatures of the chamber and of the sensor change.",
         "0.1 K/min",
-        None,
+        default=None,
     )
 
     def stated(self) -> dict[str, Quantity]:
@@ -51,22 +57,25 @@ class Watch(Tolerated):
     """Limits on what is read while the segment records, and what follows when one is passed."""
 
     lost_frames: Quantity | None = key(
-        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %", None
+        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %", default=None
     )
     corrupt_frames: Quantity | None = key(
-        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may have a wrong checksum.", "0 %", None
+        QuantityOf("ratio", "not negative"),
+        "Share of the sensor's frames that may have a wrong checksum.",
+        "0 %",
+        default=None,
     )
     doubts: str = key(
         Choice(("limit", "note")),
         "What it means that an instrument doubts its own samples (status bits): as a passed limit, or noted only.",
         "note",
-        "limit",
+        default="limit",
     )
     retakes: int = key(
         Number(0, 10, integer=True),
         "How often a segment that passes a limit is taken again before the run stops; its data are kept, with the reason.",
         2,
-        0,
+        default=0,
     )
 
 

@@ -87,7 +87,7 @@ class MountedAxis(Record):
         QuantityOf("angle", uncertain=True),
         "Azimuth of the input axis about the rotation axis, at home: from the sensor's x axis, right-handed about z.",
         "120 deg",
-        None,
+        default=None,
     )
 
     @property
@@ -106,7 +106,7 @@ class EstimateSpec(Record):
 
     estimator: str = key(Text(NAME, "an estimator's name"), "Estimator to use.", "flexure_gyro_static")
     segments: tuple[str, ...] | Detection = key(
-        SelectionKind(), "Labels of the segments to use, with * and ?; or {detect: still}.", "P*", ("*",)
+        SelectionKind(), "Labels of the segments to use, with * and ?; or {detect: still}.", "P*", default=("*",)
     )
     uses: tuple[str, ...] = key(
         ListOf(Text(NAME, "an estimate's name"), single=True),
@@ -118,7 +118,7 @@ class EstimateSpec(Record):
         WordOr(("monte_carlo",), RecordOf(MonteCarloSpec)),
         "Hold the stated intervals against Monte Carlo draws (JCGM 101).",
         "monte_carlo",
-        None,
+        default=None,
     )
     parameters: Any = field(default=None)
 
@@ -161,24 +161,27 @@ class Limit(Record):
         "Which coefficient of which estimate.",
         "drift.D_X_F",
     )
-    within: str | None = key(SymmetricKind(), "Symmetric about zero.", "±0.5 deg/h", None)
-    at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, None)
-    at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, None)
+    within: str | None = key(SymmetricKind(), "Symmetric about zero.", "±0.5 deg/h", default=None)
+    at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, default=None)
+    at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, default=None)
     rule: str = key(
         Choice(("simple", "guarded")),
         "Decision rule (JCGM 106): simple compares the value, guarded keeps the expanded uncertainty inside as well.",
         "guarded",
-        "guarded",
+        default="guarded",
     )
-    guard_band: float = key(Number(0, 10), "Factor r of the guard band w = r·U of the guarded rule.", 1, 1.0)
+    guard_band: float = key(Number(0, 10), "Factor r of the guard band w = r·U of the guarded rule.", 1, default=1.0)
     coverage: float = key(
-        Number(0.5, 0.9999), "Coverage probability of the expanded uncertainty U that the rule uses.", 0.99, 0.95
+        Number(0.5, 0.9999),
+        "Coverage probability of the expanded uncertainty U that the rule uses.",
+        0.99,
+        default=0.95,
     )
     prior: Quantity | None = key(
         QuantityOf(None, uncertain=True),
         "What is known of the quantity over the items that are tested, as mean ± standard deviation: gives the rule's global risks.",
         "0.1 deg/h ± 0.2 deg/h",
-        None,
+        default=None,
     )
 
 
@@ -219,13 +222,13 @@ class Plan(Record):
         fallback="",
     )
     description: str = key(
-        Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", ""
+        Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", default=""
     )
     bench: str = key(
         Text(r"[^\x00-\x1f]{1,200}", "a bench's name or file"),
         "Bench to run on: a shipped one by name, or a file.",
         "virtual",
-        "virtual",
+        default="virtual",
     )
     sensor: Sensor = key(
         RecordOf(Sensor), "The sensor that the plan is for.", {"kind": "flexure-gyro", "outputs": ["torquer_x"]}
@@ -243,7 +246,7 @@ class Plan(Record):
         default_factory=dict,
     )
     defaults: State | None = key(
-        RecordOf(State), "State that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, None
+        RecordOf(State), "State that every segment starts from.", {"settle": "30 s", "dwell": "2 min"}, default=None
     )
     segments: tuple[SegmentSpec, ...] = key(
         ListOf(SegmentKind(), minimum=1),
@@ -266,11 +269,11 @@ class Plan(Record):
         RecordOf(DiagnosisSpec),
         "How `planrunner diagnose` looks at a recording of this plan; all segments and a full nominal model without it.",
         {"nominal": ["accel_bias", "accel_misalignment"]},
-        None,
+        default=None,
     )
     report: tuple[str, ...] = key(
         ListOf(Text(FILE_NAME, "a file name")),
         "Reports to write: names of templates, without their .j2 ending; certificate.zh.html is certificate.html in Chinese.",
         ["report.html", "summary.md"],
-        ("report.html", "summary.md"),
+        default=("report.html", "summary.md"),
     )

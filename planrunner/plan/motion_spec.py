@@ -36,32 +36,35 @@ class Motion(Record):
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
         "Constant rate about the rotation axis.",
         "300 deg/s",
-        None,
+        default=None,
     )
     about: str = key(
-        Choice(("up", "down", "north", "south", "east", "west")), "Site direction the table spins about.", "up", "up"
+        Choice(("up", "down", "north", "south", "east", "west")),
+        "Site direction the table spins about.",
+        "up",
+        default="up",
     )
     rock: RockSpec | None = key(
-        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, None
+        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, default=None
     )
     for_: Quantity | None = key(
         QuantityOf("time", "positive"),
         "Rock at full amplitude for this part of the dwell only, then stand still.",
         "8 min",
-        None,
+        default=None,
         name="for",
     )
     after: Quantity | None = key(
         QuantityOf("time", "positive"),
         "Stand still for this part of the dwell, then begin to rock; without it, the rocking begins before the dwell, by one period.",
         "60 s",
-        None,
+        default=None,
     )
     cycle: dict[str, Quantity] | None = key(
         MapOf(QuantityOf("angle"), pattern=POSITION),
         "Named positions of an indexing cycle.",
         {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
-        None,
+        default=None,
     )
     moves: tuple[str, ...] = key(
         ListOf(Text(MOVE, "a move such as 'A +180 C'", "write from, turn in degrees, to"), minimum=1),
@@ -70,24 +73,27 @@ class Motion(Record):
         default_factory=tuple,
     )
     turn_rate: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", None
+        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", default=None
     )
     stop: Quantity | None = key(
-        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min", None
+        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min", default=None
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
         "Which way positive angles turn, seen against the rotation axis.",
         "clockwise",
-        "counterclockwise",
+        default="counterclockwise",
     )
 
 
 class Turns(Record):
     """A dwell counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
 
-    turns: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1, None)
-    cycles: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34, None)
+    turns: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1, default=None)
+    cycles: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34, default=None)
     at_least: Quantity | None = key(
-        QuantityOf("time", "positive"), "Add whole turns or cycles until the dwell lasts this long.", "30 s", None
+        QuantityOf("time", "positive"),
+        "Add whole turns or cycles until the dwell lasts this long.",
+        "30 s",
+        default=None,
     )

@@ -50,19 +50,19 @@ class State(Record):
         OrientationKind(),
         "Where the sensor's axes point, in words or as a rotation; 'unknown' for hand-held recordings.",
         {"x": "up", "y": "north", "z": "west"},
-        None,
+        default=None,
     )
     rate: Quantity | None = key(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
         "Constant rate about up; short for motion: {rate: …}.",
         "10 deg/s",
-        None,
+        default=None,
     )
     motion: Motion | None = key(
         WordOr(("rest",), RecordOf(Motion)),
         "What the table does while recording; at rest without it.",
         {"rate": "10 deg/s"},
-        None,
+        default=None,
     )
     temperature: Quantity | Ramp | None = key(
         ByShape(
@@ -72,19 +72,19 @@ class State(Record):
         ),
         "Chamber temperature to hold, or a ramp that is recorded while it happens.",
         "25 degC",
-        None,
+        default=None,
     )
     soak: Quantity | Stability | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after a new temperature is reached: for a time, or until readings have settled.",
         "60 min",
-        None,
+        default=None,
     )
     settle: Quantity | Stability | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after the motion is steady, before recording: for a time, or until readings have settled.",
         "30 s",
-        None,
+        default=None,
     )
     dwell: Quantity | Turns | str | None = key(
         WordOr(
@@ -93,28 +93,28 @@ class State(Record):
         ),
         "How long to record: a time, whole turns or cycles, or 'recorded' for as long as a played-back segment lasts.",
         "2 min",
-        None,
+        default=None,
     )
     sample_rate: Quantity | None = key(
-        QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", None
+        QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", default=None
     )
     mode: str | None = key(
         Text(NAME, "a mode's name"),
         "Operating mode that the sensor records in, where its driver offers modes (such as caged and navigation).",
         "navigation",
-        None,
+        default=None,
     )
     watch: Watch | None = key(
         WATCH,
         "Limits on what the instruments read while the segment records.",
         {"position_error": "5 arcsec", "lost_frames": "0.1 %", "retakes": 2},
-        None,
+        default=None,
     )
     on_break: str | None = key(
         Choice(("retake", "keep")),
         "What to do with a segment cut short by a crash when the run is resumed.",
         "keep",
-        None,
+        default=None,
     )
 
 
@@ -142,35 +142,35 @@ class SegmentSpec(State):
         Text(r"[^\x00-\x1f]{1,80}", "a label"),
         "Name of the segment; {rate}, {temperature} … stand for the swept value.",
         "start-zero",
-        None,
+        default=None,
     )
     prompt: str | None = key(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
         "Ask the operator before the segment (before the first of its steps); the bench is in its safe state meanwhile.",
         "Turn the fixture to face {orientation}, then leave the table",
-        None,
+        default=None,
     )
     conditioning: bool = key(
         Boolean(),
         "Whether the segment, with all its steps, only brings the sensor to a state, as a warm-up or a pause without power does: it is "
         "recorded, and no warning says that no estimate uses it.",
         True,
-        False,
+        default=False,
     )
     for_each: Sweep | None = key(
         ForEachKind(),
         "Repeat for every value; several keys multiply, the first changing slowest.",
         {"rate": "±300, ±150 deg/s"},
-        None,
+        default=None,
     )
     order: str = key(
         Choice(("as_written", "reversed", "serpentine", "shuffled")),
         "Order of the sweep: serpentine reverses every other inner pass; shuffled draws from 'shuffle_seed'.",
         "as_written",
-        "as_written",
+        default="as_written",
     )
-    shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, 0)
-    repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, 1)
+    shuffle_seed: int = key(Number(0, 2**31, integer=True), "Seed of a shuffled order.", 7, default=0)
+    repeat: int = key(Number(1, 10_000, integer=True), "Do all of it this many times.", 3, default=1)
     steps: tuple[SegmentSpec, ...] = key(
         ListOf(SegmentKind(), minimum=1),
         "Segments that share this state.",

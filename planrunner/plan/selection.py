@@ -20,12 +20,12 @@ class Detection(Record):
     """Spans that are found in the data instead of being commanded: for hand-held recordings."""
 
     detect: str = key(Choice(("still",)), "What to look for: spans in which nothing moves.", "still")
-    within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to look in.", "tumble", ("*",))
+    within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to look in.", "tumble", default=("*",))
     channels: tuple[str, ...] = key(
         ListOf(Text("", "a channel's name"), minimum=1),
         "Channels that must be still.",
         ["accel_x", "accel_y", "accel_z"],
-        ("accel_x", "accel_y", "accel_z"),
+        default=("accel_x", "accel_y", "accel_z"),
     )
     window: Quantity = key(
         QuantityOf("time", "positive"), "Length of the window in which the standard deviation is taken.", "0.5 s"

@@ -12,15 +12,15 @@ class MonteCarloSpec(Record):
         Number(1, 2, integer=True),
         "Digits of the standard uncertainty that are regarded as meaningful: half a unit of the last one is the tolerance.",
         1,
-        1,
+        default=1,
     )
     draws: int = key(
         Number(20_000, 10_000_000, integer=True),
         "The most draws that are made where the results do not stabilise before.",
         1_000_000,
-        1_000_000,
+        default=1_000_000,
     )
-    seed: int = key(Number(0, 2**31, integer=True), "Seed of the draws.", 1, 1)
+    seed: int = key(Number(0, 2**31, integer=True), "Seed of the draws.", 1, default=1)
 
 
 USUAL = MonteCarloSpec(digits=1, draws=1_000_000, seed=1)

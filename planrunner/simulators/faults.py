@@ -67,24 +67,39 @@ class Fault(Record):
         QuantityOf("time", "not negative"),
         "When it begins, on the bench's clock: after the simulated bench starts, or after it is told.",
         "20 s",
-        parse_quantity("0 s"),
+        default=parse_quantity("0 s"),
         name="at",
     )
     lasts: Quantity | None = key(
-        QuantityOf("time", "positive"), "How long, on the bench's clock; for ever without it.", "5 s", None, name="for"
+        QuantityOf("time", "positive"),
+        "How long, on the bench's clock; for ever without it.",
+        "5 s",
+        default=None,
+        name="for",
     )
-    count: int | None = key(Number(1, 10**9, integer=True), "How many replies it takes; then it is over.", 1, None)
-    message: str | None = key(Text(), "Only replies to messages that contain this text.", "PVAL", None)
+    count: int | None = key(
+        Number(1, 10**9, integer=True), "How many replies it takes; then it is over.", 1, default=None
+    )
+    message: str | None = key(Text(), "Only replies to messages that contain this text.", "PVAL", default=None)
     delay: Quantity = key(
-        QuantityOf("time", "positive"), "Of `late`: by how much, on the wall's clock.", "3 s", parse_quantity("3 s")
+        QuantityOf("time", "positive"),
+        "Of `late`: by how much, on the wall's clock.",
+        "3 s",
+        default=parse_quantity("3 s"),
     )
     share: Quantity = key(
-        QuantityOf("ratio", "positive"), "Of faults of frames: the share of them.", "1 %", parse_quantity("100 %")
+        QuantityOf("ratio", "positive"),
+        "Of faults of frames: the share of them.",
+        "1 %",
+        default=parse_quantity("100 %"),
     )
     overshoot: Quantity = key(
-        QuantityOf("temperature"), "Of `overshoot`: how far beyond the setpoint.", "15 K", parse_quantity("15 K")
+        QuantityOf("temperature"),
+        "Of `overshoot`: how far beyond the setpoint.",
+        "15 K",
+        default=parse_quantity("15 K"),
     )
-    axis: int = key(Number(1, 3, integer=True), "Of an axis's fault: which, from 1.", 1, 1)
+    axis: int = key(Number(1, 3, integer=True), "Of an axis's fault: which, from 1.", 1, default=1)
 
 
 class FaultScript(Record):

@@ -22,7 +22,7 @@ from planrunner.plan.kinds import Record, Text, key
 
 
 class Port(Record):
-    port: str = key(Text(), "A serial port.", "/dev/ttyUSB0", "/dev/ttyUSB0")
+    port: str = key(Text(), "A serial port.", "/dev/ttyUSB0", default="/dev/ttyUSB0")
 
 
 class Thermometer:

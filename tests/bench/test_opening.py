@@ -19,8 +19,8 @@ LOG: list[str] = []
 
 
 class FakeParameters(Record):
-    fails: bool = key(Boolean(), "Fails to connect.", True, False)
-    unsafe: bool = key(Boolean(), "Fails to be made safe.", True, False)
+    fails: bool = key(Boolean(), "Fails to connect.", True, default=False)
+    unsafe: bool = key(Boolean(), "Fails to be made safe.", True, default=False)
 
 
 def fake(kind: str):

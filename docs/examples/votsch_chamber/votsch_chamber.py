@@ -13,7 +13,7 @@ RUNNING = 1  # place of the bit that starts and stops it
 class VotschParameters(LinkKeys, ChamberKeys):
     """A chamber that speaks ASCII-2."""
 
-    station: int = key(Number(1, 99, integer=True), "Its number on the line.", 1, 1)
+    station: int = key(Number(1, 99, integer=True), "Its number on the line.", 1, default=1)
 
 
 class Votsch:

@@ -39,25 +39,25 @@ class AccelerometerMultiPositionParameters(Record):
         ListOf(CHANNEL, minimum=3),
         "The three accelerometer channels, of x, y and z.",
         ["accel_x", "accel_y", "accel_z"],
-        ("accel_x", "accel_y", "accel_z"),
+        default=("accel_x", "accel_y", "accel_z"),
     )
     reference: str = key(
         Choice(("orientation", "gravity_magnitude")),
         "What the readings are held against: gravity in known attitudes, or only its magnitude.",
         "gravity_magnitude",
-        "orientation",
+        default="orientation",
     )
     terms: tuple[str, ...] = key(
         ListOf(Choice(by_orientation.TERMS), minimum=1),
         "Terms of each axis for the reference 'orientation'; leave out what the attitudes cannot show.",
         ["bias", "accel_x", "accel_z"],
-        by_orientation.TERMS,
+        default=by_orientation.TERMS,
     )
     uncertainty: str = key(
         Choice(BASES),
         "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the positions.",
         "residual",
-        "residual",
+        default="residual",
     )
     drift_span: Quantity = drift_span()
 

@@ -68,7 +68,7 @@ class AllanDeviationParameters(Record):
         ListOf(Choice(KINDS), minimum=1, single=True),
         "Which deviations to tabulate; the coefficients always come from the overlapping one.",
         ["overlapping", "hadamard"],
-        ("overlapping",),
+        default=("overlapping",),
     )
     taus: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("time", "positive"), minimum=1),
@@ -77,10 +77,13 @@ class AllanDeviationParameters(Record):
         default_factory=tuple,
     )
     terms: tuple[str, ...] = key(
-        ListOf(Choice(TERMS), minimum=1, single=True), "Coefficients to fit.", ["N", "B"], TERMS
+        ListOf(Choice(TERMS), minimum=1, single=True), "Coefficients to fit.", ["N", "B"], default=TERMS
     )
     fit_up_to: Quantity | None = key(
-        QuantityOf("time", "positive"), "Longest averaging time in the fit, where drift takes over.", "1 h", None
+        QuantityOf("time", "positive"),
+        "Longest averaging time in the fit, where drift takes over.",
+        "1 h",
+        default=None,
     )
     scale_factors: dict[str, Quantity | str] = key(
         MapOf(ScaleFactorKind()),
@@ -93,9 +96,9 @@ class AllanDeviationParameters(Record):
         QuantityOf("time", "not negative"),
         "Gaps up to this long are filled on a straight line; longer ones split the record.",
         "0 s",
-        parse_quantity("0 s"),
+        default=parse_quantity("0 s"),
     )
-    confidence: float = key(Number(0.5, 0.999), "Probability of the confidence intervals.", 0.95, 0.95)
+    confidence: float = key(Number(0.5, 0.999), "Probability of the confidence intervals.", 0.95, default=0.95)
 
 
 class AllanDeviation:

@@ -65,9 +65,9 @@ class CompensationResidualParameters(Record):
         Number(1000, 1_000_000, integer=True),
         "Simulated experiments from which the ratio's expected range is taken.",
         20_000,
-        20_000,
+        default=20_000,
     )
-    seed: int = key(Number(0, 2**31, integer=True), "Seed of those simulated experiments.", 1, 1)
+    seed: int = key(Number(0, 2**31, integer=True), "Seed of those simulated experiments.", 1, default=1)
 
 
 class CompensationResidual:

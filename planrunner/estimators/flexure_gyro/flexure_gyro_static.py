@@ -53,7 +53,7 @@ class FlexureGyroStaticParameters(Record):
         ListOf(CHANNEL, minimum=2),
         "The two torquer outputs: of the x axis, then of the y axis.",
         ["torquer_x", "torquer_y"],
-        ("torquer_x", "torquer_y"),
+        default=("torquer_x", "torquer_y"),
     )
     terms: tuple[str, ...] = key(
         ListOf(Choice(tuple(flexure_gyro.PRODUCTS)), single=True),
@@ -65,13 +65,13 @@ class FlexureGyroStaticParameters(Record):
         Choice(BASES),
         "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the positions.",
         "residual",
-        "residual",
+        default="residual",
     )
     pool_outputs: bool = key(
         Boolean(),
         "On the residual basis, let one factor between residual scatter and noise hold for both outputs: twice the degrees of freedom.",
         True,
-        True,
+        default=True,
     )
     drift_span: Quantity = drift_span()
 

@@ -73,23 +73,23 @@ class ImuMultiPositionParameters(Record):
         ListOf(term_names(), minimum=1),
         "Terms of each gyro: installed ones, by name. Specific force is its g-sensitivity.",
         ["bias", *_RATES],
-        ("bias", *_RATES, *_FORCES),
+        default=("bias", *_RATES, *_FORCES),
     )
     accelerometer_terms: tuple[str, ...] = key(
-        ListOf(term_names(), minimum=1), "Terms of each accelerometer.", ["bias", *_FORCES], ("bias", *_FORCES)
+        ListOf(term_names(), minimum=1), "Terms of each accelerometer.", ["bias", *_FORCES], default=("bias", *_FORCES)
     )
     misalignment: str = key(
         Choice(("full", "lower_triangular")),
         "full: all six in the axes of the planned orientations. lower_triangular: in the accelerometers' own frame (the gyros' where there "
         "are none), x along the first input axis and y in the plane of the first two, with the rotation between the two frames.",
         "lower_triangular",
-        "full",
+        default="full",
     )
     uncertainty: str = key(
         Choice(BASES),
         "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the segments.",
         "residual",
-        "residual",
+        default="residual",
     )
     drift_span: Quantity = drift_span()
 

@@ -15,7 +15,7 @@ INSTALLATION = ("xz", "xy", "yz", "yx", "zy", "zx")
 
 
 def _angle(description: str, example: str) -> Any:
-    return key(QuantityOf("angle", uncertain=True), description, example, parse_quantity("0 arcsec"))
+    return key(QuantityOf("angle", uncertain=True), description, example, default=parse_quantity("0 arcsec"))
 
 
 class Installation(Record):
@@ -35,7 +35,7 @@ class Installation(Record):
 
 def _channels(description: str, names: tuple[str, ...], least: int) -> Any:
     kind = ListOf(CHANNEL, minimum=least, maximum=3)
-    return key(kind, description, list(names), names)
+    return key(kind, description, list(names), default=names)
 
 
 class RockingDriftParameters(Record):
@@ -45,32 +45,32 @@ class RockingDriftParameters(Record):
         QuantityOf("time", "positive"),
         "t0, when the first window begins after the record has begun; the element has left the levelling dead region by then.",
         "60 s",
-        parse_quantity("60 s"),
+        default=parse_quantity("60 s"),
     )
     window: Quantity = key(
         QuantityOf("time", "positive"),
         "Length Δt of both windows.",
         "2 s",
-        parse_quantity("2 s"),
+        default=parse_quantity("2 s"),
     )
     second_window: Quantity | None = key(
         QuantityOf("time", "positive"),
         "t1, when the second window begins after the record has begun; without it, the second window ends with the shortest record.",
         "590 s",
-        None,
+        default=None,
     )
     released_before: Quantity | None = key(
         QuantityOf("time", "not negative"),
         "Time from the release of the element to the beginning of each record, for `azimuth: nominal`; without it, as the run recorded it. "
         "A recording that is played back does not hold it.",
         "5 s",
-        None,
+        default=None,
     )
     cutoff: Quantity = key(
         QuantityOf("frequency", "positive"),
         "Corner of the zero-phase low-pass filter; it lies below the rocking frequency.",
         "0.05 Hz",
-        parse_quantity("0.05 Hz"),
+        default=parse_quantity("0.05 Hz"),
     )
     installation_angles: Installation = key(
         RecordOf(Installation),
@@ -82,31 +82,31 @@ class RockingDriftParameters(Record):
         Choice(("xzy", "zxy")),
         "Order of the turns from site to element with y up: R_x·R_z·R_y or R_z·R_x·R_y; docs/platform-rocking.md has the other states.",
         "xzy",
-        "xzy",
+        default="xzy",
     )
     azimuth: str = key(
         Choice(("encoders", "nominal")),
         "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation turned on by the Earth.",
         "encoders",
-        "encoders",
+        default="encoders",
     )
     azimuth_uncertainty: Quantity | None = key(
         QuantityOf("angle", "not negative"),
         "Standard uncertainty of that azimuth in one run; without it, the table's position uncertainty where encoders are used.",
         "7 arcsec",
-        None,
+        default=None,
     )
     accelerometer_stability: Quantity | None = key(
         QuantityOf("acceleration", "not negative"),
         "Standard uncertainty of an accelerometer's bias from the first window to the second.",
         "10 ug",
-        None,
+        default=None,
     )
     smallest_drift: Quantity = key(
         QuantityOf("angular rate", "positive"),
         "Drift that is to be resolved; the check tells how long one count of an accelerometer takes at it.",
         "0.003 deg/h",
-        parse_quantity("0.003 deg/h"),
+        default=parse_quantity("0.003 deg/h"),
     )
     accelerometers: tuple[str, ...] = _channels(
         "Channels of the accelerometers along x, y, z.", ("accel_x", "accel_y", "accel_z"), 3
@@ -118,7 +118,7 @@ class RockingDriftParameters(Record):
         ListOf(Choice(("x", "y", "z")), minimum=3, maximum=3),
         "Axis of the carrying part about which each gimbal turns, outermost first.",
         ["x", "y", "z"],
-        ("x", "y", "z"),
+        default=("x", "y", "z"),
     )
     rings: tuple[str, ...] = _channels(
         "Channels of the table's ring angles, outermost first.", ("table_outer", "table_middle", "table_inner"), 1
@@ -127,9 +127,9 @@ class RockingDriftParameters(Record):
         Number(1, 100_000, integer=True),
         "Pairs of a static and a dynamic run that are compared in each state: all where there are no more than these, else so many drawn.",
         200,
-        200,
+        default=200,
     )
-    pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of that draw.", 1, 1)
+    pairing_seed: int = key(Number(0, 2**31, integer=True), "Seed of that draw.", 1, default=1)
 
     def second(self, end: float) -> float:
         """t1 [s] of records that last until `end` [s]."""

@@ -50,49 +50,49 @@ class StrapdownNavigationParameters(Record):
         ListOf(CHANNEL, minimum=3, maximum=3),
         "Channels of the gyros about x, y, z: rates or increments of angle.",
         ["gyro_x", "gyro_y", "gyro_z"],
-        ("gyro_x", "gyro_y", "gyro_z"),
+        default=("gyro_x", "gyro_y", "gyro_z"),
     )
     accelerometers: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3, maximum=3),
         "Channels of the accelerometers along x, y, z: specific force or increments of velocity.",
         ["accel_x", "accel_y", "accel_z"],
-        ("accel_x", "accel_y", "accel_z"),
+        default=("accel_x", "accel_y", "accel_z"),
     )
     align: str = key(
         Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"),
         "Label of the segment in which to align; what comes before it is warm-up, what comes after is navigated.",
         "align",
-        "align*",
+        default="align*",
     )
     vertical: str = key(
         Choice(("held", "damped")),
         "Vertical channel: height and vertical velocity held, or damped by the reference height.",
         "damped",
-        "held",
+        default="held",
     )
     gravity: str = key(
         Choice(("site", "wgs84")),
         "Gravity: that of the site, changing with latitude and height as normal gravity does, or normal gravity itself.",
         "wgs84",
-        "site",
+        default="site",
     )
     bridge: Quantity = key(
         QuantityOf("time", "not negative"),
         "Samples missing for up to this long are filled on straight lines; longer gaps end the navigation with an error.",
         "0 s",
-        parse_quantity("0.1 s"),
+        default=parse_quantity("0.1 s"),
     )
     gyro_uncertainty: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
         "Standard uncertainty of each gyro's constant error, for the uncertainty of the alignment and for what to expect.",
         "0.005 deg/h",
-        None,
+        default=None,
     )
     accelerometer_uncertainty: Quantity | None = key(
         QuantityOf("acceleration", "positive"),
         "Standard uncertainty of each accelerometer's constant error, for the same.",
         "50 ug",
-        None,
+        default=None,
     )
 
     @property

@@ -57,45 +57,47 @@ class TemperatureModelParameters(Record):
         CHANNEL,
         "The sensor's own thermometer, for channels along a ramp; the planned temperature when left out.",
         "temperature",
-        None,
+        default=None,
     )
-    form: str = key(Choice(FORMS), "Powers of T − reference, or a natural cubic spline.", "spline", "polynomial")
+    form: str = key(
+        Choice(FORMS), "Powers of T − reference, or a natural cubic spline.", "spline", default="polynomial"
+    )
     order: int | None = key(
         Number(0, 12, integer=True),
         "Order of the polynomial, or knots of the spline less one; chosen by held-out error when left out.",
         2,
-        None,
+        default=None,
     )
-    highest_order: int = key(Number(1, 12, integer=True), "Highest order that is tried.", 4, 4)
+    highest_order: int = key(Number(1, 12, integer=True), "Highest order that is tried.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
         "Into how many adjoining ranges the temperatures are divided to be held out in turn; 0 holds out each alone.",
         5,
-        0,
+        default=0,
     )
     rule: str = key(
         Choice(RULES),
         "one_standard_error: the simplest curve within one standard error of the smallest held-out error; or the smallest itself.",
         "smallest_error",
-        "one_standard_error",
+        default="one_standard_error",
     )
     reference: Quantity = key(
         QuantityOf("temperature"),
         "T₀, at which a polynomial's constant is the value.",
         "20 degC",
-        parse_quantity("25 degC"),
+        default=parse_quantity("25 degC"),
     )
     bin: Quantity = key(
         QuantityOf("temperature", "positive"),
         "Along a ramp samples are put together in steps of this; temperatures nearer than this are held out together.",
         "2 K",
-        parse_quantity("1 K"),
+        default=parse_quantity("1 K"),
     )
     uncertainty: str = key(
         Choice(("residual", "propagated")),
         "What the uncertainties rest on: the scatter of the values about the curve, or the values' own uncertainties.",
         "propagated",
-        "residual",
+        default="residual",
     )
 
 

@@ -78,16 +78,16 @@ class FixtureAnglesParameters(Record):
         Choice((FITTED, STATED)),
         "The axes' azimuths in the fixture: fitted, which takes three orientations; or as stated in `mounting`, for which two are enough.",
         FITTED,
-        FITTED,
+        default=FITTED,
     )
     rate_unit: str = key(
-        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
     )
     uncertainty: str = key(
         Choice(BASES),
         "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the segments.",
         "residual",
-        "residual",
+        default="residual",
     )
 
 

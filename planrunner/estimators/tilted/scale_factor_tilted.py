@@ -70,47 +70,47 @@ class ScaleFactorTiltedParameters(Record):
         ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"), minimum=1, single=True),
         "Labels of the segments at rest before and after the rates.",
         ["start-zero", "end-zero"],
-        ("start-zero", "end-zero"),
+        default=("start-zero", "end-zero"),
     )
     earth_rate: str = key(
         Choice(("corrected", "averaged", "ignored")),
         "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; averaged by whole turns, "
         "which are then required; or ignored. Only where corrected is it kept out of F0.",
         "corrected",
-        "corrected",
+        default="corrected",
     )
     rate_unit: str = key(
-        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", "deg/s"
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
     )
     rate_uncertainty: Quantity | None = key(
         QuantityOf("ratio", "not negative"),
         "Relative standard uncertainty of the table's rate, common to all rates; how well each is held stands in the bench file.",
         "50 ppm",
-        None,
+        default=None,
     )
     uncertainty: str = key(
         Choice(BASES),
         "What the uncertainties rest on: the scatter of the repeats, that of the rates about the line, or the noise within the segments.",
         "repeats",
-        "repeats",
+        default="repeats",
     )
     reference_temperature: Quantity = key(
         QuantityOf("temperature"),
         "The tested temperature nearest to it gives K_x, and temperature coefficients refer to it.",
         "20 degC",
-        parse_quantity("20 degC"),
+        default=parse_quantity("20 degC"),
     )
     temperature: str | None = key(
         CHANNEL,
         f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the planned temperatures.",
         THERMOMETER,
-        None,
+        default=None,
     )
     remounting: Quantity = key(
         QuantityOf("time", "not negative"),
         "Time to bring the chamber to room temperature, mount and align, for comparing with one mounting an axis.",
         "2 h",
-        parse_quantity("2 h"),
+        default=parse_quantity("2 h"),
     )
 
 

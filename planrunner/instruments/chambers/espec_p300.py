@@ -30,7 +30,7 @@ class EspecP300Parameters(LinkKeys, ChamberKeys):
     """A chamber with an Espec P300 or SCP-220 controller."""
 
     station: int | None = key(
-        Number(1, 16, integer=True), "Its address on a line that several chambers share (RS-485).", 1, None
+        Number(1, 16, integer=True), "Its address on a line that several chambers share (RS-485).", 1, default=None
     )
 
 

@@ -39,7 +39,7 @@ ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high pr
 class Thermotron8800Parameters(LinkKeys, ChamberKeys):
     """A chamber with a Thermotron 8800 controller."""
 
-    channel: int = key(Number(1, 4, integer=True), "Channel of the air temperature.", 1, 1)
+    channel: int = key(Number(1, 4, integer=True), "Channel of the air temperature.", 1, default=1)
 
 
 class Thermotron8800:

@@ -24,8 +24,8 @@ PACE = 0.1
 class WatlowF4tParameters(LinkKeys, ChamberKeys):
     """A chamber with a Watlow F4T controller."""
 
-    loop: int = key(Number(1, 4, integer=True), "Control loop of the air temperature.", 1, 1)
-    output: int = key(Number(1, 12, integer=True), "Output, or event, that switches conditioning on.", 1, 1)
+    loop: int = key(Number(1, 4, integer=True), "Control loop of the air temperature.", 1, default=1)
+    output: int = key(Number(1, 12, integer=True), "Output, or event, that switches conditioning on.", 1, default=1)
 
 
 class WatlowF4t:

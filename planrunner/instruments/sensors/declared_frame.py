@@ -56,40 +56,40 @@ class FieldOfFrame(Record):
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte, counted from 0 at the sync.", 2, name="at")
     type: str = key(Choice(tuple(TYPES)), "Its type: u unsigned, i signed, f floating point, and its bits.", "i16")
-    scale: float = key(Number(), "What it is multiplied by.", 0.02, 1.0)
-    zero: float = key(Number(), "What is added then.", 25.0, 0.0)
+    scale: float = key(Number(), "What it is multiplied by.", 0.02, default=1.0)
+    zero: float = key(Number(), "What is added then.", 25.0, default=0.0)
     unit: str = key(UnitText(), "Unit of the result.", "deg/s")
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
 
 
 class CounterOfFrame(Record):
     """The counter of a frame, which runs through all values of its type, or below `modulus`."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 14, name="at")
-    type: str = key(Choice(WHOLE), "Its type.", "u8", "u8")
-    step: int = key(Number(1, 2**31, integer=True), "Counts from one frame to the next.", 1, 1)
-    modulus: int | None = key(Number(2, 2**32, integer=True), "It starts anew at this value.", 128, None)
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+    type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
+    step: int = key(Number(1, 2**31, integer=True), "Counts from one frame to the next.", 1, default=1)
+    modulus: int | None = key(Number(2, 2**32, integer=True), "It starts anew at this value.", 128, default=None)
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
 
 
 class StatusOfFrame(Record):
     """A status word of a frame; set bits speak against it."""
 
     place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 15, name="at")
-    type: str = key(Choice(WHOLE), "Its type.", "u8", "u8")
+    type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
     bits: dict[str, int] = key(
         MapOf(Number(0, 31, integer=True)), "What a set bit says → the bit, from 0 for the lowest.", {"overload": 4}
     )
-    set_is_good: bool = key(Boolean(), "Whether bits are clear when they speak against the frame.", True, False)
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+    set_is_good: bool = key(Boolean(), "Whether bits are clear when they speak against the frame.", True, default=False)
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
 
 
 class ChecksumOfFrame(Record):
     """The checksum at the end of a frame."""
 
     type: str = key(Choice(tuple(CHECKSUMS)), "How it is computed.", "crc16_modbus")
-    start: int = key(Number(0, LONGEST - 1, integer=True), "The first byte that it covers.", 2, 0, name="from")
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, False)
+    start: int = key(Number(0, LONGEST - 1, integer=True), "The first byte that it covers.", 2, default=0, name="from")
+    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
 
 
 class DeclaredFrameParameters(SerialSensorParameters):
@@ -110,16 +110,16 @@ class DeclaredFrameParameters(SerialSensorParameters):
         RecordOf(ChecksumOfFrame),
         "Its checksum. Without one a corrupt frame cannot be told from a good one.",
         {"type": "crc16_modbus", "from": 2},
-        None,
+        default=None,
     )
     counter: CounterOfFrame | None = key(
         RecordOf(CounterOfFrame),
         "Its counter. Without one, lost frames are only seen as silences longer than 0.1 s.",
         {"at": 14},
-        None,
+        default=None,
     )
     status: StatusOfFrame | None = key(
-        RecordOf(StatusOfFrame), "Its status word.", {"at": 15, "bits": {"overload": 4}}, None
+        RecordOf(StatusOfFrame), "Its status word.", {"at": 15, "bits": {"overload": 4}}, default=None
     )
     modes: dict[str, str] = key(
         MapOf(Text(r"[\x20-\x7e]{1,60}", "a line of text"), pattern=NAME),

@@ -24,16 +24,16 @@ class GyroKnowledge(Record):
         QuantityOf("angular rate", "positive"),
         "Largest rate, either sign; plans are held against it.",
         "400 deg/s",
-        None,
+        default=None,
     )
     angle_random_walk: Quantity | None = key(
         QuantityLike("deg/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T. `check` and `design` predict uncertainties from it.",
         "0.15 deg/sqrt(h)",
-        None,
+        default=None,
     )
     bias_instability: Quantity | None = key(
-        QuantityOf("angular rate", "not negative"), "Flicker floor of the output.", "0.3 deg/h", None
+        QuantityOf("angular rate", "not negative"), "Flicker floor of the output.", "0.3 deg/h", default=None
     )
 
 
@@ -41,16 +41,16 @@ class AccelerometerKnowledge(Record):
     """What is known of the accelerometers before they are tested: of each alike."""
 
     full_scale: Quantity | None = key(
-        QuantityOf("acceleration", "positive"), "Largest specific force, either sign.", "10 g", None
+        QuantityOf("acceleration", "positive"), "Largest specific force, either sign.", "10 g", default=None
     )
     velocity_random_walk: Quantity | None = key(
         QuantityLike("m/s/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T.",
         "0.07 m/s/sqrt(h)",
-        None,
+        default=None,
     )
     bias_instability: Quantity | None = key(
-        QuantityOf("acceleration", "not negative"), "Flicker floor of the output.", "0.05 mg", None
+        QuantityOf("acceleration", "not negative"), "Flicker floor of the output.", "0.05 mg", default=None
     )
 
 
@@ -62,8 +62,8 @@ class SerialSensorParameters(Record):
         "Serial port, or a URL that pyserial knows, such as socket://127.0.0.1:4001.",
         "/dev/ttyUSB0",
     )
-    baud: int = key(Number(1200, FASTEST_BAUD, integer=True), "Bits a second on the line.", 921600, 921600)
-    kind: str = key(Text(KIND, "a sensor kind"), "Kind of sensor, as plans name it.", "imu", "imu")
+    baud: int = key(Number(1200, FASTEST_BAUD, integer=True), "Bits a second on the line.", 921600, default=921600)
+    kind: str = key(Text(KIND, "a sensor kind"), "Kind of sensor, as plans name it.", "imu", default="imu")
     sample_rate: Quantity = key(
         QuantityOf("frequency", "positive"),
         "Frames a second that the sensor is set to; held against what comes.",
@@ -73,19 +73,19 @@ class SerialSensorParameters(Record):
         QuantityOf("time", "positive"),
         "How long it may take until a good frame comes; more ends the run.",
         "1 s",
-        parse_quantity("1 s"),
+        default=parse_quantity("1 s"),
     )
     thermal_lag: Quantity | None = key(
         QuantityOf("time", "positive"),
         "Time constant of the sensor's temperature behind the chamber's air; `check` holds soaks against it.",
         "10 min",
-        None,
+        default=None,
     )
     gyros: GyroKnowledge | None = key(
-        RecordOf(GyroKnowledge), "What is known of the gyros.", {"angle_random_walk": "0.15 deg/sqrt(h)"}, None
+        RecordOf(GyroKnowledge), "What is known of the gyros.", {"angle_random_walk": "0.15 deg/sqrt(h)"}, default=None
     )
     accelerometers: AccelerometerKnowledge | None = key(
-        RecordOf(AccelerometerKnowledge), "What is known of the accelerometers.", {"full_scale": "10 g"}, None
+        RecordOf(AccelerometerKnowledge), "What is known of the accelerometers.", {"full_scale": "10 g"}, default=None
     )
 
 

@@ -36,20 +36,22 @@ BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 class Kvh1775Parameters(SerialSensorParameters):
     """A KVH 1775 or DSP-1760 on a serial line."""
 
-    format: str = key(Choice(("A", "B", "C")), "Output format.", "A", "A")
+    format: str = key(Choice(("A", "B", "C")), "Output format.", "A", default="A")
     rotation: str = key(
         Choice(("rate", "delta")),
         "What it sends of the gyros. Deltas are recorded as the mean rate over the frame.",
         "rate",
-        "rate",
+        default="rate",
     )
-    angle_unit: str = key(Choice(("rad", "deg")), "Unit of its angles.", "rad", "rad")
-    temperature_unit: str = key(Choice(("C", "C_100")), "Whole or hundredths of degrees, of formats A and B.", "C", "C")
+    angle_unit: str = key(Choice(("rad", "deg")), "Unit of its angles.", "rad", default="rad")
+    temperature_unit: str = key(
+        Choice(("C", "C_100")), "Whole or hundredths of degrees, of formats A and B.", "C", default="C"
+    )
     configure: bool = key(
         Boolean(),
         "Whether rate, rotation and temperature unit are set when connecting; else it must be set so.",
         True,
-        False,
+        default=False,
     )
 
 

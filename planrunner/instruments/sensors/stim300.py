@@ -63,18 +63,18 @@ class Datagram:
 class Stim300Parameters(SerialSensorParameters):
     """A STIM300 on a serial line."""
 
-    datagram: int = key(Datagram(), "Identifier of the datagram that it is set to send.", 0xA7, 0xA7)
+    datagram: int = key(Datagram(), "Identifier of the datagram that it is set to send.", 0xA7, default=0xA7)
     acceleration_range: str = key(
         Choice(tuple(ACCELERATION_SCALES)),
         "Range of its accelerometers, which their scale follows from.",
         "10 g",
-        "10 g",
+        default="10 g",
     )
     gyro_output: str = key(
         Choice(("rate", "increment")),
         "What it is set to send of the gyros. Increments are recorded as the mean rate over the frame.",
         "rate",
-        "rate",
+        default="rate",
     )
 
 

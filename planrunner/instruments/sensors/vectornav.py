@@ -58,19 +58,21 @@ LINES: Mapping[str, Mapping[str, str]] = {
 class VectorNavParameters(SerialSensorParameters):
     """A VectorNav VN-100 on a serial line."""
 
-    output: str = key(Choice(("binary", *LINES)), "Binary messages, or one of the lines of text.", "binary", "binary")
+    output: str = key(
+        Choice(("binary", *LINES)), "Binary messages, or one of the lines of text.", "binary", default="binary"
+    )
     fields: tuple[str, ...] = key(
         ListOf(Choice(tuple(FIELDS)), minimum=1),
         "Fields of the common group that its binary messages hold. Without time_startup, lost messages are only seen as silences "
         "longer than 0.1 s.",
         ["time_startup", "imu", "mag_pres"],
-        ("time_startup", "imu", "mag_pres"),
+        default=("time_startup", "imu", "mag_pres"),
     )
     configure: str | None = key(
         Choice(("port_1", "port_2")),
         "Set the binary output of this port of the sensor when connecting; without it, it must be set so.",
         "port_1",
-        None,
+        default=None,
     )
 
 

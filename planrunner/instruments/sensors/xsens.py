@@ -59,13 +59,13 @@ class XsensParameters(SerialSensorParameters):
         ListOf(Choice(tuple(OUTPUTS)), minimum=1),
         "What every frame holds. delta_v and delta_q are recorded as the means over the frame, instead of acceleration and rate.",
         ["rate", "acceleration", "temperature"],
-        ("rate", "acceleration"),
+        default=("rate", "acceleration"),
     )
     configure: bool = key(
         Boolean(),
         "Whether the outputs, with packet counter and status word, and the rate are set when connecting; else they must be set so.",
         True,
-        False,
+        default=False,
     )
 
 

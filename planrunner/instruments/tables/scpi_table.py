@@ -29,9 +29,9 @@ SINE = ("axis", "amplitude", "frequency", "phase")
 class TableCommands(Record):
     """The commands of a table. `{axis}` stands for the axis's number; degrees, deg/s and Hz for the other places."""
 
-    identify: str = key(Text(), "Asks who it is.", "*IDN?", "*IDN?")
+    identify: str = key(Text(), "Asks who it is.", "*IDN?", default="*IDN?")
     error: str = key(
-        Text(), "Asks for the oldest error; an answer that begins with 0 means none.", "SYST:ERR?", "SYST:ERR?"
+        Text(), "Asks for the oldest error; an answer that begins with 0 means none.", "SYST:ERR?", default="SYST:ERR?"
     )
     limit: tuple[str, ...] = key(
         ListOf(CommandTemplate(LIMITS)),
@@ -46,16 +46,19 @@ class TableCommands(Record):
         default_factory=tuple,
     )
     go_to: str | None = key(
-        CommandTemplate(("axis", "position")), "Go to a {position} and stand there.", "AXIS{axis}:POS {position}", None
+        CommandTemplate(("axis", "position")),
+        "Go to a {position} and stand there.",
+        "AXIS{axis}:POS {position}",
+        default=None,
     )
     turn: str | None = key(
-        CommandTemplate(("axis", "rate")), "Turn at a {rate}, zero included.", "AXIS{axis}:RATE {rate}", None
+        CommandTemplate(("axis", "rate")), "Turn at a {rate}, zero included.", "AXIS{axis}:RATE {rate}", default=None
     )
     rock: str | None = key(
         CommandTemplate(SINE),
         "Rock about the present position with {amplitude}, {frequency} and {phase}; amplitude zero ends it.",
         "AXIS{axis}:SINE {amplitude},{frequency},{phase}",
-        None,
+        default=None,
     )
     stop: str = key(CommandTemplate(("axis",)), "Bring an axis to rest, controlled.", "AXIS{axis}:STOP")
     switch_off: tuple[str, ...] = key(
@@ -71,7 +74,7 @@ class TableCommands(Record):
 class ScpiTableParameters(LinkKeys, WiredTableKeys):
     """A table whose commands stand in the bench file."""
 
-    ends: str = key(Choice(tuple(ENDS)), "What ends a message, in both directions.", "LF", "LF")
+    ends: str = key(Choice(tuple(ENDS)), "What ends a message, in both directions.", "LF", default="LF")
     commands: TableCommands = key(
         RecordOf(TableCommands),
         "The table's commands.",

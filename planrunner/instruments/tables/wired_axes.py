@@ -14,19 +14,22 @@ class WiredAxisSpec(AxisSpec):
     """One axis of a real table."""
 
     number: int | None = key(
-        Number(1, 16, integer=True), "Number of the axis at the controller; without it its place in the list.", 1, None
+        Number(1, 16, integer=True),
+        "Number of the axis at the controller; without it its place in the list.",
+        1,
+        default=None,
     )
     zero: Quantity = key(
         QuantityOf("angle"),
         "What the controller reads when the joint stands at zero.",
         "12.5 deg",
-        parse_quantity("0 deg"),
+        default=parse_quantity("0 deg"),
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
         "Which way the controller counts positive, looking against the axis's direction.",
         "clockwise",
-        "counterclockwise",
+        default="counterclockwise",
     )
 
 
@@ -42,19 +45,19 @@ class WiredTableKeys(TableKeys):
         QuantityOf("angle", "positive"),
         "How near to its target an axis must stand to count as there.",
         "10 arcsec",
-        parse_quantity("0.01 deg"),
+        default=parse_quantity("0.01 deg"),
     )
     rate_tolerance: Quantity = key(
         QuantityOf("angular rate", "positive"),
         "How near to its target a rate must be to count as held.",
         "0.01 deg/s",
-        parse_quantity("0.02 deg/s"),
+        default=parse_quantity("0.02 deg/s"),
     )
     tracking_error: Quantity = key(
         QuantityOf("angle", "positive"),
         "Following error at which the controller shall stop an axis by itself, where it can.",
         "0.5 deg",
-        parse_quantity("1 deg"),
+        default=parse_quantity("1 deg"),
     )
 
 

@@ -27,37 +27,40 @@ class VirtualCarrierParameters(Record):
         "10 m/s",
     )
     heading: Quantity = key(
-        QuantityOf("angle"), "Heading at the start, clockwise from true north.", "45 deg", parse_quantity("0 deg")
+        QuantityOf("angle"),
+        "Heading at the start, clockwise from true north.",
+        "45 deg",
+        default=parse_quantity("0 deg"),
     )
     track: str = key(
         Choice(("constant-heading", "great-circle")),
         "What the track keeps: its heading, or its direction.",
         "great-circle",
-        "constant-heading",
+        default="constant-heading",
     )
     period: Quantity | None = key(
         QuantityOf("time", "positive"),
         "Period of a sinusoidal velocity forth and back; without it the speed is constant.",
         "120 s",
-        None,
+        default=None,
     )
     start: Quantity = key(
         QuantityOf("time", "not negative"),
         "Time since the run began until which it stands.",
         "20 min",
-        parse_quantity("0 s"),
+        default=parse_quantity("0 s"),
     )
     speed_up: Quantity | None = key(
         QuantityOf("time", "positive"),
         "Time in which it reaches a constant speed, at constant acceleration; 1 min without it.",
         "1 min",
-        None,
+        default=None,
     )
     bench: str = key(
         Choice(("north-aligned", "heading-aligned")),
         "Whether the bench stays aligned with north or turns with the heading; directions of a plan are then those of the bench.",
         "heading-aligned",
-        "north-aligned",
+        default="north-aligned",
     )
 
 

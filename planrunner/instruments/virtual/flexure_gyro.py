@@ -61,10 +61,13 @@ class VirtualFlexureGyroParameters(Record):
         QuantityOf("angle"),
         "ε, angle of the torquer X axis to the case X axis.",
         "8 arcmin",
-        parse_quantity("0 arcmin"),
+        default=parse_quantity("0 arcmin"),
     )
     xi: Quantity = key(
-        QuantityOf("angle"), "ξ, angle of the torquer Y axis, beside ε.", "-5 arcmin", parse_quantity("0 arcmin")
+        QuantityOf("angle"),
+        "ξ, angle of the torquer Y axis, beside ε.",
+        "-5 arcmin",
+        default=parse_quantity("0 arcmin"),
     )
     drift_x: Drift = key(
         RecordOf(Drift), "D(X).", {"F": "1.8 deg/h", "X": "3.2 deg/h/g", "Y": "-2.1 deg/h/g", "Z": "0.35 deg/h/g"}
@@ -76,19 +79,19 @@ class VirtualFlexureGyroParameters(Record):
         QuantityLike("pulse/sqrt(s)", "not negative"),
         "Random-walk coefficient N: the mean over T seconds scatters by N/√T.",
         "0.9 pulse/sqrt(s)",
-        parse_quantity("0 pulse/sqrt(s)"),
+        default=parse_quantity("0 pulse/sqrt(s)"),
     )
     bias_instability: Quantity = key(
         QuantityLike("pulse/s", "not negative"),
         "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
         "0.025 pulse/s",
-        parse_quantity("0 pulse/s"),
+        default=parse_quantity("0 pulse/s"),
     )
     resolution: Quantity = key(
         QuantityLike("pulse/s", "not negative"),
         "Smallest step of an output; 0 for none.",
         "1 pulse/s",
-        parse_quantity("0 pulse/s"),
+        default=parse_quantity("0 pulse/s"),
     )
     full_scale: Quantity = key(QuantityLike("pulse/s", "positive"), "Largest output, either sign.", "1000000 pulse/s")
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
@@ -96,13 +99,13 @@ class VirtualFlexureGyroParameters(Record):
         QuantityOf("time", "positive"),
         "Time constant of the gyro's temperature behind the air.",
         "10 min",
-        parse_quantity("10 min"),
+        default=parse_quantity("10 min"),
     )
     thermometer_noise: Quantity = key(
         QuantityOf("temperature", "not negative"),
         "Noise of one temperature reading.",
         "0.005 K",
-        parse_quantity("0.005 K"),
+        default=parse_quantity("0.005 K"),
     )
 
 

@@ -26,28 +26,31 @@ class ScaleErrors(Record):
         QuantityOf("ratio"),
         "How far the true scale factor at the reference temperature is above the declared one.",
         "150 ppm",
-        None,
+        default=None,
     )
     scale_factor_asymmetry: Quantity | None = key(
         QuantityOf("ratio"),
         "2·(K₊ − K₋)/(K₊ + K₋) of the scale factors for positive and negative input.",
         "20 ppm",
-        None,
+        default=None,
     )
     scale_factor_temperature: tuple[Quantity, ...] | None = key(
-        Polynomial("ppm"), "Relative change of the scale factor: coefficients of ΔT, ΔT², ΔT³.", ["30 ppm/K"], None
+        Polynomial("ppm"),
+        "Relative change of the scale factor: coefficients of ΔT, ΔT², ΔT³.",
+        ["30 ppm/K"],
+        default=None,
     )
     scale_factor_repeatability: Quantity | None = key(
         QuantityOf("ratio", "not negative"),
         "Standard deviation of the scale factor from one switch-on to the next.",
         "10 ppm",
-        None,
+        default=None,
     )
     warm_up_time: Quantity | None = key(
         QuantityOf("time", "positive"),
         "Time constant with which the warm-up error decays; 10 min without it.",
         "10 min",
-        None,
+        default=None,
     )
 
 
@@ -58,65 +61,76 @@ class GyroErrors(ScaleErrors):
         QuantityLike("(pulse/s)/(deg/s)", "positive", ("1",)),
         "Declared scale factor: a ratio gives an output in deg/s, pulses per angle one in pulse/s. 1 without it.",
         "1000 (pulse/s)/(deg/s)",
-        None,
+        default=None,
     )
-    bias: Quantity | None = key(QuantityOf("angular rate"), "Bias at the reference temperature.", "0.05 deg/h", None)
+    bias: Quantity | None = key(
+        QuantityOf("angular rate"), "Bias at the reference temperature.", "0.05 deg/h", default=None
+    )
     bias_temperature: tuple[Quantity, ...] | None = key(
         Polynomial("deg/h"),
         "Change of the bias: coefficients of ΔT, ΔT², ΔT³.",
         ["0.002 deg/h/K", "1e-5 deg/h/K^2"],
-        None,
+        default=None,
     )
     bias_repeatability: Quantity | None = key(
         QuantityOf("angular rate", "not negative"),
         "Standard deviation of the bias from one switch-on to the next.",
         "0.02 deg/h",
-        None,
+        default=None,
     )
     warm_up: Quantity | None = key(
-        QuantityOf("angular rate"), "Additional bias at switch-on, which decays exponentially.", "0.3 deg/h", None
+        QuantityOf("angular rate"),
+        "Additional bias at switch-on, which decays exponentially.",
+        "0.3 deg/h",
+        default=None,
     )
     quadratic: Quantity | None = key(
-        QuantityLike("ppm/(deg/s)"), "Nonlinearity: coefficient of the squared input.", "0.02 ppm/(deg/s)", None
+        QuantityLike("ppm/(deg/s)"), "Nonlinearity: coefficient of the squared input.", "0.02 ppm/(deg/s)", default=None
     )
     cubic: Quantity | None = key(
-        QuantityLike("ppm/dps^2"), "Nonlinearity: coefficient of the cubed input.", "1e-4 ppm/dps^2", None
+        QuantityLike("ppm/dps^2"), "Nonlinearity: coefficient of the cubed input.", "1e-4 ppm/dps^2", default=None
     )
     g_sensitivity: dict[str, Quantity] | None = key(
         MapOf(QuantityLike("deg/h/g"), names=FRAME),
         "Bias proportional to the specific force along the sensor's axes.",
         {"x": "0.1 deg/h/g", "z": "-0.2 deg/h/g"},
-        None,
+        default=None,
     )
     dead_zone: Quantity | None = key(
-        QuantityOf("angular rate", "not negative"), "Threshold: a smaller input gives no output.", "0.002 deg/h", None
+        QuantityOf("angular rate", "not negative"),
+        "Threshold: a smaller input gives no output.",
+        "0.002 deg/h",
+        default=None,
     )
     resolution: Quantity | None = key(
         QuantityLike("arcsec", "not negative", ("deg/s",)),
         "Smallest step: an angle is counted, what is left of a sample in the next; a rate is rounded sample by sample.",
         "0.01 arcsec",
-        None,
+        default=None,
     )
     full_scale: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Largest input, either sign; unlimited without it.", "400 deg/s", None
+        QuantityOf("angular rate", "positive"),
+        "Largest input, either sign; unlimited without it.",
+        "400 deg/s",
+        default=None,
     )
     angle_random_walk: Quantity | None = key(
         QuantityLike("deg/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T.",
         "0.003 deg/sqrt(h)",
-        None,
+        default=None,
     )
     bias_instability: Quantity | None = key(
         QuantityOf("angular rate", "not negative"),
         "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
         "0.005 deg/h",
-        None,
+        default=None,
     )
     rate_random_walk: Quantity | None = key(
         QuantityLike("deg/h/sqrt(h)", "not negative"),
         "Random walk of the bias: it scatters by K·√T.",
         "0.001 deg/h/sqrt(h)",
-        None,
+        default=None,
     )
 
 
@@ -127,56 +141,59 @@ class AccelerometerErrors(ScaleErrors):
         QuantityLike("(pulse/s)/(m/s^2)", "positive", ("1",)),
         "Declared scale factor: a ratio gives an output in m/s^2, pulses per velocity one in pulse/s. 1 without it.",
         "10000 (pulse/s)/(m/s^2)",
-        None,
+        default=None,
     )
-    bias: Quantity | None = key(QuantityOf("acceleration"), "Bias at the reference temperature.", "50 ug", None)
+    bias: Quantity | None = key(QuantityOf("acceleration"), "Bias at the reference temperature.", "50 ug", default=None)
     bias_temperature: tuple[Quantity, ...] | None = key(
-        Polynomial("ug"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["5 ug/K"], None
+        Polynomial("ug"), "Change of the bias: coefficients of ΔT, ΔT², ΔT³.", ["5 ug/K"], default=None
     )
     bias_repeatability: Quantity | None = key(
         QuantityOf("acceleration", "not negative"),
         "Standard deviation of the bias from one switch-on to the next.",
         "20 ug",
-        None,
+        default=None,
     )
     warm_up: Quantity | None = key(
-        QuantityOf("acceleration"), "Additional bias at switch-on, which decays exponentially.", "100 ug", None
+        QuantityOf("acceleration"), "Additional bias at switch-on, which decays exponentially.", "100 ug", default=None
     )
     quadratic: Quantity | None = key(
-        QuantityLike("ug/g^2"), "Nonlinearity: coefficient of the squared input.", "10 ug/g^2", None
+        QuantityLike("ug/g^2"), "Nonlinearity: coefficient of the squared input.", "10 ug/g^2", default=None
     )
     cubic: Quantity | None = key(
-        QuantityLike("ug/g^3"), "Nonlinearity: coefficient of the cubed input.", "1 ug/g^3", None
+        QuantityLike("ug/g^3"), "Nonlinearity: coefficient of the cubed input.", "1 ug/g^3", default=None
     )
     dead_zone: Quantity | None = key(
-        QuantityOf("acceleration", "not negative"), "Threshold: a smaller input gives no output.", "1 ug", None
+        QuantityOf("acceleration", "not negative"), "Threshold: a smaller input gives no output.", "1 ug", default=None
     )
     resolution: Quantity | None = key(
         QuantityLike("m/s", "not negative", ("m/s^2",)),
         "Smallest step: a velocity is counted, what is left of a sample in the next; an acceleration is rounded sample by sample.",
         "1e-5 m/s",
-        None,
+        default=None,
     )
     full_scale: Quantity | None = key(
-        QuantityOf("acceleration", "positive"), "Largest input, either sign; unlimited without it.", "20 g", None
+        QuantityOf("acceleration", "positive"),
+        "Largest input, either sign; unlimited without it.",
+        "20 g",
+        default=None,
     )
     velocity_random_walk: Quantity | None = key(
         QuantityLike("m/s/sqrt(h)", "not negative"),
         "White noise N: a mean over T scatters by N/√T.",
         "0.02 m/s/sqrt(h)",
-        None,
+        default=None,
     )
     bias_instability: Quantity | None = key(
         QuantityOf("acceleration", "not negative"),
         "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
         "10 ug",
-        None,
+        default=None,
     )
     acceleration_random_walk: Quantity | None = key(
         QuantityLike("ug/sqrt(h)", "not negative"),
         "Random walk of the bias: it scatters by K·√T.",
         "1 ug/sqrt(h)",
-        None,
+        default=None,
     )
 
 
@@ -184,19 +201,22 @@ class Direction(Record):
     """Where an input axis points in the sensor's frame: as a fixture tilts it, or near an axis of the frame."""
 
     angle: Quantity | None = key(
-        QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg", None
+        QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg", default=None
     )
     azimuth: Quantity | None = key(
-        QuantityOf("angle"), "True azimuth about the frame's z axis, right-handed from x.", "120 deg", None
+        QuantityOf("angle"), "True azimuth about the frame's z axis, right-handed from x.", "120 deg", default=None
     )
     axis: str | None = key(
-        Choice(FRAME), "Axis of the frame along which it lies nominally; without it the one of its own name.", "x", None
+        Choice(FRAME),
+        "Axis of the frame along which it lies nominally; without it the one of its own name.",
+        "x",
+        default=None,
     )
     towards: dict[str, Quantity] | None = key(
         MapOf(QuantityOf("angle"), names=FRAME),
         "Misalignments: small angles by which it leans towards the other two axes of the frame.",
         {"y": "12 arcsec", "z": "-5 arcsec"},
-        None,
+        default=None,
     )
 
 
@@ -267,35 +287,40 @@ class VirtualImuParameters(Record):
         Text(KIND, "a kind of sensor", "small letters, digits and -, such as gyro-triad"),
         "Kind of sensor, as plans name it.",
         "gyro-triad",
-        "imu",
+        default="imu",
     )
     gyros: Gyros | None = key(
-        RecordOf(Gyros, check_axes), "The gyros.", {"angle_random_walk": "0.003 deg/sqrt(h)", "axes": {"x": {}}}, None
+        RecordOf(Gyros, check_axes),
+        "The gyros.",
+        {"angle_random_walk": "0.003 deg/sqrt(h)", "axes": {"x": {}}},
+        default=None,
     )
     accelerometers: Accelerometers | None = key(
-        RecordOf(Accelerometers, check_axes), "The accelerometers.", {"axes": {"x": {"bias": "50 ug"}}}, None
+        RecordOf(Accelerometers, check_axes), "The accelerometers.", {"axes": {"x": {"bias": "50 ug"}}}, default=None
     )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "200 Hz")
     reference_temperature: Quantity = key(
-        QuantityOf("temperature"), "T₀ of the temperature polynomials.", "25 degC", parse_quantity("25 degC")
+        QuantityOf("temperature"), "T₀ of the temperature polynomials.", "25 degC", default=parse_quantity("25 degC")
     )
     thermal_lag: Quantity = key(
         QuantityOf("time", "positive"),
         "Time constant of the sensor's temperature behind the air.",
         "15 min",
-        parse_quantity("10 min"),
+        default=parse_quantity("10 min"),
     )
     thermometer_noise: Quantity = key(
         QuantityOf("temperature", "not negative"),
         "Noise of one temperature reading.",
         "0.005 K",
-        parse_quantity("0.005 K"),
+        default=parse_quantity("0.005 K"),
     )
-    reference: bool = key(Boolean(), "Whether true position and velocity are recorded beside the outputs.", True, False)
+    reference: bool = key(
+        Boolean(), "Whether true position and velocity are recorded beside the outputs.", True, default=False
+    )
     table_angle: bool = key(
         Boolean(),
         "Whether the angle by which the table has turned since it took the orientation is recorded beside the outputs, a mean over the "
         "sampling interval like them.",
         True,
-        False,
+        default=False,
     )

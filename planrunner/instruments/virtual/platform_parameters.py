@@ -10,7 +10,7 @@ from planrunner.plan.quantity import Quantity, parse_quantity
 
 
 def _each(kind: Kind, description: str, example: str, default: str) -> Any:
-    return key(kind, description, example, parse_quantity(default))
+    return key(kind, description, example, default=parse_quantity(default))
 
 
 class Rates(Record):
@@ -73,8 +73,10 @@ class InstallationAngles(Record):
 class Accelerometers(Record):
     """The three quartz accelerometers on the stabilised element."""
 
-    range: str = key(Choice(("1.25 g", "20 g")), "Range of the current converter.", "1.25 g", "1.25 g")
-    bits: int = key(Number(8, 32, integer=True), "Bits of the converter over the whole range, both signs.", 21, 21)
+    range: str = key(Choice(("1.25 g", "20 g")), "Range of the current converter.", "1.25 g", default="1.25 g")
+    bits: int = key(
+        Number(8, 32, integer=True), "Bits of the converter over the whole range, both signs.", 21, default=21
+    )
     bias: Quantity = _each(
         QuantityOf("acceleration", "not negative"), "Standard deviation of each one's bias.", "50 ug", "0 ug"
     )
@@ -104,7 +106,7 @@ class GimbalEncoders(Record):
     error: Quantity = _each(
         QuantityOf("angle", "not negative"), "Amplitude of the periodic error.", "4 arcsec", "0 arcsec"
     )
-    speeds: int = key(Number(1, 1024, integer=True), "Periods of that error in a turn.", 32, 32)
+    speeds: int = key(Number(1, 1024, integer=True), "Periods of that error in a turn.", 32, default=32)
 
 
 class TableEncoders(Record):
@@ -149,7 +151,10 @@ class VirtualPlatformParameters(Record):
         "0 deg/sqrt(h)",
     )
     rocking_drift: RockingDrift | None = key(
-        RecordOf(RockingDrift), "Drift while the base rocks.", {"rms_rate": "4.62 deg/s", "x": "0.01 deg/h"}, None
+        RecordOf(RockingDrift),
+        "Drift while the base rocks.",
+        {"rms_rate": "4.62 deg/s", "x": "0.01 deg/h"},
+        default=None,
     )
     caging: Caging = key(RecordOf(Caging), "Caging and release.", {"azimuth": "1 arcmin"}, default_factory=Caging)
     accelerometers: Accelerometers = key(
@@ -164,7 +169,7 @@ class VirtualPlatformParameters(Record):
         {"return_error": "15 arcsec"},
         default_factory=TableEncoders,
     )
-    rings: int = key(Number(1, 3, integer=True), "Rings of the table that carries it.", 3, 3)
+    rings: int = key(Number(1, 3, integer=True), "Rings of the table that carries it.", 3, default=3)
     lever_arm: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("length"), minimum=3, maximum=3),
         "Where the accelerometers are from the centre of the rings, along the base's x, y and z.",

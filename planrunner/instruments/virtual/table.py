@@ -33,13 +33,13 @@ class VirtualTableParameters(TableKeys):
         QuantityOf("angle", "not negative"),
         "Standard deviation, about each sensor axis, of the pointing error that is simulated; the same at the same orientation.",
         "2 arcsec",
-        parse_quantity("0 arcsec"),
+        default=parse_quantity("0 arcsec"),
     )
     rate_error: Quantity = key(
         QuantityOf("ratio", "not negative"),
         "Relative standard deviation of the rate error that is simulated; the same at the same rate.",
         "5 ppm",
-        parse_quantity("0 ppm"),
+        default=parse_quantity("0 ppm"),
     )
 
 

@@ -26,14 +26,14 @@ class LinkKeys(Record):
         QuantityOf("time", "positive"),
         "How long it may take to answer.",
         "2 s",
-        parse_quantity("2 s"),
+        default=parse_quantity("2 s"),
     )
-    baud: int = key(Number(50, 4_000_000, integer=True), "Bits a second of a serial line.", 9600, 9600)
+    baud: int = key(Number(50, 4_000_000, integer=True), "Bits a second of a serial line.", 9600, default=9600)
     model_contains: str | None = key(
         Text(r"\S.{0,60}", "some text"),
         "Text that must occur in what the instrument says of itself, in any case of letters; without it, what the driver expects.",
         "ACUTROL",
-        None,
+        default=None,
     )
 
     def check_identity(self, said: str, expected: str) -> None:
