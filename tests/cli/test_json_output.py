@@ -110,7 +110,7 @@ def test_results_in_the_terminal_stand_below_the_name_of_their_run(
         (("show", "nowhere.yaml"), "file-missing"),
         (("run", "nowhere.yaml"), "file-missing"),
         (("new", "nothing-like-it"), "new-unknown"),
-        (("pause", "nowhere"), "run-not-running"),
+        (("pause", "nowhere"), "run-not-found"),
         (("report",), "command-usage"),
         (("export",), "command-usage"),
         (("check",), "command-usage"),
