@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark, closest
 from planrunner.plan.model import Plan
 
 COMMAND_LINE = Mark("<command line>")
@@ -66,3 +66,6 @@ def _check(names: Collection[str], hint: str, given: Mapping[str, tuple[str, Mar
             log.error("run-info-unknown", mark, message, closest(name, names) or hint)
         elif len(value) > 500 or re.search(r"[\x00-\x1f\x7f]", value):
             log.error("run-info-value", mark, f"'{name}' must be one line of at most 500 characters", "shorten it")
+        elif hidden := MISLEADING.search(value):
+            message = f"'{name}' holds the character U+{ord(hidden[0]):04X}, which is not seen and changes how the others read"
+            log.error("run-info-value", mark, message, "type it anew, without that character")

@@ -10,6 +10,7 @@ these parts holds an error already: the list keeps it, with its cause, and shows
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -167,6 +168,11 @@ def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
 
 
 _MOST_LINES = 8
+
+
+MISLEADING = re.compile("[\x80-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]")
+"""Characters that no reader sees and that change how the others read: marks of the reading order, of no width, controls of terminals.
+A name that holds one looks like another name."""
 
 
 def closest(word: str, known: Iterable[str]) -> str:

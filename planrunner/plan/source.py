@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from planrunner.plan.findings import Findings, InputError, Mark
+from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark
 from planrunner.regular_files import RefusedFileError, read_regular
 
 MAX_BYTES = 1_000_000
@@ -125,15 +125,9 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
     Raises `InputError`. With `log`, duplicate keys and the like, which leave the rest readable, are added to it instead.
     """
-    forbidden = _FORBIDDEN.search(text)
+    forbidden = _FORBIDDEN.search(text) or MISLEADING.search(text)
     if forbidden:
-        message = f"the character U+{ord(forbidden[0]):04X} is not allowed in YAML text"
-        raise InputError.at(
-            _mark_at(text, forbidden.start(), file),
-            "syntax-character",
-            message,
-            "remove it, or save the file as plain text",
-        )
+        raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))
     builder = _Builder(file, text)
     try:
         for event in yaml.parse(text, Loader=_Loader):
@@ -156,6 +150,12 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     elif builder.findings.errors:
         raise InputError(builder.findings)
     return builder.root
+
+
+def _not_allowed(char: str, mark: Mark) -> InputError:
+    why = ": it is not seen, and changes how the text around it reads" if MISLEADING.match(char) else ""
+    message = f"the character U+{ord(char):04X} is not allowed in YAML text{why}"
+    return InputError.at(mark, "syntax-character", message, "remove it, or save the file as plain text")
 
 
 def _mark_at(text: str, position: int, file: str) -> Mark:
@@ -237,6 +237,9 @@ class _Builder:
                 if len(event.value) > MAX_SCALAR:
                     message = f"a text longer than {MAX_SCALAR} characters"
                     raise InputError.at(mark, "limit-text", message, "shorten it")
+                hidden = MISLEADING.search(event.value)
+                if hidden:
+                    raise _not_allowed(hidden[0], mark)
                 plain = not event.style and event.tag != "!"
                 value = _resolve(event.value) if plain else event.value
                 self._put(Scalar(mark, event.value, value), event.anchor, 1)
