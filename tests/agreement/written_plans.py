@@ -409,7 +409,10 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
             "channels": chosen,
         }
     entry = {**state, "label": "A", "dwell": draw(between("s", 0.1, 30)), "repeat": draw(st.integers(1, 2))}
-    estimate = {"estimator": "allan_deviation", "segments": "A", "outputs": chosen}
+    # Whether an encoder's reading changes within a short dwell is a matter of its drift, which no model declares.
+    noisy = [output.name for output in sensor.outputs if output.noise.white > 0 or output.constant]
+    heard = draw(st.lists(st.sampled_from(noisy), min_size=1, max_size=3, unique=True))
+    estimate = {"estimator": "allan_deviation", "segments": "A", "outputs": heard}
     if draw(st.booleans()):
         estimate["taus"] = draw(st.sampled_from([["0.1 s", "0.2 s", "1 s"], ["100 s"], ["1 s", "20 s"]]))
     if draw(st.booleans()):

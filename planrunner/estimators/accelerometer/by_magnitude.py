@@ -57,7 +57,9 @@ def design(request: DesignRequest) -> Design:
         _same_channels(detection.channels, outputs)
     described = [(name, request.sensor.output(name)) for name in outputs]
     _factors_of({name: output.unit for name, output in described if output is not None})
-    attitudes = [segment.attitude for segment in request.segments if _gives_pose(segment, detection)]
+    attitudes = [
+        segment.attitude for segment in request.segments if _gives_pose(segment, detection, request.sensor.sample_rate)
+    ]
     known = [attitude for attitude in attitudes if attitude is not None]
     count = len(attitudes)
     if detection is not None and len(known) < count:
@@ -233,11 +235,13 @@ def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
         )
 
 
-def _gives_pose(segment: Segment, detection: Detection | None) -> bool:
+def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: float) -> bool:
     """Whether a segment at rest is long enough for a pose; one in which spans are to be found may hold any number of them if it moves."""
     if detection is None or segment.dwell is None or segment.attitude is None:
         return True
-    return longest_span(segment.dwell, detection) >= detection.at_least.value
+    # Windows hold whole samples, and a span ends at samples: one interval may be lost at either end.
+    lost = 2 / (segment.sample_rate or sample_rate)
+    return longest_span(segment.dwell, detection) - lost >= detection.at_least.value
 
 
 def _at_rest(segments: Sequence[Segment]) -> None:
