@@ -36,6 +36,8 @@ def test_wheel_in_a_new_environment(tmp_path: Path) -> None:
 
     assert "flexure_gyro_eight_position" in planrunner("new")
     planrunner("new", "flexure_gyro_eight_position")
+    header = (work / "flexure_gyro_eight_position.yaml").read_text(encoding="utf-8").splitlines()[0]
+    assert (work / header.partition("$schema=")[2]).is_file()
     planrunner("check", "flexure_gyro_eight_position.yaml")
     out = planrunner("run", "flexure_gyro_eight_position.yaml", "--set", "device_serial=1", "--set", "operator=test")
     report = work / out.strip().splitlines()[-1]
