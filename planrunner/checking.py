@@ -16,7 +16,7 @@ from pathlib import Path
 from statistics import NormalDist
 
 from planrunner.bench.calibration import check_validity
-from planrunner.bench.inputs import check_backed, stated_inputs
+from planrunner.bench.inputs import check_backed, check_vertical, stated_inputs
 from planrunner.bench.model import Bench, BenchModels, bench_of, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.certificates import check_certificate
@@ -172,6 +172,7 @@ def check_plan(
             check_validity(checked.bench.calibrations(), today or date.today(), seconds, log)
             if checked.models is not None:
                 check_backed(checked.bench, checked.models, log)
+                check_vertical(checked.bench, checked.models, log)
     return checked
 
 

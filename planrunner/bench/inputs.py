@@ -6,13 +6,24 @@ import math
 from collections.abc import Iterator, Mapping
 
 from planrunner.bench.calibration import Calibration
-from planrunner.bench.model import Bench, BenchModels, InstrumentEntry, driver_of, runs_on_virtual_clock
+from planrunner.bench.model import (
+    Bench,
+    BenchModels,
+    InstrumentEntry,
+    astronomic_latitude,
+    driver_of,
+    runs_on_virtual_clock,
+)
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.plan.findings import Findings
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import InputQuantity, Inputs
+
+ARCSEC = unit("arcsec").factor
+TYPICAL_DEVIATION = 5 * ARCSEC
+"""Deviations of the vertical are some arcseconds in flat country and tens in mountains."""
 
 
 def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:
@@ -45,6 +56,21 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
             log.note("bench-no-calibration", entry.origin.mark, message, hint)
 
 
+def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
+    """Warns of a latitude that is stated more closely than the plumb line usually follows the ellipsoid, without saying which it is."""
+    site, simulated = bench.site, bench.simulation is not None or (runs_on_virtual_clock(bench) and not models.replays)
+    u = site.latitude.standard_uncertainty
+    if simulated or site.latitude_kind is not None or site.deviation_of_vertical is not None:
+        return
+    if 0 < u < TYPICAL_DEVIATION:
+        message = (
+            f"latitude is stated to ± {u / ARCSEC:.3g} arcsec, but not whether it is astronomic or geodetic: they differ by the "
+            f"deviation of the vertical, some {TYPICAL_DEVIATION / ARCSEC:.0f} arcsec, in mountains up to 60"
+        )
+        hint = "write `latitude_kind: astronomic`, or `latitude_kind: geodetic` and `deviation_of_vertical: {north: …}`, or widen the ±"
+        log.warning("bench-vertical", site.at("latitude"), message, hint)
+
+
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
     """A quantity as a file states it. si: the SI-coherent unit of its value."""
     return InputQuantity(
@@ -65,7 +91,8 @@ def _site(bench: Bench) -> Iterator[InputQuantity]:
     survey = bench.site.survey
     source = f"bench site, {survey.words}" if survey else "bench site"
     for name, si in (("latitude", "rad"), ("gravity", "m/s^2"), ("azimuth", "rad")):
-        yield input_quantity(name, getattr(bench.site, name), si, source, _day(survey))
+        stated = astronomic_latitude(bench.site) if name == "latitude" else getattr(bench.site, name)
+        yield input_quantity(name, stated, si, source, _day(survey))
 
 
 def _mounting(bench: Bench, mounting: Mapping[str, MountedAxis]) -> Iterator[InputQuantity]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -40,10 +40,39 @@ class MagneticFieldSpec(Record):
     up: float = key(Number(-1e6, 1e6), "Component upwards; negative on the northern hemisphere.", -44.0)
 
 
+class DeviationOfVertical(Record):
+    """How far the plumb line stands off the normal of the ellipsoid at the site."""
+
+    north: Quantity = key(
+        QuantityOf("angle", uncertain=True), "ξ, astronomic less geodetic latitude, north positive.", "3.2 arcsec"
+    )
+    east: Quantity = key(
+        QuantityOf("angle", uncertain=True),
+        "η, towards east; astronomic less geodetic azimuth is η·tan φ.",
+        "-1.5 arcsec",
+        parse_quantity("0 arcsec"),
+    )
+
+
 class SiteSpec(Record):
     """Where the bench stands."""
 
-    latitude: Quantity = key(QuantityOf("angle", uncertain=True), "Geodetic latitude, north positive.", "39.98 deg")
+    latitude: Quantity = key(
+        QuantityOf("angle", uncertain=True), "Latitude, north positive; `latitude_kind` says which.", "39.98 deg"
+    )
+    latitude_kind: str | None = key(
+        Choice(("astronomic", "geodetic")),
+        "Which latitude that is: of the plumb line, as stars or gyros show it, or of the ellipsoid, as satellites and maps give it; "
+        "taken for both without it.",
+        "geodetic",
+        None,
+    )
+    deviation_of_vertical: DeviationOfVertical | None = key(
+        RecordOf(DeviationOfVertical),
+        "By which the other latitude follows from the one stated; from a geoid model or a survey.",
+        {"north": "3.2 arcsec ± 0.5 arcsec", "east": "-1.5 arcsec"},
+        None,
+    )
     gravity: Quantity = key(QuantityOf("acceleration", "positive", uncertain=True), "Local gravity.", "9.80154 m/s^2")
     azimuth: Quantity = key(
         QuantityOf("angle", uncertain=True),
@@ -72,6 +101,22 @@ class SiteSpec(Record):
         {"certificate": "site survey 2026-1", "date": "2026-02-10"},
         default=None,
     )
+
+
+def astronomic_latitude(site: SiteSpec) -> Quantity:
+    """The latitude of the plumb line, by which the Earth's rate stands to gravity: Φ = φ + ξ where the geodetic one is stated."""
+    stated, deviation = site.latitude, site.deviation_of_vertical
+    if deviation is None or site.latitude_kind == "astronomic":
+        return stated
+    u = math.hypot(stated.standard_uncertainty, deviation.north.standard_uncertainty)
+    return replace(stated, value=stated.value + deviation.north.value, standard_uncertainty=u)
+
+
+def geodetic_latitude(site: SiteSpec) -> float:
+    """The latitude of the ellipsoid, in which positions are navigated, rad: φ = Φ − ξ where the astronomic one is stated."""
+    deviation = site.deviation_of_vertical
+    known = site.latitude_kind == "astronomic" and deviation is not None
+    return site.latitude.value - (deviation.north.value if known and deviation is not None else 0.0)
 
 
 class AmbientSpec(Record):
@@ -217,9 +262,10 @@ def site_of(bench: Bench) -> Site:
     site = bench.site
     magnetic = site.magnetic_field
     return Site(
-        site.latitude.value,
+        astronomic_latitude(site).value,
         site.gravity.value,
         site.azimuth.value,
+        geodetic_latitude=geodetic_latitude(site),
         longitude=site.longitude.value,
         height=site.height.value,
         magnetic_field=None if magnetic is None else (magnetic.east, magnetic.north, magnetic.up),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.04106
 class Site:
     """Where the bench stands. latitude, azimuth: rad; gravity: m/s^2.
 
+    latitude: astronomic, of the plumb line: at rest an accelerometer shows the plumb line, so the angle between the Earth's axis and what
+    stands level follows from it. geodetic_latitude: rad, of the ellipsoid, for positions; None where it is taken for the same. They differ
+    by the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1).
     longitude: rad, east positive; height: m above the ellipsoid; both only matter where positions are navigated.
     azimuth: of the table's reference direction, from true north, positive clockwise seen from above (towards east). Orientation
     words in plans mean true directions; the table's joint angles take the azimuth into account.
@@ -28,6 +31,12 @@ class Site:
     longitude: float = 0.0
     height: float = 0.0
     magnetic_field: tuple[float, float, float] | None = None
+    geodetic_latitude: float | None = None
+
+    @property
+    def on_ellipsoid(self) -> Site:
+        """The site with the geodetic latitude as its latitude, for navigation on the ellipsoid."""
+        return self if self.geodetic_latitude is None else replace(self, latitude=self.geodetic_latitude)
 
     @property
     def earth_rate_enu(self) -> NDArray[np.float64]:

@@ -24,6 +24,7 @@ name: lab
 clock: virtual
 site:
   latitude: 39.98 deg ± 1 arcsec
+  latitude_kind: astronomic
   gravity: {value: 9.80154 m/s^2, half_width: 3e-5 m/s^2, distribution: rectangular}
   azimuth: {value: 0 deg, standard_uncertainty: 10 arcsec, degrees_of_freedom: 9}
   survey: {certificate: survey 7, date: 2026-02-10, laboratory: surveyors}

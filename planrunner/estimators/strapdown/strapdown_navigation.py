@@ -165,7 +165,7 @@ def start_place(request: EstimateRequest, stop: RecordedSegment, factor: float) 
             places[name.removeprefix("initial_")] = _told(name, text, dimension)
         elif channel in stop.statistics.channels:
             places[name.removeprefix("initial_")] = reference_mean(stop, channel)
-    site = replace(request.site, **places)
+    site = replace(request.site.on_ellipsoid, **places)
     return replace(site, gravity=factor * float(normal_gravity(site.latitude, site.height)))
 
 
@@ -195,7 +195,7 @@ def navigate(request: EstimateRequest) -> Navigated:
             "alignment and navigation have different sample rates: give all of them one `sample_rate`"
         )
     reader = IncrementReader((*parameters.gyros, *parameters.accelerometers), rates.pop(), parameters.bridge.value)
-    bench = request.site
+    bench = request.site.on_ellipsoid
     factor = (
         bench.gravity / float(normal_gravity(bench.latitude, bench.height)) if parameters.gravity == "site" else 1.0
     )
