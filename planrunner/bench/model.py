@@ -50,7 +50,7 @@ class DeviationOfVertical(Record):
         QuantityOf("angle", uncertain=True),
         "η, towards east; astronomic less geodetic azimuth is η·tan φ.",
         "-1.5 arcsec",
-        parse_quantity("0 arcsec"),
+        default=parse_quantity("0 arcsec"),
     )
 
 
@@ -65,13 +65,13 @@ class SiteSpec(Record):
         "Which latitude that is: of the plumb line, as stars or gyros show it, or of the ellipsoid, as satellites and maps give it; "
         "taken for both without it.",
         "geodetic",
-        None,
+        default=None,
     )
     deviation_of_vertical: DeviationOfVertical | None = key(
         RecordOf(DeviationOfVertical),
         "By which the other latitude follows from the one stated; from a geoid model or a survey.",
         {"north": "3.2 arcsec ± 0.5 arcsec", "east": "-1.5 arcsec"},
-        None,
+        default=None,
     )
     gravity: Quantity = key(QuantityOf("acceleration", "positive", uncertain=True), "Local gravity.", "9.80154 m/s^2")
     azimuth: Quantity = key(
