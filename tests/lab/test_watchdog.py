@@ -43,7 +43,7 @@ def test_told_that_the_bench_is_safe_it_goes_without_touching_it(bench: bytes, t
         os.kill(guard.pid, 0)
 
 
-def signs_of_life(guard: Watchdog, seconds: float = 5.0) -> None:
+def signs_of_life(guard: Watchdog, seconds: float = 60.0) -> None:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         guard.sign_of_life()

