@@ -235,6 +235,7 @@ def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, s
     import io
 
     import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     with mpl.rc_context(_STYLE):
@@ -243,7 +244,8 @@ def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, s
         def save(key: str, title: str, described: str) -> str:
             target = io.StringIO()
             nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-            figure.savefig(target, format="svg", metadata=nothing)
+            # What `savefig` does, without its first drawing, which only measures for margins that the layout has found already.
+            FigureCanvasSVG(figure).print_svg(target, metadata=nothing)
             return _inline(target.getvalue(), key, title, described)
 
         yield figure, save
