@@ -90,7 +90,8 @@ class Framer:
         """The frames that these pieces complete, in order."""
         from planrunner.instruments.wire.kernels import find
 
-        joined = b"".join([self._rest, *(piece.data for piece in pieces)])
+        parts = [piece.data for piece in pieces]
+        joined = b"".join([self._rest, *parts] if self._rest else parts)  # a single part is not copied
         data = np.frombuffer(joined, np.uint8)
         framing = self.framing
         starts, lengths, place, self._expected, corrupt, skipped = find(

@@ -135,19 +135,29 @@ def _digit(byte):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _line(data, place, longest):  # type: ignore[no-untyped-def]
-    """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first: one walk does both."""
-    together = np.uint32(0)
+    """Bytes of the line that begins here, as in `_length`, and the exclusive-or of all but its first.
+
+    The end is looked for four bytes at a time; the loop behind has a known end, so that it takes many bytes at once.
+    """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
-    end = start
-    while end < stop:
-        byte = data[end]
-        together ^= np.uint32(byte)
-        if byte == LINE_FEED:
-            return np.int64(end) + 1 - place, together
-        if byte > 126:
-            return 0, together
-        end += np.uintp(1)
-    return (0 if data.size - place >= longest else -1), together
+    end, feed = start, np.uint8(LINE_FEED)
+    one, two, three, four = np.uintp(1), np.uintp(2), np.uintp(3), np.uintp(4)
+    while end + four <= stop and not (
+        (data[end] == feed) | (data[end + one] == feed) | (data[end + two] == feed) | (data[end + three] == feed)
+    ):
+        end += four
+    while end < stop and data[end] != feed:
+        end += one
+    together, strange = np.uint8(0), np.uint8(0)
+    for item in range(start, end):
+        byte = data[np.uintp(item)]
+        together = np.uint8(together ^ byte)
+        strange = np.uint8(strange | np.uint8(byte > 126))
+    if strange:
+        return 0, np.uint32(0)
+    if end < stop:
+        return np.int64(end) + 1 - place, np.uint32(together ^ feed)
+    return (0 if data.size - place >= longest else -1), np.uint32(0)
 
 
 @compiled()
