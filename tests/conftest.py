@@ -23,7 +23,7 @@ os.environ["PLANRUNNER_STATE"] = tempfile.mkdtemp(prefix="planrunner-state-")
 atexit.register(shutil.rmtree, os.environ["PLANRUNNER_STATE"], ignore_errors=True)
 
 # How fast cases are drawn says how busy the machine is, not whether they pass.
-settings.register_profile("planrunner", suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("planrunner", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("planrunner")
 sys.dont_write_bytecode = False
 

@@ -245,7 +245,8 @@ def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, s
             target = io.StringIO()
             nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
             # What `savefig` does, without its first drawing, which only measures for margins that the layout has found already.
-            FigureCanvasSVG(figure).print_svg(target, metadata=nothing)
+            canvas: Any = FigureCanvasSVG(figure)
+            canvas.print_svg(target, metadata=nothing)
             return _inline(target.getvalue(), key, title, described)
 
         yield figure, save
