@@ -359,7 +359,13 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
         )
         estimate = {
             "estimator": estimator,
-            "segments": {"detect": "still", "window": "0.1 s", "threshold": "1 m/s^2", "at_least": "0.2 s"},
+            "segments": {
+                "detect": "still",
+                "within": "P",
+                "window": "0.1 s",
+                "threshold": "1 m/s^2",
+                "at_least": "0.2 s",
+            },
         }
         if estimator == "accelerometer_multi_position":
             estimate |= {"reference": "gravity_magnitude"}
