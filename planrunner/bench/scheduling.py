@@ -46,7 +46,46 @@ def build_schedule(
         if segment is not None:
             segments.append(segment)
     planner.report_missing()
-    return Schedule(tuple(segments), planner.time + planner.return_time())
+    schedule = Schedule(tuple(segments), planner.time + planner.return_time())
+    return schedule if _bearable(schedule, models, log) else Schedule((), 0.0)
+
+
+LONGEST = 366 * 86400.0
+"""s, of a schedule: longer than any test of a sensor, and short enough for calendars and counters of time."""
+
+MOST_SAMPLES = 10_000_000_000
+"""Of a schedule: a channel of them takes 80 GB."""
+
+
+def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
+    """Whether a schedule can be planned further: findings where it takes more than a year or gives more samples than can be kept."""
+    if not schedule.segments:
+        return True
+    before = log.raised
+    if schedule.total > LONGEST:
+        parts = [
+            (seconds, segment, key)
+            for segment in schedule.segments
+            for key, seconds in (("dwell", segment.dwell or 0.0), ("settle", segment.settle), ("soak", segment.soak))
+        ]
+        seconds, segment, key = max(parts, key=lambda part: part[0])
+        message = f"the plan takes {_days(schedule.total)}, more than a year; the {key} of '{segment.label}' takes {_days(seconds)} of them"
+        log.error("limit-time", segment.marks.get(key, segment.marks[""]), message, "shorten it, or split the plan")
+    own = models.sensor.sample_rate if models.sensor is not None else 0.0
+    counts = [(segment.dwell or 0.0) * (segment.sample_rate or own) for segment in schedule.segments]
+    if sum(counts) > MOST_SAMPLES and log.raised == before:
+        most, segment = max(zip(counts, schedule.segments, strict=True), key=lambda pair: pair[0])
+        message = (
+            f"the plan records {sum(counts):.1e} samples, more than {MOST_SAMPLES:.0e} (80 GB a channel); "
+            f"'{segment.label}' gives {most:.1e} of them"
+        )
+        mark = segment.marks.get("sample_rate") or segment.marks.get("dwell") or segment.marks[""]
+        log.error("limit-samples", mark, message, "sample more slowly, dwell for less, or split the plan")
+    return log.raised == before
+
+
+def _days(seconds: float) -> str:
+    return f"{seconds / 86400:,.0f} days".replace(",", " ")
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
