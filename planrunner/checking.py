@@ -17,7 +17,7 @@ from statistics import NormalDist
 
 from planrunner.bench.calibration import check_validity
 from planrunner.bench.inputs import check_backed, check_vertical, stated_inputs
-from planrunner.bench.model import Bench, BenchModels, bench_of, models, read_bench
+from planrunner.bench.model import Bench, BenchModels, bench_of, benches_for, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.certificates import check_certificate
 from planrunner.design.identifiability import Identifiability, identify
@@ -230,7 +230,10 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
         message = (
             f"the plan is for a sensor of kind '{plan.sensor.kind}', the bench carries one of kind '{sensor.kind}'"
         )
-        log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, "use a bench with such a sensor")
+        names = benches_for(plan.sensor.kind)
+        shipped = f"; shipped are {', '.join(names)}" if names else ""
+        hint = f"use a bench with such a sensor{shipped}"
+        log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, hint)
         return
     outputs = [output.name for output in sensor.outputs]
     for index, name in enumerate(plan.sensor.outputs):
@@ -272,8 +275,9 @@ def _check_estimate(name: str, spec: EstimateSpec, outputs: list[str] | None, ch
             checked.setup,
         )
     except EstimationError as error:
+        at = spec.at(error.key) if error.key else spec.origin.mark
         log.error(
-            "physics-estimate", spec.origin.mark, f"'{name}': {error}", "choose other segments or another estimator"
+            "physics-estimate", at, f"'{name}': {error}", error.hint or "choose other segments or another estimator"
         )
         return
     if design is None:
@@ -283,21 +287,28 @@ def _check_estimate(name: str, spec: EstimateSpec, outputs: list[str] | None, ch
         add = log.error if remark.error else log.warning
         add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
     checked.judged[name] = identify(design)
-    for judged in checked.judged[name]:
-        _report(name, judged, spec.at("segments"), log)
+    explained = any(remark.conditions for remark in design.remarks)
+    with log.resting_on(spec.origin.mark):  # on what the estimator says is wrong with the segments
+        for judged in checked.judged[name]:
+            if not (explained and judged.sound and judged.condition <= HOPELESS):
+                _report(name, judged, spec.at("segments"), log)
 
 
 def _report(name: str, judged: Identifiability, mark: Mark, log: Findings) -> None:
     if not judged.sound:
         terms = ", ".join(judged.unidentifiable)
         where = f"rank {judged.rank} of {judged.columns}, output {judged.output}"
-        message = f"'{name}' cannot identify {terms} on the planned segments ({where}): {judged.explanation}"
+        message = f"'{name}' cannot identify {terms} on the planned segments ({where}){_because(judged)}"
         log.error("physics-rank", mark, message, "add segments that tell these terms apart, or leave the terms out")
     elif judged.condition > ILL_CONDITIONED:
         where = f"condition {judged.condition:.3g}, output {judged.output}"
-        message = f"'{name}' is ill-conditioned on the planned segments ({where}): {judged.explanation}"
+        message = f"'{name}' is ill-conditioned on the planned segments ({where}){_because(judged)}"
         add = log.error if judged.condition > HOPELESS else log.warning
         add("physics-condition", mark, message, "spread the segments' states further")
+
+
+def _because(judged: Identifiability) -> str:
+    return f": {judged.explanation}" if judged.explanation else ""
 
 
 def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> None:

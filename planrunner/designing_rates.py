@@ -88,14 +88,26 @@ class RateStudy:
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Whether rates are what to design of a plan: its first estimate with a sweep over rates is a straight line through them."""
+    """Whether rates are what to design of a plan: its first estimate of several rates is a straight line through them,
+    be they one sweep, which can be designed, or several, which `design_rates` refuses with what to write."""
     if checked.schedule is None or checked.plan is None:
         return False
-    try:
-        sweep = _sweep(checked, estimate)
-    except EstimationError:
-        return False
-    return len(checked.designs[sweep.name].blocks[0].terms) == 2
+    for name in [estimate] if estimate is not None else checked.plan.estimates:
+        design = checked.designs.get(name)
+        if design is not None and design.blocks and name in checked.plan.estimates:
+            rates = {abs(one.motion.rate) for one in _used(checked, name) if isinstance(one.motion, Spin)}
+            if len(rates) > 1:
+                return len(design.blocks[0].terms) == 2
+    return False
+
+
+def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
+    """The segments that an estimate takes."""
+    assert checked.plan is not None and checked.schedule is not None
+    chosen = checked.plan.estimates[name].segments
+    patterns = chosen.within if isinstance(chosen, Detection) else chosen
+    segments = checked.schedule.segments
+    return tuple(segments[index] for index in select([one.label for one in segments], patterns))
 
 
 def design_rates(path: Path, options: RateOptions, bench: str | None = None) -> RateStudy:
@@ -116,19 +128,24 @@ class _Sweep:
     used: tuple[Segment, ...]
 
 
+_ONE_SWEEP = (
+    "one sweep can be designed: copy the plan with a single one over both signs, such as `rate: '±400, ±200, ±100 deg/s'`, "
+    "design that, and put the rates that it finds into the sweeps here"
+)
+
+
 def _sweep(checked: Checked, wanted: str | None) -> _Sweep:
     assert checked.plan is not None and checked.schedule is not None
     problems = []
-    for name, spec in checked.plan.estimates.items():
+    swept = False
+    for name in checked.plan.estimates:
         if wanted not in (None, name):
             continue
         design = checked.designs.get(name)
         if design is None or not design.blocks:
             problems.append(f"'{name}' has no design matrix")
             continue
-        patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
-        segments = checked.schedule.segments
-        used = tuple(segments[index] for index in select([one.label for one in segments], patterns))
+        used = _used(checked, name)
         sweeps: dict[tuple[int, int], list[Segment]] = {}
         for segment in used:
             if isinstance(segment.motion, Spin) and "rate" in segment.marks:
@@ -138,10 +155,16 @@ def _sweep(checked: Checked, wanted: str | None) -> _Sweep:
         if len(several) == 1:
             ((place, moved),) = several.items()
             return _Sweep(name, place, tuple(moved), used)
-        many = f"{len(several)} sweeps over rates" if several else "no sweep over rates"
-        problems.append(f"the segments of '{name}' come from {many}; one can be designed")
+        if not several:
+            problems.append(f"the segments of '{name}' come from no sweep over rates")
+            continue
+        lines = ", ".join(str(line) for line, _ in sorted(several))
+        problems.append(f"the segments of '{name}' come from {len(several)} sweeps over rates (lines {lines})")
+        swept = True
     if wanted is not None and wanted not in checked.plan.estimates:
         problems.append(f"the plan has no estimate '{wanted}'; it has {', '.join(checked.plan.estimates)}")
+    if swept:
+        problems.append(_ONE_SWEEP)
     raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
 
 

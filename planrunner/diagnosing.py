@@ -217,8 +217,11 @@ def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
 
 
 def _unfit(recorded: Recorded, error: Exception) -> InputError:
+    from planrunner.gap.observed import ObservationError
+
+    hint = error.hint if isinstance(error, ObservationError) else ""
     return InputError.at(
-        Mark(recorded.where), "gap-unfit", str(error), "look at the plan and at the bench file's channels"
+        Mark(recorded.where), "gap-unfit", str(error), hint or "look at the plan and at the bench file's channels"
     )
 
 

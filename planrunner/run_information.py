@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from planrunner.plan import source
-from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark, closest
+from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark, closest, nearest
 from planrunner.plan.model import Plan
 
 COMMAND_LINE = Mark("<command line>")
@@ -18,8 +18,11 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
     log = Findings()
     given = _read(settings, file, log)
     _check(plan.record, "add it under record: in the plan", given, log)
+    # Of what is given without a value or under a misspelt name, it is said already what is missing.
+    attempted = {setting.partition("=")[0].strip() for setting in settings}
+    meant = attempted | {nearest(name, plan.record) for name in (*given, *attempted) if name not in plan.record}
     for name, item in plan.record.items():
-        if item.required and name not in given:
+        if item.required and name not in given and name not in meant:
             hint = f"give --set {name}=… or put it in a file for --info"
             log.error("run-info-missing", item.mark, f"the plan requires '{name}'", hint)
     if log.errors:
@@ -51,8 +54,8 @@ def _read(settings: Sequence[str], file: Path | None, log: Findings) -> dict[str
             log.error(
                 "run-info-value",
                 COMMAND_LINE,
-                f"--set {setting[:60]} is not name=value",
-                "write for example --set operator=…",
+                f"--set {setting[:60]} gives no value",
+                f"write --set {name.strip()[:40] or 'name'}=… with the value after the '='",
             )
         else:
             given[name.strip()] = (value.strip(), COMMAND_LINE)

@@ -23,7 +23,7 @@ from planrunner.instruments.interfaces import Counting, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, Origin, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, Mark, closest
+from planrunner.plan.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.shipped import shipped
@@ -330,7 +330,13 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
     with every finding in the file.
     """
     path, shown = locate(name_or_path, beside)
-    data = source.read_bytes(path, shown)
+    try:
+        data = source.read_bytes(path, shown)
+    except InputError as error:
+        if error.findings[0].code != "file-missing":
+            raise
+        hint = "check the path; `planrunner bench list` names the benches that come with planrunner"
+        raise InputError.at(error.findings[0].mark, "file-missing", "there is no such bench file", hint) from None
     return bench_of(data, shown), data, shown
 
 
@@ -362,12 +368,25 @@ def shipped_benches() -> Mapping[str, Path]:
     return {path.stem: path for path in sorted((shipped("plans") / "benches").glob("*.yaml"))}
 
 
+@lru_cache(maxsize=16)
+def benches_for(kind: str) -> tuple[str, ...]:
+    """The shipped benches that carry a sensor of this kind."""
+    found = []
+    for name in shipped_benches():
+        sensor = models(read_bench(name)[0]).sensor
+        if sensor is not None and sensor.kind == kind:
+            found.append(name)
+    return tuple(found)
+
+
 def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
     """The file of a bench and the name to show for it. Raises `InputError` for an unknown shipped name."""
     if re.fullmatch(NAME, name_or_path):
         known = shipped_benches()
         if name_or_path not in known:
-            hint = closest(name_or_path, known) + "; a file is named with its ending, such as my-bench.yaml"
+            near = nearest(name_or_path, known)
+            first = f"did you mean '{near}'? A file" if near else "`planrunner bench list` names them; a file"
+            hint = f"{first} is named with its ending, such as my-bench.yaml"
             raise InputError.at(
                 Mark(name_or_path), "meaning-unknown-bench", f"no bench '{name_or_path}' is shipped", hint
             )

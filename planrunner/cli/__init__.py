@@ -92,7 +92,8 @@ class _Parser(argparse.ArgumentParser):
         if self.asked.json:
             usage = " ".join(self.format_usage().split())
             raise InputError.at(Mark("<command line>"), "command-usage", message, usage)
-        super().error(message)
+        self.print_usage(sys.stderr)
+        self.exit(WRONG_INPUT, f"{self.prog}: error: {message}\n    hint: `{self.prog} --help` explains what to give\n")
 
 
 def _fail(error: Exception, *, as_json: bool) -> int:

@@ -34,7 +34,15 @@ Array = NDArray[np.float64]
 
 
 class EstimationError(Exception):
-    """The data or the segments cannot give this estimate. The message says why, for a quality engineer."""
+    """The data or the segments cannot give this estimate. The message says why, for a quality engineer.
+
+    hint: what to do, where other segments or another estimator would not help. key: of the estimate, where one is to be mended.
+    """
+
+    def __init__(self, message: str, hint: str = "", key: str = ""):
+        super().__init__(message)
+        self.hint = hint
+        self.key = key
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +191,8 @@ class DesignBlock:
 class Remark:
     """What an estimator finds wrong or doubtful in planned segments; `check` prints it as a finding at `key` of the estimate.
 
-    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run so.
+    code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run so. conditions: it says why the fit is
+    ill-conditioned, which is then not said again.
     """
 
     code: str
@@ -191,6 +200,7 @@ class Remark:
     hint: str
     key: str = "segments"
     error: bool = False
+    conditions: bool = False
 
 
 @dataclass(frozen=True, slots=True)

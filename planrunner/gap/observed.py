@@ -27,7 +27,11 @@ Array = NDArray[np.float64]
 
 
 class ObservationError(Exception):
-    """The recording cannot be diagnosed. The message says why and what to do, for a quality engineer."""
+    """The recording cannot be diagnosed. The message says why, for a quality engineer; the hint what to do, where that is known."""
+
+    def __init__(self, message: str, hint: str = ""):
+        super().__init__(message)
+        self.hint = hint
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,6 +149,11 @@ def at_hand(file: RecordingFile) -> RecordingFile:
 
 
 def _column_hint(column: str, known: list[str]) -> str:
+    if known and all(name and _is_number(name) for name in known):
+        return (
+            "it has no header: its first line holds numbers. Write the names of the columns into a line above it, "
+            "with commas in between, and use them under `time` and `channels` of the bench file"
+        )
     separators = {";": "semicolons", "\t": "tabs", "|": "bars"}
     for separator, word in separators.items():
         if len(known) == 1 and separator in known[0]:

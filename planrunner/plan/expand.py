@@ -24,7 +24,8 @@ class StatedSegment:
 
     prompts: what the operator is asked before it, in order, and where that stands.
     conditioning: whether the plan says that it only brings the sensor to a state.
-    sound: False where it would inherit a value from `defaults` that could not be read, so that its state is not known.
+    sound: False where it would inherit a value from `defaults` that could not be read, or where its label names a key that is not swept, so
+    that its state is not known.
     """
 
     label: str
@@ -144,17 +145,21 @@ def _expand(
             own_state, own_marks = dict(state), dict(marks)
             for name, value in zip(keys, row, strict=True):
                 _set(name, value.value, value.mark, own_state, own_marks)
+            before = log.raised
             own = path + _label_parts(spec, keys, row, turn, log)
+            swept = log.raised == before  # else a sweep is missing, and with it what would be stated
             prompts = _prompts(spec, keys, row, turn, log)
             if spec.steps:
                 for step in spec.steps:
                     for segment in _expand(step, own, own_state, own_marks, log):
                         only = spec.conditioning or segment.conditioning
-                        yield replace(segment, prompts=prompts + segment.prompts, conditioning=only)
+                        sound = segment.sound and swept
+                        yield replace(segment, prompts=prompts + segment.prompts, conditioning=only, sound=sound)
                         prompts = ()
             elif own:
-                stated = _stated("/".join(own), own_state, own_marks, spec.origin.mark)
-                yield replace(stated, prompts=prompts, conditioning=spec.conditioning)
+                segment = _stated("/".join(own), own_state, own_marks, spec.origin.mark)
+                sound = segment.sound and swept
+                yield replace(segment, prompts=prompts, conditioning=spec.conditioning, sound=sound)
             else:
                 log.error(
                     "meaning-label", spec.origin.mark, "this segment has no label", "add for example `label: zero`"

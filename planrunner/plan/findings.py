@@ -195,8 +195,10 @@ def _nearest(word: str, names: tuple[str, ...]) -> str | None:
     letters = set(word.lower())
     # Comparing sequences is slow; a word that shares less than half of its letters cannot be close.
     likely = {name.lower(): name for name in names if 2 * len(letters & set(name.lower())) >= len(letters)}
-    match = difflib.get_close_matches(word.lower(), likely, n=1, cutoff=0.6)
+    match = difflib.get_close_matches(word.lower(), likely, n=1, cutoff=_ALIKE)
     return likely[match[0]] if match else None
 
 
 _MOST_NAMES = 25
+_ALIKE = 0.66
+"""Likeness above which a word may be a slip of another: 'mim' and 'min' have 0.67, 'vibration' and 'orientation' 0.60."""

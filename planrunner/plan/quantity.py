@@ -180,7 +180,8 @@ def _unit(text: str, dimension: str | None) -> Unit:
     try:
         resolved = unit(text)
     except UnknownUnitError as error:
-        raise QuantityError("meaning-unit", str(error), suggestion(text) or _example(dimension)) from None
+        meant = suggestion(text, DIMENSIONS[dimension] if dimension is not None else None)
+        raise QuantityError("meaning-unit", str(error), meant or _example(dimension)) from None
     if dimension is not None and resolved.dimension != DIMENSIONS[dimension]:
         message = (
             f"'{text.strip()[:40]}' is a unit of {dimension_name(resolved.dimension)}; a unit of {dimension} is needed"

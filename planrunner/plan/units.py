@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from planrunner.plan.findings import closest
+from planrunner.plan.findings import nearest
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 ZERO_CELSIUS = 273.15  # K
@@ -251,15 +251,18 @@ _OTHERWISE = {
 }
 
 
-def suggestion(text: str) -> str:
-    """What was probably meant by a text that is no unit: the same letters in another case, or the closest daily unit; or ''."""
+def suggestion(text: str, dimension: Dimension | None = None) -> str:
+    """What was probably meant by a text that is no unit: the same letters in another case, or the closest daily unit; or ''.
+
+    dimension: what is needed here; only units of it are suggested.
+    """
     if text.strip().lower() in _OTHERWISE:
         return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"
     for known in (*_DAILY, "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
         if known.lower() == text.strip().lower():
             return f"units tell capitals from small letters: did you mean '{known}'?"
-    hint = closest(text.strip(), _DAILY)
-    return hint if hint.startswith("did you") else ""
+    near = nearest(text.strip(), [name for name, one in _DAILY.items() if dimension in (None, one.dimension)])
+    return "" if near is None else f"did you mean '{near}'?"
 
 
 @lru_cache(maxsize=1)

@@ -216,14 +216,16 @@ def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str
         if not channels:
             continue
         if len(channels) != 3 or len(set(channels)) != 3:
-            raise EstimationError(f"a triad has three channels, of x, y and z; it is given {', '.join(channels)}")
+            message = f"a triad has three channels, of x, y and z; it is given {', '.join(channels)}"
+            raise EstimationError(
+                message, "name one channel for each axis", f"{'gyros' if kind == 'gyro' else 'accelerometers'}"
+            )
         if not set(terms) & set(sensed):
             raise EstimationError(f"the {kind} triad needs at least one of the terms {', '.join(sensed)}")
         found.append((kind, channels, terms))
     if not found:
-        raise EstimationError(
-            "neither `gyros` nor `accelerometers` are given: name the three channels of either or both"
-        )
+        hint = "name the channels of x, y and z, such as `gyros: [gyro_x, gyro_y, gyro_z]`; so for `accelerometers`, or for both"
+        raise EstimationError("neither `gyros` nor `accelerometers` are given", hint)
     return found
 
 
@@ -307,7 +309,7 @@ def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> 
     axes = " and ".join(name[-1] for name in alone)
     message = f"nothing but the Earth turns the gyros about {axes}, so that what they say of {', '.join(alone)} rests on 15 deg/h"
     hint = "add segments with a rate about each axis, in both senses; the predicted uncertainties say what these positions give"
-    return [Remark("physics-earth-rate-alone", message, hint)]
+    return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
 
 
 def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
