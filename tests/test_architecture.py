@@ -104,3 +104,39 @@ def test_check_of_the_shipped_plans_imports_nothing_heavy() -> None:
     run = subprocess.run([sys.executable, "-c", code, *plans], capture_output=True, text=True, check=True)
     held = [line for line in run.stdout.splitlines() if line.startswith("HELD ")]
     assert held == [f"HELD {plan} []" for plan in plans]
+
+
+OPENERS = {
+    "regular_files.py": "every file that somebody else named",
+    "guarded_folder.py": "everything in a run folder",
+    "exclusive.py": "locks",
+    "bench/lock.py": "the folder of locks",
+    "cli/__init__.py": "the null device, when standard output went away",
+    "cli/new.py": "shipped plans, copied",
+    "cli/simulate_bench.py": "the file that says where everything listens, made new",
+    "archive/formats.py": "shipped schemas",
+    "reporting/language.py": "shipped catalogues",
+    "diagnosing.py": "shipped benches",
+    "validation.py": "its own reference data",
+}
+"""Modules that open files by the means of Python, and what they open."""
+
+
+def test_files_that_somebody_named_are_opened_in_one_place() -> None:
+    """A pipe as a plan would hang the program, and a device would fill its memory, where a file is simply opened."""
+    reading = {"read_text", "read_bytes", "memory_map", "read_table", "OSFile"}
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            whole = ast.unparse(node.func)
+            by_path = isinstance(node.func, ast.Attribute) and node.func.attr in reading
+            ours = whole.startswith(("source.", "resource.", "self.resource."))  # the one place, and a port
+            opened = whole in ("open", "io.open", "os.open", "FileIO", "os.fdopen") or (
+                isinstance(node.func, ast.Attribute) and node.func.attr == "open" and bool(node.args)
+                and isinstance(node.args[0], ast.Constant)
+            )  # fmt: skip
+            if opened or (by_path and not ours):
+                found.add(path.relative_to(PACKAGE).as_posix())
+    assert found == set(OPENERS)
