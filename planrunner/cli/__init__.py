@@ -1,7 +1,8 @@
 """The command line: one module a command, each with arguments, progress and printing only.
 
 A command's module is imported when the command is used, so that `check` stays quick. Whatever goes wrong ends here as a message and
-an exit code: 0 done, 1 a limit failed, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 ended by a signal.
+an exit code: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 integrity,
+130 ended by a signal.
 """
 
 from __future__ import annotations

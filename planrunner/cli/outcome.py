@@ -69,10 +69,11 @@ def finish(analysis: Analysis, *, as_json: bool) -> int:
 
 
 def code_of(results: Results) -> int:
-    """Wrong input when an estimate could not be made, else whether a limit failed."""
-    if results.failures:
+    """Wrong input where the plan is why an estimate could not be made; else whether a limit failed or the data do not give an estimate."""
+    if results.failures.keys() - set(results.unfit):
         return cli.WRONG_INPUT
-    return cli.DONE if all(limit.verdict == "pass" for limit in results.limits) else cli.LIMIT_FAILED
+    met = all(limit.verdict == "pass" for limit in results.limits)
+    return cli.DONE if met and not results.unfit else cli.LIMIT_FAILED
 
 
 def print_results(results: Results, headline: Headline) -> None:

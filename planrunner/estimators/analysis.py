@@ -20,6 +20,7 @@ from planrunner.estimators.interface import (
     EstimationError,
     FindsSpans,
     Setup,
+    UnfitDataError,
 )
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
@@ -51,12 +52,16 @@ def analyse(
     """
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
+    unfit: list[str] = []
     for name in _in_order(estimates):
         spec = estimates[name]
         try:
             made[name] = _estimate(name, spec, recording, site, sensor, made, estimates, setup or Setup())
         except EstimationError as error:
             failures[name] = str(error)
+            missing = [used for used in spec.uses if used not in made]
+            if isinstance(error, UnfitDataError) or (missing and all(used in unfit for used in missing)):
+                unfit.append(name)
         except InputError as error:
             failures[name] = "; ".join(finding.message for finding in error.findings)
         except Exception as error:  # an estimator may come from anywhere
@@ -68,9 +73,13 @@ def analyse(
         try:
             verdicts.append(hold(limit, made))
         except EstimationError as error:
-            failures[f"limit on {limit.quantity}"] = str(error)
+            of_limit = f"limit on {limit.quantity}"
+            failures[of_limit] = str(error)
+            if limit.quantity.partition(".")[0] in unfit:
+                unfit.append(of_limit)
     written = {name: made[name] for name in estimates if name in made}
-    return Results(written, tuple(verdicts), failures, tuple(segment_statistics(recorded) for recorded in recording))
+    statistics = tuple(segment_statistics(recorded) for recorded in recording)
+    return Results(written, tuple(verdicts), failures, statistics, unfit=tuple(unfit))
 
 
 def design_of(

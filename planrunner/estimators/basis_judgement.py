@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.archive.recording import BATCHES
-from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark
+from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.plan.schedule import Segment
@@ -39,12 +39,12 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Raises `EstimationError` when the plan asks for a basis that the data cannot give."""
+    """Raises `EstimationError` when the plan asks for a basis that its segments cannot give; `UnfitDataError` where samples cannot."""
     if fit.available(basis):
         return
     if basis == "residual":
         raise EstimationError(f"{name}: {no_residual(fit.coefficients.shape[1])}; {MORE_SEGMENTS}")
-    raise EstimationError(
+    raise UnfitDataError(
         f"{name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to take "
         "an uncertainty from; write `uncertainty: residual` or give the output's resolution in the bench file"
     )

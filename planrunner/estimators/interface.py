@@ -45,6 +45,10 @@ class EstimationError(Exception):
         self.key = key
 
 
+class UnfitDataError(EstimationError):
+    """The plan asks for what can be estimated, and what was recorded does not give it: the item or the recording is in question."""
+
+
 @dataclass(frozen=True, slots=True)
 class Coefficient:
     """One estimated quantity with its standard uncertainty, both in `unit`. period: in `unit`, of a circular quantity, such as 360 of a

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import rank
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def fit(
         white = whitened(np.column_stack([matrix, observed]), covariance)
         triangle = _triangle(white[:, :p], white[:, p], None, 1.0 / scale)
     if not np.isfinite(triangle).all():
-        raise EstimationError(
+        raise UnfitDataError(
             "an observation or a planned value is not a finite number: look for missing data in the segments"
         )
     left, singular, rows = np.linalg.svd(triangle[:p, :p])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.plan.findings import closest
 
@@ -75,7 +75,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
                 f"segment '{recorded.label}' has no channel '{missing[0]}': {closest(missing[0], statistics.channels)}"
             )
         if statistics.count == 0:
-            raise EstimationError(
+            raise UnfitDataError(
                 f"segment '{recorded.label}' holds no usable samples: leave it out of `segments` or record it again"
             )
         index = [statistics.of(channel) for channel in channels]

@@ -27,6 +27,7 @@ from planrunner.estimators.interface import (
     EstimationError,
     Plot,
     Table,
+    UnfitDataError,
 )
 from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
@@ -197,7 +198,7 @@ def _channels(request: EstimateRequest, group: NDArray[np.int64]) -> list[Repeat
                 hint = closest(channel, statistics.channels)
                 raise EstimationError(f"segment '{recorded.label}' has no channel '{channel}': {hint}")
             if not statistics.count:
-                raise EstimationError(f"segment '{recorded.label}' holds no usable samples: leave it out of `segments`")
+                raise UnfitDataError(f"segment '{recorded.label}' holds no usable samples: leave it out of `segments`")
             values.append(float(statistics.mean[statistics.of(channel)]))
             own.append(float(statistics.standard_error[statistics.of(channel)]))
             units.add(recorded.units[channel])
@@ -230,7 +231,7 @@ def _coefficients(request: EstimateRequest, group: NDArray[np.int64]) -> list[Re
         found.append(Repeats(name, units.pop(), tuple(request.uses), values, spread, group, each[0][name].period))
     for one in found:
         if not np.isfinite(one.value).all():
-            raise EstimationError(f"'{one.name}' is not a finite number in every estimate")
+            raise UnfitDataError(f"'{one.name}' is not a finite number in every estimate")
     return found
 
 

@@ -31,7 +31,7 @@ class Results:
 
     estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could
     not be made. segments: one mapping of statistics a recorded segment, as `segment_statistics` gives them. origin: where the samples come
-    from; None in results of versions that did not say.
+    from; None in results of versions that did not say. unfit: names in `failures` for which the recorded data are the reason, not the plan.
     """
 
     estimates: Mapping[str, Estimate]
@@ -39,6 +39,7 @@ class Results:
     failures: Mapping[str, str] = field(default_factory=dict)
     segments: tuple[Mapping[str, Any], ...] = ()
     origin: Origin | None = None
+    unfit: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON data without NaN or infinities."""
@@ -49,6 +50,7 @@ class Results:
                 "estimates": [_estimate_to(estimate) for estimate in self.estimates.values()],
                 "limits": [{item.name: getattr(limit, item.name) for item in fields(limit)} for limit in self.limits],
                 "failures": dict(self.failures),
+                **({"unfit": list(self.unfit)} if self.unfit else {}),
                 "segments": [dict(segment) for segment in self.segments],
             }
         )
@@ -72,6 +74,7 @@ class Results:
                 restored["failures"],
                 tuple(restored["segments"]),
                 restored.get("origin"),
+                tuple(restored.get("unfit", ())),
             )
         except (KeyError, TypeError, ValueError) as error:
             message = f"the results are incomplete or changed ({type(error).__name__}: {error})"

@@ -20,15 +20,17 @@ from .written_plans import Plan
 @dataclass(frozen=True)
 class Ended:
     """passed: whether `check` found no error; errors: the codes that it found; code: the exit code of `run`, None where it was not run;
-    told: what `run` said where it did not end with 0 or 1."""
+    told: what `run` said of what failed; unfit: whether it said that the data do not give an estimate."""
 
     passed: bool
     errors: tuple[str, ...]
     code: int | None = None
     told: str = ""
+    unfit: bool = False
 
     @property
     def agrees(self) -> bool:
+        """Whether the run ended as `check` let expect, or for a reason that only its data show."""
         return not self.passed or self.code in (0, 1)
 
 
@@ -52,12 +54,13 @@ def carried_out(path: Path, runs: Path) -> Ended:
         shutil.rmtree(runs, ignore_errors=True)
 
 
-def _run(sound: Sound, runs: Path) -> tuple[int, str]:
+def _run(sound: Sound, runs: Path) -> tuple[int, str, bool]:
     try:
         folder, outcome = running.start(sound, info={}, runs=runs, stop=StopRequest(), durability="flushed")
     except InputError as error:
-        return 2, str(error)
+        return 2, str(error), False
     if not outcome.ok:
-        return 3, "; ".join(map(str, outcome.failures)) or "; ".join(outcome.unsafe)
+        return 3, "; ".join(map(str, outcome.failures)) or "; ".join(outcome.unsafe), False
     results = running.analyse_run(folder).results
-    return code_of(results), "; ".join(f"{name}: {text}" for name, text in results.failures.items())
+    told = "; ".join(f"{name}: {text}" for name, text in results.failures.items())
+    return code_of(results), told, bool(results.unfit)

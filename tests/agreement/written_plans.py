@@ -361,7 +361,7 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
             "estimator": estimator,
             "segments": {
                 "detect": "still",
-                "within": "P",
+                "within": draw(st.sampled_from(["P", "P", "*"])),
                 "window": "0.1 s",
                 "threshold": "1 m/s^2",
                 "at_least": "0.2 s",
@@ -415,15 +415,24 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
             "channels": chosen,
         }
     entry = {**state, "label": "A", "dwell": draw(between("s", 0.1, 30)), "repeat": draw(st.integers(1, 2))}
-    # Whether an encoder's reading changes within a short dwell is a matter of its drift, which no model declares.
-    noisy = [output.name for output in sensor.outputs if output.noise.white > 0 or output.constant]
-    heard = draw(st.lists(st.sampled_from(noisy), min_size=1, max_size=3, unique=True))
-    estimate = {"estimator": "allan_deviation", "segments": "A", "outputs": heard}
+    estimate = {"estimator": "allan_deviation", "segments": "A", "outputs": chosen}
     if draw(st.booleans()):
         estimate["taus"] = draw(st.sampled_from([["0.1 s", "0.2 s", "1 s"], ["100 s"], ["1 s", "20 s"]]))
     if draw(st.booleans()):
         estimate["fit_up_to"] = draw(st.sampled_from(["0.05 s", "1 s", "5 h"]))
     return [entry], estimate
+
+
+def left_to_the_data(plan: Plan) -> bool:
+    """Whether only the samples show if the estimate can be made: stillness in whatever the plan holds besides its poses, and the Allan
+    deviation of readings whose changes no model declares, such as those of an encoder."""
+    estimate = plan["estimates"].get("learnt", {})
+    if estimate.get("estimator") == "allan_deviation":
+        sensor = Draft(plan["bench"], wild=False).sensor
+        heard = [output for output in sensor.outputs if output.name in estimate["outputs"]]
+        return any(output.noise.white == 0 and not output.constant for output in heard)
+    chosen = estimate.get("segments")
+    return isinstance(chosen, dict) and chosen["within"] == "*"
 
 
 @st.composite

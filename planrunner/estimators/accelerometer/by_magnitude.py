@@ -27,6 +27,7 @@ from planrunner.estimators.interface import (
     Plot,
     Remark,
     Table,
+    UnfitDataError,
 )
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe, recorded_times
@@ -82,12 +83,7 @@ def estimate(request: EstimateRequest) -> Estimate:
     """The nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
     poses = _found(request) if request.detection is not None else _recorded(request)
-    if len(poses.labels) < len(NAMES):
-        where = "raise `threshold` or shorten `at_least`, or record" if request.detection is not None else "record"
-        raise EstimationError(f"{too_few(len(poses.labels))}: {where} more poses")
-    found = fit_magnitude(poses.mean * _factors(poses), request.site.gravity)
-    fit = _weighted(request, poses, found)
-    require_basis(fit, basis, request.name)
+    found, fit = _fitted(request, poses, basis)
     values, residuals = found.values + fit.coefficients[0], -fit.fits[0].residuals
     scale = 1 / np.array([unit(text).factor for text in _UNITS])
     covariance = fit.covariance(basis) * np.outer(scale, scale)
@@ -178,6 +174,23 @@ def _gravity(values: Array, request: EstimateRequest) -> tuple[Influence, ...]:
     return (Influence(gravity, sensitivities),)
 
 
+def _fitted(request: EstimateRequest, poses: Observations, basis: str) -> tuple[GravityFit, OutputsFit]:
+    """Raises `EstimationError` for segments that are too few or too alike, `UnfitDataError` for spans that were found and are so."""
+    factors = _factors(poses)
+    try:
+        if len(poses.labels) < len(NAMES):
+            where = "raise `threshold` or shorten `at_least`, or record" if request.detection is not None else "record"
+            raise EstimationError(f"{too_few(len(poses.labels))}: {where} more poses")
+        found = fit_magnitude(poses.mean * factors, request.site.gravity)
+        fit = _weighted(request, poses, found)
+        require_basis(fit, basis, request.name)
+    except EstimationError as error:
+        if request.detection is None:
+            raise
+        raise UnfitDataError(str(error), error.hint, error.key) from None
+    return found, fit
+
+
 def _found(request: EstimateRequest) -> Observations:
     """Still spans of all chosen segments."""
     outputs = request.parameters.outputs
@@ -194,7 +207,7 @@ def _found(request: EstimateRequest) -> Observations:
             spans.append(one)
             late.append(start - recorded.statistics.start)
     if not labels:
-        raise EstimationError(
+        raise UnfitDataError(
             f"{request.name}: no still span was found: raise `threshold` or shorten `at_least` under `segments`"
         )
     return replace(

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.error_model import error_model
 from planrunner.estimators.fit_positions import fit_positions
-from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, EstimationError, Table
+from planrunner.estimators.interface import (
+    Coefficient,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Table,
+    UnfitDataError,
+)
 from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit
@@ -112,7 +119,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tupl
     try:
         found_values, jacobian = scale_and_misalignments(values[places], directions, axis)
     except ValueError:
-        raise EstimationError(
+        raise UnfitDataError(
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
         ) from None
 

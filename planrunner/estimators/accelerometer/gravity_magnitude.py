@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators import rank
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
         if np.abs(step / scale).max() < 1e-13:
             residuals, jacobian, directions = _linearise(readings, values, gravity)
             return GravityFit(values, residuals, jacobian, directions, rank.look(jacobian * scale).condition)
-    raise EstimationError(
+    raise UnfitDataError(
         "the readings do not lie near a sphere of radius g, so no calibration was found: check the channels' units and that spans are still"
     )
 

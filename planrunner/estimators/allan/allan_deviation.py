@@ -34,6 +34,7 @@ from planrunner.estimators.interface import (
     EstimationError,
     Plot,
     Table,
+    UnfitDataError,
 )
 from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
@@ -121,7 +122,7 @@ class AllanDeviation:
                 known = ", ".join(item.name for item in request.sensor.outputs)
                 raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
             if output.constant and not moving:
-                raise _never_changes(name)
+                raise EstimationError(_never_changes(name))
             predicted += _predicted(request, name)
         remarks = planned_averaging(request, names, parameters.taus, parameters.fit_up_to)
         return Design((), tuple(predicted), tuple(notes), remarks=remarks) if predicted or notes or remarks else None
@@ -184,14 +185,19 @@ def _output(request: EstimateRequest, name: str) -> _Result:
     result = _Result(name, request.segments[0].units[name])
     if any(recorded.units[name] != result.unit for recorded in request.segments):
         raise EstimationError(f"channel '{name}' is recorded in different units: use segments of one kind")
-    factors = averaging_factors(parameters.taus, phase.lengths, phase.interval, name)
+    try:
+        factors = averaging_factors(parameters.taus, phase.lengths, phase.interval, name)
+    except EstimationError as error:
+        if phase.gaps:
+            raise UnfitDataError(str(error)) from None
+        raise
     rows = {
         kind: deviations(phase, kind, factors, parameters.confidence)
         for kind in ("overlapping", *parameters.deviations)
     }
     result.rows = rows["overlapping"]
     if not any(row.value for row in result.rows):
-        raise _never_changes(name)
+        raise UnfitDataError(_never_changes(name))
     if name in parameters.scale_factors:
         result.sensed = sensed_by(parameters.scale_factors[name], name, result.unit, request.uses)
     _fit(result, phase, parameters)
@@ -201,10 +207,8 @@ def _output(request: EstimateRequest, name: str) -> _Result:
     return result
 
 
-def _never_changes(name: str) -> EstimationError:
-    return EstimationError(
-        f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
-    )
+def _never_changes(name: str) -> str:
+    return f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
 
 
 def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[str]) -> None:
@@ -235,7 +239,12 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         if len(terms) > max(1, len(chosen) - 1) and dropped in terms and len(terms) > 1:
             terms.remove(dropped)
             result.notes.append(f"{result.name}: too few averaging times to fit {dropped}; it is left out.")
-    require_averaging_times(result.name, len(chosen))
+    try:
+        require_averaging_times(result.name, len(chosen))
+    except EstimationError as error:
+        if phase.gaps or any(row.value == 0 for row in result.rows):
+            raise UnfitDataError(str(error)) from None
+        raise
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
     variances = np.array([row.value**2 for row in chosen])
     fit = fit_noise(factors, variances, np.array([row.freedom for row in chosen]), phase.lengths, terms)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def read_phase(segments: Sequence[RecordedSegment], output: str, bridge: float =
         stretches.segment(recorded, output)
     runs = integrator.runs()
     if not runs or math.isnan(stretches.interval):
-        raise EstimationError(
+        raise UnfitDataError(
             f"'{output}' has no two consecutive usable samples in the chosen segments, so no Allan deviation can be formed"
         )
     interval = stretches.regular / stretches.steps if stretches.steps else stretches.interval

@@ -36,6 +36,7 @@ from planrunner.estimators.interface import (
     EstimationError,
     Plot,
     Table,
+    UnfitDataError,
 )
 from planrunner.estimators.observation_effects import explained
 from planrunner.estimators.observations import Observations, observe, within_segment_noise
@@ -182,7 +183,7 @@ def _assemble(
     first = names[0]
     sums = {name: float(np.sum(values**2)) for name, values in residuals.items()}
     if sums[first] == 0:
-        raise EstimationError(
+        raise UnfitDataError(
             f"the residuals of '{first}' are exactly zero, so no ratio can be formed: is the recording noiseless?"
         )
     coefficients, covariance = [], []

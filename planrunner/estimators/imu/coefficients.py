@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.triad import own_frame, scale_and_misalignments, turned_gradient
 from planrunner.physics.terms import ErrorModel
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
@@ -174,7 +174,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[tuple[str, float, 
     try:
         derived, jacobian = scale_and_misalignments(values[places], directions, axis)
     except ValueError:
-        raise EstimationError(
+        raise UnfitDataError(
             f"output {letter} of the {PLURAL[one.kind]} does not respond at all: check that it is connected"
         ) from None
     for row, direction in enumerate(directions):

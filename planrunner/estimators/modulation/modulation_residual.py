@@ -20,10 +20,10 @@ from planrunner.estimators.interface import (
     DesignRequest,
     Estimate,
     EstimateRequest,
-    EstimationError,
     Plot,
     Remark,
     Table,
+    UnfitDataError,
 )
 from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, periodic_part
 from planrunner.estimators.modulation.navigations import Navigation, compared, rotation
@@ -146,13 +146,13 @@ def _lacks(request: DesignRequest) -> Remark | None:
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
     """Ratios of CEP rates and suppression, with covariance: the navigation at rest is in all of them."""
     if still.rms == 0.0:
-        raise EstimationError(f"'{still.name}' has no position error at all, so that nothing can be compared with it")
+        raise UnfitDataError(f"'{still.name}' has no position error at all, so that nothing can be compared with it")
     coefficients, rows = [], []
     for number, item in enumerate(turned):
         ratio = item.cep_rate / still.cep_rate
         suppression = still.rms / item.rms if item.rms else math.inf
         if not math.isfinite(suppression):
-            raise EstimationError(f"'{item.name}' has no position error at all, so that no suppression can be stated")
+            raise UnfitDataError(f"'{item.name}' has no position error at all, so that no suppression can be stated")
         own = np.zeros(len(turned))
         own[number] = item.spread
         for name, value, sign, words in (

@@ -22,6 +22,7 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    UnfitDataError,
 )
 from planrunner.estimators.rocking.angle_curves import curve_plots, drift_curves
 from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
@@ -125,16 +126,16 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
     """The same for all runs: the second window ends with the shortest one, unless the plan says when it begins."""
     for item in recorded:
         if item.truncated:
-            raise EstimationError(f"'{item.label}' was cut short: repeat its quadruple")
+            raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")
     planned = [item.segment.dwell for item in recorded if item.segment.dwell is not None]
     rates = [(item.statistics.count + item.statistics.rejected - 1) for item in recorded]
     if min(rates) < 1:
-        raise EstimationError("a run has no samples")
+        raise UnfitDataError("a run has no samples")
     lasting = [item.statistics.end - item.statistics.start for item in recorded]
     end = min([*planned, *(seconds * (1 + 1 / n) for seconds, n in zip(lasting, rates, strict=True))])
     if planned and end < min(planned) - 1.0:
         short = recorded[int(np.argmin(lasting))]
-        raise EstimationError(
+        raise UnfitDataError(
             f"'{short.label}' lasts {min(lasting):.1f} s; {min(planned):g} s were planned: repeat its quadruple"
         )
     second = parameters.second(end)

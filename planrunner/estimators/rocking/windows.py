@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.plan.units import UnknownUnitError, unit
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
     made = []
     for k, (begin, end) in enumerate(windows.pieces):
         if not times[k]:
-            raise EstimationError(
+            raise UnfitDataError(
                 f"'{recorded.label}' has no samples from {begin:g} to {end:g} s: its run was cut short"
             )
         made.append(_even(recorded.label, np.concatenate(times[k]), np.concatenate(values[k]), begin, end))
@@ -138,12 +138,12 @@ def _even(label: str, time: Array, values: Array, begin: float, end: float) -> P
     sound = np.isfinite(values).all(axis=1)
     time, values = time[sound], values[sound]
     if time.size < 16:
-        raise EstimationError(f"'{label}' has too few samples from {begin:g} to {end:g} s")
+        raise UnfitDataError(f"'{label}' has too few samples from {begin:g} to {end:g} s")
     intervals = np.diff(time)
     step = float(np.median(intervals))
     longest = float(max(intervals.max(), time[0] - begin, end - step - time[-1]))
     if longest > max(LONGEST_GAP, 1.5 * step):
-        raise EstimationError(
+        raise UnfitDataError(
             f"'{label}' misses {longest:.3g} s of samples between {begin:g} and {end:g} s: repeat the run"
         )
     grid = time[0] + step * np.arange(round((time[-1] - time[0]) / step) + 1)

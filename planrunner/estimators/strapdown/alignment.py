@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.strapdown.reading import IncrementReader, Increments, reference_speed
 from planrunner.instruments.models import TableModel
 from planrunner.navigation import attitude
@@ -186,7 +186,7 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
             f"segment '{label}' turns all the time: alignment needs a stop, or a cycle of stops; align before the motion begins"
         )
     if recorded.statistics.count == 0:
-        raise EstimationError(f"segment '{label}' holds no usable samples: record it again")
+        raise UnfitDataError(f"segment '{label}' holds no usable samples: record it again")
     if still < SHORTEST:
         what = "its first stop lasts" if seconds >= SHORTEST else "it has samples for"
         raise EstimationError(
@@ -227,17 +227,17 @@ def _quiet(label: str, mean: Array, site: Site) -> str:
 def _check_at_rest(label: str, mean: Array, site: Site) -> None:
     """mean: (6,), rad/s and m/s², at the first stop."""
     if not np.isfinite(mean).all():
-        raise EstimationError(f"segment '{label}' holds too few usable samples: record it again")
+        raise UnfitDataError(f"segment '{label}' holds too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))
     if abs(force / site.gravity - 1) > _GRAVITY_TOLERANCE:
-        raise EstimationError(
+        raise UnfitDataError(
             f"segment '{label}': the mean specific force is {force:.5g} m/s^2 where gravity is {site.gravity:.5g}: check the "
             "accelerometers' units and order, and that the unit is at rest"
         )
     if _rate_error(mean, site) > _EARTH_TOLERANCE * site.earth_rate:
         found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
-        raise EstimationError(
+        raise UnfitDataError(
             f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, the Earth turns with "
             f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the latitude; gyros with "
             "such errors cannot find north"
@@ -248,7 +248,7 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
     warnings: list[str] = []
     covariance = found.covariance
     if found.largest > _MOVED:
-        raise EstimationError(
+        raise UnfitDataError(
             f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second: the unit moved during alignment; align again "
             "while it stands still"
         )
@@ -260,7 +260,7 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
         )
     heading = math.sqrt(covariance[TILT, TILT][2, 2])
     if heading > _HEADING_LIMIT:
-        raise EstimationError(
+        raise UnfitDataError(
             f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg (standard uncertainty): "
             "align longer, or use gyros with less noise and smaller errors"
         )

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.flicker import SPAN, flicker_effects
-from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.interface import (
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    UnfitDataError,
+)
 from planrunner.estimators.observation_effects import Effect, explained
 from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.estimators.slope_units import rate_and_output
@@ -298,7 +305,7 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
         if silent.size:
             name = axes.outputs[silent[0]]
             where = f" at {group.label}" if group.label else ""
-            raise EstimationError(
+            raise UnfitDataError(
                 f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the sensor had power and "
                 "measured (`mode`), and its wiring"
             )
