@@ -14,10 +14,18 @@ from recorded import from_means, segment, sensor
 from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
+from planrunner.cli.outcome import code_of
 from planrunner.estimators.analysis import Results, analyse, combined, design_of
 from planrunner.estimators.flexure_gyro.compensation_residual import CompensationResidualParameters
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
-from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    UnfitDataError,
+)
 from planrunner.estimators.limits import hold
 from planrunner.plan.findings import InputError
 from planrunner.plan.model import Limit
@@ -154,6 +162,27 @@ def test_one_failure_leaves_the_others() -> None:
     assert "'old' gave no result to hold it against" in found.failures["limit on old.D_X_F"]
     assert "has no coefficient 'D_X_G'" in found.failures["limit on drift.D_X_G"]
     assert "write it in (deg/h)/(pulse/s)" in found.failures["limit on drift.SF_X"]
+
+
+def test_data_that_do_not_give_an_estimate_are_no_wrong_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what waits for it; beside an error of the plan the input is wrong all the same."""
+
+    def silent(self: FlexureGyroStatic, request: EstimateRequest) -> Estimate:
+        raise UnfitDataError("the gyro is silent")
+
+    sound = analyse(ESTIMATES, [], recording(), SITE, sensor(*CHANNELS))
+    assert (sound.unfit, code_of(sound)) == ((), 0)
+    monkeypatch.setattr(FlexureGyroStatic, "estimate", silent)
+    found = analyse(ESTIMATES, limits()[:1], recording(), SITE, sensor(*CHANNELS))
+    assert set(found.unfit) == set(found.failures) == {"drift", "old", "residual", f"limit on {limits()[0].quantity}"}
+    assert code_of(found) == 1
+    again = Results.from_json(json.loads(json.dumps(found.to_json(), allow_nan=False)))
+    assert code_of(again) == 1
+    wrong = ESTIMATES | {"typo": spec("flexure_gyro_statics", ("P*",), FlexureGyroStaticParameters())}
+    assert code_of(analyse(wrong, [], recording(), SITE, sensor(*CHANNELS))) == 2
+    older = found.to_json()
+    del older["unfit"]
+    assert code_of(Results.from_json(older)) == 2  # what earlier versions said
 
 
 def test_json_comes_back_bit_by_bit_and_fits_its_schema() -> None:
