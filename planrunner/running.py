@@ -38,7 +38,8 @@ from planrunner.execution.stopping import StopRequest
 from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Foresees, InstrumentError, UnservedError
 from planrunner.plan import source
-from planrunner.plan.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.plan.findings import Finding, Findings, InputError, Mark
+from planrunner.plan.selection import closest_label
 from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.from_run import report_context
@@ -265,7 +266,7 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
     for label in labels:
         if label not in known:
             message = f"this run has no recorded segment '{label}' to take again"
-            raise InputError.at(Mark(str(reader.path)), "run-no-segment", message, closest(label, known))
+            raise InputError.at(Mark(str(reader.path)), "run-no-segment", message, closest_label(label, known))
     return tuple(sorted({known[label] for label in labels}))
 
 

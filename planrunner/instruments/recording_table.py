@@ -10,6 +10,7 @@ from pathlib import Path
 
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.findings import InputError, closest
+from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
 
@@ -25,7 +26,7 @@ class SegmentTable:
     def span(self, label: str) -> Span:
         """The stretch of a label. Raises `InstrumentError` naming the closest label."""
         if label not in self.spans:
-            raise InstrumentError(f"{self.name} has no segment '{label}'; {closest(label, self.spans)}")
+            raise InstrumentError(f"{self.name} has no segment '{label}'; {closest_label(label, self.spans)}")
         return self.spans[label]
 
 

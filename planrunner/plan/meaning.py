@@ -95,7 +95,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
             log.error("meaning-undefined-label", holder.at(key), "no segment is chosen", hint)
     for pattern, marks in undefined.items():
         message = f"no segment is labelled '{pattern}'{elsewhere(marks, marks[0])}"
-        log.error("meaning-undefined-label", marks[0], message, closest(pattern, labels.parts[:50]))
+        log.error("meaning-undefined-label", marks[0], message, labels.closest(pattern))
     return chosen
 
 

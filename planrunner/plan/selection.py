@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase, translate
 
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
+from planrunner.plan.findings import Findings, closest
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.quantity import Quantity
 
@@ -63,6 +63,25 @@ def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
     return [index for index, label in enumerate(labels) if any(matches(label, pattern) for pattern in patterns)]
 
 
+def closest_label(label: str, known: Iterable[str]) -> str:
+    """A hint naming the known label, or the pattern, that a label or pattern was most likely meant for.
+
+    Labels that differ in plus signs alone are closest: a sweep's label may have a sign that the table of a recording, or a plan written
+    with another rule in mind, does not have. They are proposed, not matched.
+    """
+    names = list(known)
+    bare = label.replace("+", "")
+    expression = re.compile(translate(bare))
+    if bare != label and any(expression.match(name) for name in names):
+        return f"did you mean '{bare}'?"
+    signed = next((name for name in names if expression.match(name.replace("+", ""))), None)
+    return f"did you mean '{signed}'?" if signed is not None else closest(label, names[:_MOST_COMPARED])
+
+
+# Comparing words is slow, and a plan may hold 10 000 labels.
+_MOST_COMPARED = 50
+
+
 class Labels:
     """The labels of a plan, ready to be asked for many patterns: each distinct part is held against a pattern once."""
 
@@ -75,10 +94,9 @@ class Labels:
                 self._parts.setdefault(part, []).append(index)
         self._found: dict[str, set[int]] = {}
 
-    @property
-    def parts(self) -> list[str]:
-        """The distinct parts of all labels, in their own order."""
-        return list(self._parts)
+    def closest(self, pattern: str) -> str:
+        """A hint for a pattern that means no label: what it was most likely meant for (as `closest_label`)."""
+        return closest_label(pattern, [*self._parts, *(self._whole if "/" in pattern else ())])
 
     def meant_by(self, pattern: str) -> set[int]:
         """Indices of the labels that a pattern means (as `matches`)."""

@@ -3,6 +3,16 @@
 for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
 for_each: {temperature: [-40 degC, 20 degC]}
 for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
+
+A label depends on its value alone, never on the values beside it, so that adding, removing or splitting values renames no segment:
+references to labels, tables of recordings and plans that a design writes stay valid. Hence one rule for signs:
+
+- a rate always has its sign, for it is the sense of rotation (`R+10`, `R-10`);
+- any other quantity has a sign below zero only, as engineers write it (`20degC`, `-40degC`);
+- zero has none (`R0`).
+
+A sign that stands only where a sweep holds both signs was rejected: it renames `20degC` once -40 degC is added, and turns `R+10` into
+`R10` where a design splits a sweep into one a rate.
 """
 
 from __future__ import annotations
@@ -97,6 +107,8 @@ _QUANTITY_KEYS = {
     "dwell": "time",
     "sample_rate": "frequency",
 }
+# Quantities whose sign is a direction: + says as much as −.
+_DIRECTED = frozenset({"rate"})
 _NAME = r"[^/\x00-\x1f]{1,60}"
 
 
@@ -248,13 +260,11 @@ def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, 
 
 
 def _labelled(name: str, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ...]:
-    quantities = [value for value, _ in values if isinstance(value, Quantity)]
-    signed = any(quantity.unit.from_si(quantity.value) < 0 for quantity in quantities)
+    """The values with the labels that their figures and units give; one that stands twice is counted."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):
-            number = value.unit.from_si(value.value)
-            short = f"{number:+.9g}" if signed else f"{number:.9g}"
+            short = _figure(name, value)
             label = short + re.sub(r"[^A-Za-z0-9%]+", "_", value.unit.text).strip("_")
         else:
             short, label = str(index), f"{name}{index}"
@@ -265,3 +275,11 @@ def _labelled(name: str, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ..
         if seen[row.name] > 1:
             rows[position] = replace(row, name=f"{row.name}#{seen[row.name]}", short=f"{row.short}#{seen[row.name]}")
     return tuple(rows)
+
+
+def _figure(name: str, quantity: Quantity) -> str:
+    """The figure of a swept quantity in its unit as written, as it stands in a label: signs as in the module's docstring."""
+    figure = f"{quantity.unit.from_si(quantity.value):.9g}"
+    if float(figure) == 0:
+        return "0"
+    return f"+{figure}" if name in _DIRECTED and not figure.startswith("-") else figure

@@ -41,7 +41,7 @@ estimates:
   sf: {{estimator: scale_factor, segments: R*, outputs: [gx]}}
 report: [summary.md]
 """
-TABLE = "label,start_s,end_s\nR10,0,10\nR20,10,20\nR30,20,30\n"
+TABLE = "label,start_s,end_s\nR+10,0,10\nR+20,10,20\nR+30,20,30\n"
 TIME = np.arange(3000) / 100
 RATE = np.repeat([10.0, 20.0, 30.0], 1000) * 1.01 + np.random.default_rng(1).normal(0, 0.1, 3000)
 Ended = tuple[int, str, str]
@@ -174,10 +174,10 @@ def test_two_columns_of_one_name(play: Callable[..., Ended]) -> None:
 @pytest.mark.parametrize(
     ("rate", "lost"),
     [
-        (changed(RATE, slice(100, 110), np.nan), "'R10' 10/1000"),
-        (changed(RATE, slice(1500, 1501), np.inf), "'R20' 1/1000"),
-        (changed(RATE, slice(1500, 1502), 1e308), "'R20' 2/1000"),
-        (changed(RATE, slice(0, 999), np.nan), "'R10' 999/1000"),
+        (changed(RATE, slice(100, 110), np.nan), "'R+10' 10/1000"),
+        (changed(RATE, slice(1500, 1501), np.inf), "'R+20' 1/1000"),
+        (changed(RATE, slice(1500, 1502), 1e308), "'R+20' 2/1000"),
+        (changed(RATE, slice(0, 999), np.nan), "'R+10' 999/1000"),
     ],
     ids=["NaN", "inf", "too large to square", "nearly all"],
 )
@@ -190,7 +190,7 @@ def test_samples_left_out_are_told(play: Callable[..., Ended], rate: np.ndarray,
 def test_a_segment_without_a_number_cannot_be_used(play: Callable[..., Ended]) -> None:
     code, _, err = play(text(rate=changed(RATE, slice(0, 1000), np.nan)))
     assert code == 1  # what was recorded is in question, not the plan
-    assert "segment 'R10' holds no usable samples" in err
+    assert "segment 'R+10' holds no usable samples" in err
 
 
 def test_a_gap_is_told_and_is_no_dwell(play: Callable[..., Ended]) -> None:
@@ -198,26 +198,27 @@ def test_a_gap_is_told_and_is_no_dwell(play: Callable[..., Ended]) -> None:
     data = text(TIME[kept], RATE[kept])
     code, out, _ = play(data)
     assert code == 0
-    assert "warning: Samples are missing; the longest gaps: 'R10' 3.01 s." in out
+    assert "warning: Samples are missing; the longest gaps: 'R+10' 3.01 s." in out
     code, _, err = play(data, dwell="5 s")
     assert code == 2
-    assert "'R10' dwells 5 s, and r.csv holds 3 s of it" in err
+    assert "'R+10' dwells 5 s, and r.csv holds 3 s of it" in err
 
 
 TABLES: dict[str, tuple[str | None, str]] = {
     "missing": (None, "there is no file 'seg.csv' beneath the data root"),
     "no rows": ("label,start_s,end_s\n", "seg.csv holds no segments"),
-    "other labels": (TABLE.replace("R20", "S20"), "seg.csv has no segment 'R20'; did you mean 'S20'?"),
+    "other labels": (TABLE.replace("R+20", "R+200"), "seg.csv has no segment 'R+20'; did you mean 'R+200'?"),
+    "labels without signs": (TABLE.replace("+", ""), "seg.csv has no segment 'R+10'; did you mean 'R10'?"),
     "ends before it starts": (
-        TABLE.replace("R20,10", "R20,25"),
-        "line 3: the segment 'R20' does not end after it starts",
+        TABLE.replace("R+20,10", "R+20,25"),
+        "line 3: the segment 'R+20' does not end after it starts",
     ),
-    "twice": (TABLE.replace("R20", "R10"), "line 3: the label 'R10' stands twice"),
-    "text": (TABLE.replace("R20,10", "R20,ten"), "line 3: 'ten' in column 'start_s' is not a number"),
-    "short": (TABLE.replace("R20,10,20", "R20,10"), "line 3: '' in column 'end_s' is not a number"),
+    "twice": (TABLE.replace("R+20", "R+10"), "line 3: the label 'R+10' stands twice"),
+    "text": (TABLE.replace("R+20,10", "R+20,ten"), "line 3: 'ten' in column 'start_s' is not a number"),
+    "short": (TABLE.replace("R+20,10,20", "R+20,10"), "line 3: '' in column 'end_s' is not a number"),
     "outside": (
-        TABLE.replace("R30,20,30", "R30,200,299"),
-        "'R30' is tabled from 200 s to 299 s, but r.csv holds 0 s to 30 s",
+        TABLE.replace("R+30,20,30", "R+30,200,299"),
+        "'R+30' is tabled from 200 s to 299 s, but r.csv holds 0 s to 30 s",
     ),
 }
 

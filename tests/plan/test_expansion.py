@@ -6,11 +6,14 @@ import time
 from itertools import pairwise
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from planrunner.plan.expand import MAX_SEGMENTS, StatedSegment, expand
 from planrunner.plan.findings import Findings
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.reader import parse_plan
+from planrunner.plan.rewriting import with_rates
 
 HEAD = "planrunner: 1\ntitle: t\nsensor: {kind: k, outputs: [o]}\n"
 
@@ -65,8 +68,63 @@ def test_shuffled_is_reproducible_and_loses_nothing() -> None:
 
 def test_signs_in_lists_and_their_labels() -> None:
     assert labels("  - for_each: {rate: [±300 deg/s, 0 deg/s, ±0.5 deg/s]}\n") == [
-        *("+300deg_s", "-300deg_s", "+0deg_s", "+0.5deg_s", "-0.5deg_s"),
+        *("+300deg_s", "-300deg_s", "0deg_s", "+0.5deg_s", "-0.5deg_s"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("swept", "expected"),
+    [
+        ("temperature: '-40, 20, 60 degC'", ["-40degC", "20degC", "60degC"]),
+        ("temperature: '20, 60 degC'", ["20degC", "60degC"]),
+        ("temperature: ['-0 degC', '+5 degC', '−5 degC']", ["0degC", "5degC", "-5degC"]),
+        ("temperature: ['0 degF', '+41 degF', '-4 degF']", ["0degF", "41degF", "-4degF"]),
+        ("rate: '10, 20 deg/s'", ["+10deg_s", "+20deg_s"]),
+        ("rate: ['0 deg/h', '-0 deg/s', ±0 rad/s]", ["0deg_h", "0deg_s", "0rad_s"]),
+        ("rate: [-10 deg/s, -20 deg/s]", ["-10deg_s", "-20deg_s"]),
+        ("rate: {slow: -10 deg/s, '+fast': 20 deg/s}", ["slow", "+fast"]),
+        ("dwell: '10, 20 s'", ["10s", "20s"]),
+    ],
+)
+def test_a_rate_has_its_sign_other_quantities_a_minus_and_zero_none(swept: str, expected: list[str]) -> None:
+    assert labels(f"  - for_each: {{{swept}}}\n") == expected
+
+
+@given(
+    st.sampled_from(["rate", "temperature"]),
+    st.lists(st.integers(-200, 200), min_size=1, max_size=6, unique=True),
+    st.booleans(),
+)
+def test_a_value_keeps_its_label_whatever_stands_beside_it(key: str, values: list[int], nested: bool) -> None:
+    unit = {"rate": "deg/s", "temperature": "degC"}[key]
+
+    def swept(chosen: list[int]) -> list[str]:
+        text = f"for_each: {{{key}: '{', '.join(map(str, chosen))} {unit}'}}, label: 'T{{{key}}}'"
+        return labels(f"  - {{label: outer, steps: [{{{text}}}]}}\n" if nested else f"  - {{{text}}}\n")
+
+    together = swept(values)
+    assert together == [label for value in values for label in swept([value])]
+    for label, value in zip(together, values, strict=True):
+        figure = label.rpartition("T")[2]
+        assert int(figure) == value
+        assert ("+" in figure) == (key == "rate" and value > 0)
+
+
+def test_a_figure_in_a_label_has_the_same_sign() -> None:
+    assert labels("  - {for_each: {rate: ['±5 deg/s', '0 deg/s']}, label: 'R{rate}'}\n") == ["R+5", "R-5", "R0"]
+    assert labels("  - {for_each: {temperature: '-5, 0, 5 degC'}, label: 'T{temperature}'}\n") == ["T-5", "T0", "T5"]
+
+
+def test_a_sweep_written_once_a_rate_keeps_its_labels() -> None:
+    text = HEAD + "segments:\n  - for_each: {rate: '3, 1, -1 deg/s'}\n    label: R{rate}\n"
+    (line, column), rates = (5, 22), ["3 deg/s", "1 deg/s", "-1 deg/s"]
+    found = []
+    for written in (text, with_rates(text, (line, column), rates, [5, 6, 6])):
+        plan, log = parse_plan(written, "f")
+        assert plan is not None
+        found.append([item.label for item in expand(plan, log)])
+        assert not len(log), list(map(str, log))
+    assert found[0] == found[1]
 
 
 def test_equal_values_get_labels_of_their_own() -> None:

@@ -196,7 +196,7 @@ def test_the_tilted_axes_plan_expands_as_its_method_says() -> None:
     labels = [segment.label for segment in expand(plan, log)]
     assert len(labels) == 6 * 3 * (2 + 12 + 1)
     assert labels[:4] == ["-40degC/r1/start-zero", "-40degC/r1/R+300", "-40degC/r1/R-300", "-40degC/r1/R+150"]
-    assert labels[-2:] == ["+60degC/r6/end-zero", "+60degC/r6/power-down"]
+    assert labels[-2:] == ["60degC/r6/end-zero", "60degC/r6/power-down"]
     assert plan.mounting["x"].angle.standard_uncertainty == pytest.approx(20 / 3600 * 3.141592653589793 / 180)
     assert plan.mounting["z"].angle.standard_uncertainty == pytest.approx(30 / 3600 * 3.141592653589793 / 180 / 3**0.5)
 
@@ -232,6 +232,27 @@ def test_many_patterns_over_many_labels_take_no_time() -> None:
         labels.meant_by(f"*a*b*{n}*")
     assert labels.meant_by("b7") == set(range(7, 10_000, 50))
     assert time.process_time() - start < 5.0
+
+
+@pytest.mark.parametrize(
+    ("swept", "pattern", "meant"),
+    [
+        ("temperature: '-20, 20 degC'", "+20degC", "20degC"),
+        ("temperature: '-20, 20 degC'", "+20degC/*", "20degC/*"),
+        ("rate: '±10, 0 deg/s'", "10deg_s", "+10deg_s"),
+        ("rate: '±10, 0 deg/s'", "+0deg_s", "0deg_s"),
+        ("rate: '±10, 0 deg/s'", "1*", "+10deg_s"),
+    ],
+)
+def test_a_label_with_another_sign_is_proposed_and_not_matched(swept: str, pattern: str, meant: str) -> None:
+    text = PLAN.replace(
+        "  - {label: V1}\n", f"  - {{label: V1}}\n  - {{for_each: {{{swept}}}, steps: [{{label: a}}]}}\n"
+    )
+    text = text.replace("segments: P*", f"segments: '{pattern}'")
+    (finding,) = (item for item in check(text)[1] if item.code == "meaning-undefined-label")
+    assert f"'{pattern}'" in finding.message
+    assert finding.hint == f"did you mean '{meant}'?"
+    assert "meaning-undefined-label" not in [item.code for item in check(text.replace(f"'{pattern}'", f"'{meant}'"))[1]]
 
 
 def test_a_broken_title_does_not_hide_what_else_is_wrong() -> None:
