@@ -8,7 +8,7 @@ checked.designs        what each estimate could learn, with predicted uncertaint
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from functools import cache
@@ -289,19 +289,31 @@ def _check_estimate(name: str, spec: EstimateSpec, outputs: list[str] | None, ch
     checked.judged[name] = identify(design)
     explained = any(remark.conditions for remark in design.remarks)
     with log.resting_on(spec.origin.mark):  # on what the estimator says is wrong with the segments
-        for judged in checked.judged[name]:
-            if not (explained and judged.sound and judged.condition <= HOPELESS):
-                _report(name, judged, spec.at("segments"), log)
+        said = [one for one in checked.judged[name] if not (explained and one.sound and one.condition <= HOPELESS)]
+        for alike in _alike(said):
+            _report(name, alike, spec.at("segments"), log)
 
 
-def _report(name: str, judged: Identifiability, mark: Mark, log: Findings) -> None:
+def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
+    """Outputs of which the same is to be said, each group in order."""
+    groups: dict[tuple[object, ...], list[Identifiability]] = {}
+    for one in judged:
+        what = (one.rank, one.columns, f"{one.condition:.3g}", one.unidentifiable, one.explanation)
+        groups.setdefault(what, []).append(one)
+    return list(groups.values())
+
+
+def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
+    """One finding for outputs that are alike, where they call for one."""
+    judged, names = alike[0], [one.output for one in alike]
+    outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
     if not judged.sound:
         terms = ", ".join(judged.unidentifiable)
-        where = f"rank {judged.rank} of {judged.columns}, output {judged.output}"
+        where = f"rank {judged.rank} of {judged.columns}, {outputs}"
         message = f"'{name}' cannot identify {terms} on the planned segments ({where}){_because(judged)}"
         log.error("physics-rank", mark, message, "add segments that tell these terms apart, or leave the terms out")
     elif judged.condition > ILL_CONDITIONED:
-        where = f"condition {judged.condition:.3g}, output {judged.output}"
+        where = f"condition {judged.condition:.3g}, {outputs}"
         message = f"'{name}' is ill-conditioned on the planned segments ({where}){_because(judged)}"
         add = log.error if judged.condition > HOPELESS else log.warning
         add("physics-condition", mark, message, "spread the segments' states further")

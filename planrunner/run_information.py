@@ -7,10 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from planrunner.plan import source
-from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark, closest, nearest
+from planrunner.plan.findings import COMMAND_LINE, MISLEADING, Findings, InputError, Mark, closest, nearest
 from planrunner.plan.model import Plan
-
-COMMAND_LINE = Mark("<command line>")
 
 
 def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:

@@ -256,6 +256,30 @@ def test_few_segments_give_an_answer_or_an_error(tmp_path, count):
     assert found["verdict"]["kind"] == "none"
 
 
+def rising(sensed):
+    """A gyro bias that rises by 0.02 deg/s in two minutes."""
+    return 0 * sensed.rate + np.array([0.02, 0.0, 0.0]) * (sensed.time[:, None] - 600) / 120, 0 * sensed.force
+
+
+def test_cutting_two_long_segments_makes_a_diagnosis_possible(tmp_path):
+    """The recording stays as it is; the plan and the table of segments name more pieces of it."""
+    long = [Row("still", "up north west", 60, start=600.0), Row("turning", "up north west", 60, 60, start=670.0)]
+    laboratory(tmp_path, long, effect=rising)
+    replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: 60 s")
+    given = tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    with pytest.raises(InputError) as caught:
+        diagnose_recorded(recorded_file(*given))
+    (refused,) = caught.value.findings
+    assert refused.code == "gap-unfit" and "cut long segments" in refused.hint
+    pieces = [Row(f"{row.label}-{n}", row.axes, 30, row.rate, start=row.start + 30 * n) for row in long for n in (0, 1)]
+    (tmp_path / "other").mkdir()
+    laboratory(tmp_path / "other", pieces)
+    replace(tmp_path / "other" / "plan.yaml", "dwell: 6 s", "dwell: 30 s")
+    cut = tmp_path / "other" / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "other" / "segments.csv"
+    verdict = diagnose_recorded(recorded_file(*cut)).to_json()["verdict"]
+    assert verdict["effects"] == ["gyro_warm_up"]
+
+
 def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, accel_y_m_per_s2=lambda values: 0 * values + 1.5)

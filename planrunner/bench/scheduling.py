@@ -108,6 +108,7 @@ class _Planner:
         self.temperatures = Temperatures(models, log)
         axes = models.table.axes if models.table else ()
         self.state = TableState(np.zeros(len(axes)))
+        self._timed = True  # until a segment is left out: how long the sensor has soaked is not known after it
         self._soaked: float | None = None
         self._mounted: Orientation | None = None
         self._reached: dict[Any, Array] = {}
@@ -124,6 +125,7 @@ class _Planner:
         motion = motion_of(state, marks, dwell, self.log)
         kelvin, ramp_to = self._temperature(item)
         if orientation is None or motion is None or (dwell is None and state.get("dwell") != "recorded"):
+            self._timed = False
             return None
         mark_of = marks.get
         transition = self.temperatures.change(kelvin, self.time, mark_of("temperature") or item.mark)
@@ -140,8 +142,9 @@ class _Planner:
             self.temperatures.ramp(ramp_to, start, dwell, marks["temperature"])
             self._soaked = None
         if self.log.raised > before:
+            self._timed = False
             return None
-        if kelvin is not None and soaked is None:
+        if self._timed and kelvin is not None and soaked is None:
             self.temperatures.check_soaked(item.label, start, soak, mark_of("soak") or marks["temperature"])
         self.time = start + (dwell or 0.0)
         rate = state.get("sample_rate")

@@ -74,7 +74,8 @@ class Temperatures:
             f"while the sensor is still {abs(left):.2g} K from it"
         )
         hint = f"soak for {_minutes(soak + high - now)} at least: then it is within the chamber's tolerance of {tolerance:g} K"
-        self._log.warning("physics-soak", mark, message, hint)
+        with self._log.resting_on(mark):  # a soak that could not be read counts as none
+            self._log.warning("physics-soak", mark, message, hint)
 
     def return_time(self) -> float:
         """Seconds back to ambient."""

@@ -22,7 +22,7 @@ from typing import NoReturn
 from planrunner import __version__
 from planrunner.interruption import INTERRUPTED as INTERRUPTED
 from planrunner.interruption import Interruption
-from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.findings import COMMAND_LINE, InputError
 from planrunner.reporting.printable import printable_streams
 
 DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY = 0, 1, 2, 3, 4
@@ -92,7 +92,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         if self.asked.json:
             usage = " ".join(self.format_usage().split())
-            raise InputError.at(Mark("<command line>"), "command-usage", message, usage)
+            raise InputError.at(COMMAND_LINE, "command-usage", message, usage)
         self.print_usage(sys.stderr)
         self.exit(WRONG_INPUT, f"{self.prog}: error: {message}\n    hint: `{self.prog} --help` explains what to give\n")
 

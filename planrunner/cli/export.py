@@ -8,9 +8,8 @@ from typing import Any
 
 from planrunner import cli
 from planrunner.cli.each_run import Done, each_run
-from planrunner.cli.failures import COMMAND_LINE
 from planrunner.cli.printing import print_findings, write_file
-from planrunner.plan.findings import InputError, Mark, closest
+from planrunner.plan.findings import COMMAND_LINE, InputError, Mark, closest
 
 FORMS = {"csv": "csv", "matlab": "m", "yaml": "yaml", "c": "h"}
 
@@ -39,9 +38,7 @@ def run(args: argparse.Namespace) -> int:
     folder = args.output is not None and args.output.is_dir()
     if len(runs) > 1 and not args.json and not folder:
         message = "the coefficients of several runs do not go into one file"
-        raise InputError.at(
-            Mark(COMMAND_LINE), "export-several", message, "give --json, or a folder that exists as --output"
-        )
+        raise InputError.at(COMMAND_LINE, "export-several", message, "give --json, or a folder that exists as --output")
     return each_run(runs, lambda run: _export(run, name, args, folder=folder), as_json=args.json)
 
 

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 
 from planrunner import cli
 from planrunner.cli.printing import print_findings
-from planrunner.plan.findings import Finding, InputError, Mark
-
-COMMAND_LINE = "<command line>"
+from planrunner.plan.findings import COMMAND_LINE, Finding, InputError, Mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +48,7 @@ _SYSTEM = _Known(cli.WRONG_INPUT, "file-system")
 _INTERNAL = _Known(cli.FAULT, "internal-error")
 
 
-def failure_of(error: Exception, where: str = COMMAND_LINE) -> Failure:
+def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> Failure:
     """What an exception amounts to. where: what the command worked on, for findings that carry no place of their own.
 
     Of an exception that no rule foresees, the traceback is kept in a temporary file that the message names.

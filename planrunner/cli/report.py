@@ -8,9 +8,8 @@ from pathlib import Path
 
 from planrunner import cli
 from planrunner.cli.each_run import Done, each_run
-from planrunner.cli.failures import COMMAND_LINE
 from planrunner.cli.printing import print_findings, write_file
-from planrunner.plan.findings import InputError, Mark, closest
+from planrunner.plan.findings import COMMAND_LINE, InputError, closest
 from planrunner.run_information import gather_for_issue
 
 
@@ -60,7 +59,7 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
             runs.append(Path(word))
         else:
             message = f"there is no report '{word[:60]}'"
-            raise InputError.at(Mark(COMMAND_LINE), "meaning-unknown-report", message, closest(word, known))
+            raise InputError.at(COMMAND_LINE, "meaning-unknown-report", message, closest(word, known))
     return runs, tuple(names)
 
 
@@ -72,7 +71,7 @@ def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
     alone = [*(name for name in names if is_certificate(name)), *(option for option, value in given.items() if value)]
     if alone:
         message = f"{' and '.join(alone)} {'belongs' if len(alone) == 1 else 'belong'} to one run"
-        raise InputError.at(Mark(COMMAND_LINE), "report-several", message, "give one run folder at a time")
+        raise InputError.at(COMMAND_LINE, "report-several", message, "give one run folder at a time")
 
 
 def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done:

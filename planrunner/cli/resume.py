@@ -13,7 +13,7 @@ from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments
-from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.findings import COMMAND_LINE, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     folder: Path = args.run_folder
     if bool(args.retake) != bool(args.reason):
-        raise InputError.at(Mark("<command line>"), "run-retake", "--retake and --reason belong together", "give both")
+        raise InputError.at(COMMAND_LINE, "run-retake", "--retake and --reason belong together", "give both")
     if pausing.take_back(open_run(folder)):
         if args.json:
             print_json({"run": str(folder), "asked": "go on"})

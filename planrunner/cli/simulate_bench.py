@@ -13,7 +13,7 @@ from typing import Any
 from planrunner import cli
 from planrunner.bench.model import Bench, read_bench
 from planrunner.bench.simulation import ask
-from planrunner.plan.findings import InputError, Mark
+from planrunner.plan.findings import COMMAND_LINE, InputError, Mark
 from planrunner.regular_files import RefusedFileError, read_regular
 
 _LONGEST_NOTE = 1_000_000
@@ -93,7 +93,7 @@ def _token(ready: Path | None, control: str) -> str:
     start = "start the simulated bench with `--ready FILE`, and name the same file here"
     if ready is None:
         message = "a running simulated bench is told nothing without the token of its readiness file"
-        raise InputError.at(Mark("<command line>"), "simulation-token", message, start)
+        raise InputError.at(COMMAND_LINE, "simulation-token", message, start)
     try:
         note = json.loads(read_regular(ready, _LONGEST_NOTE))
         token, served = str(note["token"]), str(note["control"])

@@ -120,7 +120,10 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     """Diagnose a recording. Raises `ObservationError` where it cannot be."""
     if len(observed) < FEWEST_SEGMENTS:
         few = f"the recording has {len(observed)} segments; telling an effect from fitted parameters takes {FEWEST_SEGMENTS} or more"
-        hint = "cut long segments into several, in the plan and in the table of segments; or record more orientations or rates"
+        hint = (
+            "cut long segments into several, in the plan and in the table of segments: what changes with time is then seen; effects of "
+            "orientation, rate or temperature take more of these"
+        )
         raise ObservationError(few, hint)
     names = plugins.names(EFFECTS) if options.effects is None else options.effects
     effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]

@@ -22,7 +22,7 @@ Severity = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place in a file. Lines and columns count from 1, as editors show them.
+    """A place in a file, or `COMMAND_LINE`. Lines and columns count from 1, as editors show them.
 
     end: line and column just after what stands there, where that is known. text: all of the file as it was read, for excerpts.
     """
@@ -41,7 +41,13 @@ class Mark:
         return begin == there if self.end is None else begin <= there < max(self.end, (self.line, self.column + 1))
 
     def __str__(self) -> str:
+        if self == COMMAND_LINE:  # it has no lines
+            return "command line"
         return f"{self.file}:{self.line}:{self.column}"
+
+
+COMMAND_LINE = Mark("<command line>")
+"""The place of what is wrong with the arguments of a command."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,9 +28,13 @@ def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iter
         selections: list[EstimateSpec | DiagnosisSpec] = list(plan.estimates.values())
         if plan.diagnosis is not None:
             selections.append(plan.diagnosis)
-        used = _check_selections(selections, labels, log)
+        # A label that is missing or repeated may be the one that an estimate names.
+        with log.resting_on(*plan.origin.parts("segments")):
+            used = _check_selections(selections, labels, log)
         if plan.estimates:
-            with log.resting_on(*plan.origin.parts("estimates"), *plan.origin.parts("diagnosis")):
+            with log.resting_on(
+                *(part for key in ("segments", "estimates", "diagnosis") for part in plan.origin.parts(key))
+            ):
                 _check_unused(segments, used, log)
     for limit in plan.limits:
         with log.resting_on(limit.origin.mark):

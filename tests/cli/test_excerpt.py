@@ -187,3 +187,31 @@ def test_carets_are_coloured_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch
     plain = Terminal()
     print_findings([finding], plain)
     assert "\x1b" not in plain.getvalue()
+
+
+def test_diagnose_shows_what_is_wrong_with_its_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN, encoding="utf-8")
+    assert main(["diagnose", str(path), "--recording", "none.csv"]) == 2
+    shown = capsys.readouterr().err
+    assert "northh}, dwell" in shown and "^^^^^^" in shown
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["report", "{folder}", "no-such-report"],
+        ["export", "{folder}", "{folder}"],
+        ["run", "{plan}", "--json", "--no-such-option"],
+    ],
+)
+def test_what_is_wrong_with_the_command_line_has_no_line_and_no_excerpt(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
+    assert main([word.format(folder=tmp_path, plan=plan) for word in words]) == 2
+    said = capsys.readouterr()
+    assert "command line: error[" in said.err and " | " not in said.err
+    if "--json" in words:
+        (finding,) = json.loads(said.out)
+        assert (finding["file"], finding["line"], finding["column"]) == ("<command line>", 1, 1)

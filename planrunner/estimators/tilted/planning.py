@@ -123,7 +123,7 @@ def _series_remarks(request: DesignRequest, series: Sequence[RateSeries]) -> Ite
             "write the rates with ±",
         )
     repeats = {kelvin: len(held) for kelvin, held in by_temperature(series).items()}
-    if request.parameters.uncertainty == "repeats" and min(repeats.values(), default=2) < 2:
+    if not lacking and request.parameters.uncertainty == "repeats" and min(repeats.values(), default=2) < 2:
         yield Remark(
             "physics-repeats",
             "at some temperature the rates are run once, so the uncertainty cannot rest on how they repeat",
