@@ -33,7 +33,7 @@ GIVEN = {
     "date_received": "2026-02-27",
     "issued_by": "A. B., head of laboratory",
 }
-SHORT = (("dwell: 2 min", "dwell: 5 s"), ("report: [report.html, summary.md]", "report: [summary.md]"))
+SHORT = (("dwell: 2 min", "dwell: 5 s"),)
 RECORD = "record: {device_serial: required,"
 ALL = RECORD + "".join(f" {name}: required," for name in GIVEN)
 VIRTUAL = ROOT / "plans" / "benches" / "virtual.yaml"
@@ -59,9 +59,7 @@ def missing(path: Path, bench: Path | None = None) -> list[str]:
 
 
 def test_check_names_every_missing_element_at_the_report(plan_file: Write) -> None:
-    path = plan_file(
-        ("report: [report.html, summary.md]", "report: [report.html, certificate.zh.html, certificate.html]")
-    )
+    path = plan_file(("report: [summary.md]", "report: [report.html, certificate.zh.html, certificate.html]"))
     found = missing(path)
     required = [item for item in ASKED if item.required and item.name != "device_serial"]
     assert len(found) == len(required) == 6
@@ -75,37 +73,37 @@ def test_check_names_every_missing_element_at_the_report(plan_file: Write) -> No
 
 
 def test_an_unknown_certificate_is_only_called_unknown(plan_file: Write) -> None:
-    path = plan_file(("report: [report.html, summary.md]", "report: [certificate.htm]"))
+    path = plan_file(("report: [summary.md]", "report: [certificate.htm]"))
     assert [finding.code for finding in check_plan(path).findings.errors] == ["meaning-unknown-report"]
 
 
 def test_a_plan_that_asks_for_everything_passes(plan_file: Write) -> None:
-    assert missing(plan_file((RECORD, ALL), ("report.html, summary.md", "certificate.html, certificate.zh.html"))) == []
+    assert missing(plan_file((RECORD, ALL), ("[summary.md]", "[certificate.html, certificate.zh.html]"))) == []
     assert missing(FLAGSHIP) == [], "a plan without a certificate is asked for nothing"
 
 
 def test_optional_information_is_not_enough(plan_file: Write) -> None:
     optional = ALL.replace(" customer: required", " customer: optional")
-    (one,) = missing(plan_file((RECORD, optional), ("report.html, summary.md", "certificate.html")))
+    (one,) = missing(plan_file((RECORD, optional), ("[summary.md]", "[certificate.html]")))
     assert "'customer'" in one
 
 
 def test_another_identification_serves_as_well(plan_file: Write) -> None:
     other = ALL.replace("device_serial", "item_identification")
-    assert missing(plan_file((RECORD, other), ("report.html, summary.md", "certificate.html"))) == []
+    assert missing(plan_file((RECORD, other), ("[summary.md]", "[certificate.html]"))) == []
 
 
 LABORATORY = VIRTUAL.read_text(encoding="utf-8").partition("laboratory:\n")[2].partition("\nsite:")[0]
 
 
 def test_a_bench_without_laboratory_is_an_error(plan_file: Write, tmp_path: Path) -> None:
-    path = plan_file((RECORD, ALL), ("report.html, summary.md", "certificate.html"))
+    path = plan_file((RECORD, ALL), ("[summary.md]", "[certificate.html]"))
     bench = own_bench(tmp_path, ("laboratory:\n" + LABORATORY + "\n", ""))
     assert any("7.8.2.1 b" in text for text in missing(path, bench))
 
 
 def test_references_without_calibration_need_a_statement(plan_file: Write, tmp_path: Path) -> None:
-    path = plan_file((RECORD, ALL), ("report.html, summary.md", "certificate.html"))
+    path = plan_file((RECORD, ALL), ("[summary.md]", "[certificate.html]"))
     text = VIRTUAL.read_text(encoding="utf-8")
     kept = [line for line in text.splitlines() if "calibration:" not in line and "traceability:" not in line]
     bench = tmp_path / "own.yaml"
@@ -254,9 +252,7 @@ def test_a_run_that_is_not_finished_has_no_certificate(run: Path) -> None:
 
 def test_the_plans_certificate_is_withheld_once_one_is_issued(plan_file: Write, tmp_path: Path) -> None:
     """A plan that asks for it gets it with the run; estimating again does not issue a second one."""
-    path = plan_file(
-        (RECORD, ALL), *SHORT[:1], ("report: [report.html, summary.md]", "report: [certificate.html, summary.md]")
-    )
+    path = plan_file((RECORD, ALL), *SHORT, ("report: [summary.md]", "report: [certificate.html, summary.md]"))
     info = {**GIVEN, "device_serial": "FG-7", "operator": "test"}
     folder, _ = start(
         check_plan(path).sound(), info=info, runs=tmp_path / "runs", stop=StopRequest(), durability="flushed"

@@ -47,7 +47,7 @@ class DeviationOfVertical(Record):
         QuantityOf("angle", uncertain=True), "ξ, astronomic less geodetic latitude, north positive.", "3.2 arcsec"
     )
     east: Quantity = key(
-        QuantityOf("angle", uncertain=True),
+        QuantityOf("angle"),
         "η, towards east; astronomic less geodetic azimuth is η·tan φ.",
         "-1.5 arcsec",
         default=parse_quantity("0 arcsec"),

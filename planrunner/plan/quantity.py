@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 from planrunner.plan.findings import Findings, Mark, closest
@@ -228,41 +228,47 @@ def read_quantity(
     uncertain: whether something uses an uncertainty; where nothing does, one that is stated is a finding. elsewhere: where such an
     uncertainty is stated instead, in words; '' where nowhere.
     """
-    before = len(log.errors)
-    quantity = _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
-    if quantity is None or len(log.errors) > before:
+    if uncertain:
+        return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
+    value = node.get("value") if isinstance(node, Mapping) else None
+    text = value.text if isinstance(value, Scalar) else node.text if isinstance(node, Scalar) else ""
+    if value is not None or states_uncertainty(text):
+        refuse_uncertainty(text, elsewhere, node.mark, log)
         return None
-    if not uncertain and (isinstance(node, Mapping) or _states_uncertainty(node)):
-        refuse_uncertainty(quantity, elsewhere, node.mark, log)
-        return None
-    return quantity
+    return read_scalar(node, dimension, log)
 
 
-def refuse_uncertainty(quantity: Quantity, elsewhere: str, mark: Mark, log: Findings) -> None:
-    """The finding about an uncertainty that nothing would use."""
-    log.error("meaning-uncertainty-unused", mark, _UNUSED, _plainly(quantity, elsewhere))
-
-
-def _states_uncertainty(node: Node) -> bool:
-    """Whether something follows ± in a text, even zero."""
-    parts = _PARTS.fullmatch(node.text) if isinstance(node, Scalar) else None
+def states_uncertainty(text: str) -> bool:
+    """Whether something follows ± in the text of a quantity, even zero."""
+    parts = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
     return parts is not None and parts[3] is not None
+
+
+def uncertain_piece(text: str) -> str | None:
+    """The first value of a sweep that states an uncertainty, without its leading ±; None where none does."""
+    pieces = [signed[2] if (signed := _SIGNED.fullmatch(piece)) else piece for piece in text.split(",")]
+    return next((piece for piece in pieces if states_uncertainty(piece)), None)
+
+
+def refuse_uncertainty(text: str, elsewhere: str, mark: Mark, log: Findings) -> None:
+    """The finding about an uncertainty that nothing would use."""
+    log.error("form-uncertainty-unused", mark, _UNUSED, _plainly(text, elsewhere))
 
 
 _UNUSED = "no result would use an uncertainty that is stated here"
 
 
-def _plainly(quantity: Quantity, elsewhere: str) -> str:
-    plain = f"write {replace(quantity, standard_uncertainty=0.0)}"
+def _plainly(text: str, elsewhere: str) -> str:
+    parts = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
+    plain = f"write {parts[1]} {parts[2] or parts[4] or ''}".rstrip() if parts else "leave it out"
     return f"{plain}; state it as {elsewhere}" if elsewhere else plain
 
 
 def without_uncertainty(text: str, dimension: str | None = None) -> Quantity:
     """The quantity in `text`, as `parse_quantity`. Raises `QuantityError` for an uncertainty too, where nothing would use it."""
-    quantity = parse_quantity(text, dimension)
-    if quantity.standard_uncertainty:
-        raise QuantityError("meaning-uncertainty-unused", _UNUSED, _plainly(quantity, ""))
-    return quantity
+    if states_uncertainty(text):
+        raise QuantityError("form-uncertainty-unused", _UNUSED, _plainly(text, ""))
+    return parse_quantity(text, dimension)
 
 
 def read_scalar(node: Node, dimension: str | None, log: Findings) -> Quantity | None:

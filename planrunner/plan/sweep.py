@@ -25,7 +25,7 @@ from typing import Any
 
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, Mark, closest
-from planrunner.plan.kinds import QuantityOf, Record, Schema, WordOr, keys_of
+from planrunner.plan.kinds import ByShape, QuantityOf, Record, Schema, WordOr, keys_of
 from planrunner.plan.quantity import (
     Quantity,
     QuantityError,
@@ -36,6 +36,7 @@ from planrunner.plan.quantity import (
     refuse_uncertainty,
     signed_schema,
     sweep_schema,
+    uncertain_piece,
 )
 
 
@@ -191,6 +192,8 @@ def _values(name: str, kind: Any, node: source.Node, log: Findings) -> tuple[Swe
             "write for example '±300, ±150 deg/s'",
         )
         return None
+    if not _is_exact(kind, node, node.value, log):
+        return None
     try:
         quantities = parse_sweep(node.value, _QUANTITY_KEYS[name])
     except QuantityError as error:
@@ -207,6 +210,8 @@ def _entry(name: str, kind: Any, item: source.Node, log: Findings) -> list[tuple
         and isinstance(item.value, str)
         and is_signed(item.value)
     ):
+        if not _is_exact(kind, item, item.value, log):
+            return []
         try:
             quantities = parse_signed(item.value, _QUANTITY_KEYS[name])
         except QuantityError as error:
@@ -217,18 +222,28 @@ def _entry(name: str, kind: Any, item: source.Node, log: Findings) -> list[tuple
     return [] if value is None else [(value, item.mark)]
 
 
+def _quantity_kind(kind: Any) -> QuantityOf | None:
+    """What a swept key is as a quantity."""
+    scalar = kind.other if isinstance(kind, WordOr) else kind
+    inner = scalar.scalar if isinstance(scalar, ByShape) else scalar
+    return inner if isinstance(inner, QuantityOf) else None
+
+
+def _is_exact(kind: Any, node: source.Scalar, text: str, log: Findings) -> bool:
+    """Whether no value of a sweep states an uncertainty, which nothing would use; else that is a finding."""
+    piece, inner = uncertain_piece(text), _quantity_kind(kind)
+    if piece is not None:
+        refuse_uncertainty(piece, inner.elsewhere if inner is not None else "", node.mark, log)
+    return piece is None
+
+
 def _check_signs(
     name: str, kind: Any, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
     """The values that the swept key itself would accept, such as no negative dwell."""
-    scalar = kind.other if isinstance(kind, WordOr) else kind
-    inner = getattr(scalar, "scalar", scalar)
-    sign = inner.sign if isinstance(inner, QuantityOf) else "any"
+    inner = _quantity_kind(kind)
+    sign = inner.sign if inner is not None else "any"
     for quantity in quantities:
-        if quantity.standard_uncertainty:
-            where = inner.elsewhere if isinstance(inner, QuantityOf) else ""
-            refuse_uncertainty(quantity, where, node.mark, log)
-            return None
         if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
             log.error(
                 "meaning-range",

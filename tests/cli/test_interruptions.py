@@ -140,7 +140,7 @@ TAMPERED: dict[str, tuple[Callable[[Path], object], str]] = {
     "last line removed": (lambda run: change_line(run, lambda lines: lines.pop()), "seal.json: the seal counts"),
     "journal gone": (lambda run: (run / "journal.jsonl").unlink(), "journal.jsonl"),
     "samples replaced": (replace_samples, "0001-P1.parquet"),
-    "samples gone": (lambda run: shutil.rmtree(run / "segments"), "0001-P1.parquet"),
+    "samples gone": (lambda run: shutil.rmtree(run / "segments"), "segments"),
     "plan edited": (
         lambda run: (run / "plan.yaml").write_text((run / "plan.yaml").read_text() + "#"),
         "plan.yaml: differs",

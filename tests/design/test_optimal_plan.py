@@ -81,7 +81,10 @@ def test_a_poor_set_is_replaced_by_one_that_is_better_in_every_coefficient(tmp_p
 
 def test_product_terms_get_positions_that_see_them(plan_file: Callable[..., Path], tmp_path: Path) -> None:
     plan = plan_file(
-        ("uncertainty: residual}\n  traditional", "terms: [accel_x_accel_z, accel_y_accel_z]}\n  traditional"),
+        (
+            "uncertainty: residual}\n  traditional",
+            "uncertainty: within_segment, terms: [accel_x_accel_z, accel_y_accel_z]}\n  traditional",
+        ),
         ("  residual: {estimator: compensation_residual, uses: [drift, traditional], segments: V*}\n", ""),
     )
     assert not check_plan(plan).ok

@@ -22,6 +22,7 @@ USED = {
     "SiteSpec.latitude": "planrunner/bench/inputs.py, as `latitude`",
     "SiteSpec.gravity": "planrunner/bench/inputs.py, as `gravity`",
     "SiteSpec.azimuth": "planrunner/bench/inputs.py, as `azimuth`",
+    "DeviationOfVertical.north": "planrunner/bench/model.py, with the latitude",
     "MountedAxis.angle": "planrunner/bench/inputs.py, as `fixture angle`",
     "MountedAxis.azimuth": "planrunner/bench/inputs.py, as `fixture azimuth`",
     "Limit.prior": "planrunner/uncertainty/global_risk.py",
@@ -89,7 +90,7 @@ def test_an_uncertainty_is_taken_where_it_is_used_and_nowhere_else() -> None:
                     assert read is not None, (name, written, codes)
                     assert read.standard_uncertainty > 0
                 else:
-                    assert read is None and codes == ["meaning-uncertainty-unused"], (name, written, codes)
+                    assert read is None and codes == ["form-uncertainty-unused"], (name, written, codes)
 
 
 PLAN = """\
@@ -116,7 +117,7 @@ segments:
 def test_the_finding_says_where_it_is_stated_instead(state: str, hint: str) -> None:
     _, log = parse_plan(PLAN.replace("STATE", state), "plan.yaml")
     found = [(finding.code, finding.mark.line) for finding in log]
-    assert found == [("meaning-uncertainty-unused", 7)]
+    assert found == [("form-uncertainty-unused", 7)]
     assert hint in next(iter(log)).hint
 
 
@@ -128,7 +129,7 @@ def test_sweeps_refuse_it_too(values: str) -> None:
     plan, log = parse_plan(text, "plan.yaml")
     if plan is not None:
         expand(plan, log)
-    assert "meaning-uncertainty-unused" in {finding.code for finding in log}
+    assert "form-uncertainty-unused" in {finding.code for finding in log}
 
 
 def test_an_uncertainty_of_zero_is_refused_where_it_has_no_meaning() -> None:
