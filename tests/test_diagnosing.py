@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from planrunner import diagnosing
 from planrunner.cli import DONE, WRONG_INPUT, main
-from planrunner.diagnosing import diagnose_recorded, observe, recorded_file
+from planrunner.diagnosing import diagnose_recorded, observe, recorded_file, recorded_run
 from planrunner.instruments import recording_file
 from planrunner.plan.findings import Findings, InputError
 from tests.recorded_imu import SHORT, TURNED, Row, write_recording
@@ -93,14 +93,16 @@ def test_a_sound_recording_raises_no_remark(tmp_path):
 def test_a_recording_shorter_than_the_plan_is_refused(tmp_path):
     laboratory(tmp_path)
     replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: 7 s")
-    assert "error[recording-unfit]: the recording is shorter than the plan: 'P1' dwells 7 s" in refused(tmp_path)
+    found = refused(tmp_path)
+    assert "error[recording-short]: the recording is shorter than the plan: 'P1' dwells 7 s" in found
+    assert found.count("recording-short") == len(listed())
 
 
 def test_a_recording_that_ends_early_is_refused(tmp_path):
     laboratory(tmp_path)
     table = pq.read_table(tmp_path / "recording.parquet")
     pq.write_table(table.slice(0, table.num_rows - 100), tmp_path / "recording.parquet")
-    assert "the recording is shorter than the plan: 'Rz-60' dwells 6 s" in refused(tmp_path)
+    assert "error[recording-beyond]: 'Rz-60' is tabled from 710 s to 716 s" in refused(tmp_path)
 
 
 def test_a_missing_column_is_refused(tmp_path):
@@ -394,6 +396,64 @@ def refuse():
 def asymmetry(sensed):
     """Scale factors that differ between the two senses of rotation, by 400, -300 and 500 ppm."""
     return np.abs(sensed.rate) * np.array([2.0, -1.5, 2.5]) * 1e-4, 0 * sensed.force
+
+
+def turned_round(plan: Path) -> None:
+    """The segments of a plan in the opposite order."""
+    head, *segments = plan.read_text(encoding="utf-8").split("  - ")
+    plan.write_text("  - ".join([head, *reversed(segments)]), encoding="utf-8")
+
+
+def retaken(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run of the folder's plan with a segment taken again."""
+    monkeypatch.chdir(folder)
+    assert main(["run", "plan.yaml", "--data", ".", "--quiet", "--flushed"]) == DONE
+    (run,) = (folder / "runs").iterdir()
+    again = ["--retake", "P3", "--reason", "a door was open", "--data", ".", "--quiet"]
+    assert main(["resume", str(run), *again]) == DONE
+    return run
+
+
+def test_what_is_looked_at_stands_in_the_order_of_time(tmp_path, monkeypatch):
+    """The file's order, the plan's order turned round, and a run of that with a segment taken again."""
+    laboratory(tmp_path)
+    given = tmp_path / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
+    first = recorded_file(*given)
+    wanted = observe(first)[0]
+    assert wanted.labels == tuple(row.label for row in listed())
+    turned_round(tmp_path / "plan.yaml")
+    other = recorded_file(*given)
+    assert [item.label for item in other.segments] == [item.label for item in first.segments][::-1]
+    for recorded in (other, recorded_run(retaken(tmp_path, monkeypatch))):
+        found, remarks = observe(recorded)
+        assert not remarks.errors
+        assert found.labels == wanted.labels
+        for name in ("time", "values", "omega", "force", "bounds"):
+            assert np.array_equal(getattr(found, name), getattr(wanted, name)), name
+
+
+@pytest.mark.slow
+def test_the_answer_does_not_depend_on_the_order_of_the_plan(tmp_path, capsys, monkeypatch):
+    laboratory(tmp_path, effect=asymmetry)
+    given = [str(tmp_path / "plan.yaml"), "--recording", str(tmp_path / "recording.parquet"), "--json"]
+    assert main(["diagnose", *given]) == DONE
+    found = json.loads(capsys.readouterr().out)
+    turned_round(tmp_path / "plan.yaml")
+    assert main(["diagnose", *given]) == DONE
+    assert json.loads(capsys.readouterr().out) == found
+    run = retaken(tmp_path, monkeypatch)
+    capsys.readouterr()
+    assert main(["diagnose", str(run), "--json"]) == DONE
+    again = json.loads(capsys.readouterr().out)
+    assert again["verdict"] == found["verdict"]
+    assert again["posterior"] == pytest.approx(found["posterior"], abs=1e-6)
+
+
+def test_segments_that_share_samples_are_refused(tmp_path):
+    laboratory(tmp_path)
+    replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: recorded")
+    replace(tmp_path / "segments.csv", "610.000,616.000", "605.000,616.000")
+    assert "error[gap-overlap]: 'P1' and 'P2' share 1 s of the recording" in refused(tmp_path)
 
 
 def test_a_known_effect_is_named_from_file_and_from_run_alike(tmp_path, capsys, monkeypatch):
