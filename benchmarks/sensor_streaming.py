@@ -56,7 +56,12 @@ def send(lines: list[int]) -> None:
     for line in lines:
         os.set_blocking(line, False)
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+
+    def wait_for_the_end() -> None:
+        sys.stdin.read()
+        ended.set()
+
+    threading.Thread(target=wait_for_the_end, daemon=True).start()
     print("sending", flush=True)
     begun, sent = time.monotonic(), 0
     while not ended.wait(0.002):

@@ -28,5 +28,5 @@ def planrunner(*arguments: object, cwd: Path, **environment: str) -> subprocess.
         stack.enter_context(contextlib.redirect_stdout(output))
         stack.enter_context(contextlib.redirect_stderr(errors))
         code = main(words)
-    said, warned = (stream.buffer.getvalue().decode("utf-8") for stream in (output, errors))  # type: ignore[attr-defined]
+    said, warned = (stream.buffer.getvalue().decode("utf-8") for stream in (output, errors))
     return subprocess.CompletedProcess(["planrunner", *words], code, said, warned)

@@ -377,7 +377,12 @@ def test_linear_algebra_has_as_many_threads_as_jobs(tmp_path, monkeypatch, jobs)
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
     seen = []
-    monkeypatch.setattr(diagnosing, "observe", lambda *_: seen.append(threads()) or refuse())
+
+    def observe(*_: object) -> object:
+        seen.append(threads())
+        return refuse()
+
+    monkeypatch.setattr(diagnosing, "observe", observe)
     recorded = recorded_file(
         laboratory(tmp_path) / "plan.yaml", None, tmp_path / "recording.parquet", tmp_path / "segments.csv"
     )

@@ -56,7 +56,7 @@ def test_a_file_exchanged_for_a_pipe_between_look_and_opening_is_refused(
     (tmp_path / "file").write_text("x")
     os.mkfifo(tmp_path / "pipe")
     seen = os.stat(tmp_path / "file")
-    monkeypatch.setattr(regular_files.os, "stat", lambda *_, **__: seen)
+    monkeypatch.setattr(os, "stat", lambda *_, **__: seen)
     assert kind_of(tmp_path / "pipe") == "special"
 
 
@@ -69,7 +69,7 @@ def test_links_are_followed_only_where_that_is_allowed(tmp_path: Path, monkeypat
     assert kind_of(tmp_path / "nowhere") == "missing"
     assert kind_of(tmp_path / "link", links=False) == "link"
     seen = os.stat(tmp_path / "file")
-    monkeypatch.setattr(regular_files.os, "stat", lambda *_, **__: seen)  # exchanged for a link after the look
+    monkeypatch.setattr(os, "stat", lambda *_, **__: seen)  # exchanged for a link after the look
     assert kind_of(tmp_path / "link", links=False) == "unreadable"
 
 

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planrunner.archive import statistics as one_pass
-from planrunner.archive.statistics import BATCHES, CHUNK, statistics_of
+from planrunner.archive.recording import BATCHES
+from planrunner.archive.statistics import CHUNK, statistics_of
 from planrunner.instruments.interfaces import Block
 
 NAMES = ("x", "y", "z")

@@ -519,12 +519,14 @@ def test_a_journal_that_was_cut_shows_in_an_analysis(cut: Path) -> None:
     assert "run-analysis-chain" in codes(cut)
 
 
+def removed_and_moved_up(folder: Path) -> None:
+    shutil.rmtree(folder / "2")
+    (folder / "3").rename(folder / "2")
+
+
 CHAIN: dict[str, Callable[[Path], object]] = {
     "removed": lambda folder: shutil.rmtree(folder / "2"),
-    "removed and later ones moved up": lambda folder: (
-        shutil.rmtree(folder / "2"),
-        (folder / "3").rename(folder / "2"),
-    ),
+    "removed and later ones moved up": removed_and_moved_up,
     "changed with its digests": lambda folder: rewrite(folder / "2"),
     "exchanged": lambda folder: (
         (folder / "1").rename(folder / "0x"),

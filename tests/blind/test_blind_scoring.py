@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.container import ErrorbarContainer
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from tests.blind.__main__ import main
 from tests.blind.curve import curve
@@ -210,12 +214,15 @@ def test_the_curve_stands_where_the_bins_are(tmp_path: Path) -> None:
     figures = {"planrunner": {"calibration": {"ece": 0.05, "chance": 0.4, "bins": bins}}}
     over, below = curve(figures).axes
     (points,) = over.containers
-    assert points.lines[0].get_ydata().tolist() == [0.5, 1.0]
-    assert points.lines[0].get_xdata() == pytest.approx([0.35, 0.95], abs=0.01)
+    assert isinstance(points, ErrorbarContainer)
+    line, _, (intervals,) = points.lines
+    assert isinstance(line, Line2D) and isinstance(intervals, LineCollection)
+    assert line.get_ydata().tolist() == [0.5, 1.0]
+    assert line.get_xdata() == pytest.approx([0.35, 0.95], abs=0.01)
     # Wilson by hand: 2 of 4 gives 0.15 to 0.85, 40 of 40 gives 0.912 to 1.
-    ((low, high), (least, most)) = (segment[:, 1] for segment in points.lines[2][0].get_segments())
+    ((low, high), (least, most)) = (segment[:, 1] for segment in intervals.get_segments())
     assert (low, high, least, most) == pytest.approx((0.150, 0.850, 0.912, 1.0), abs=1e-3)
-    assert [bar.get_height() for bar in below.patches] == [4, 40]
+    assert [bar.get_height() for bar in below.patches if isinstance(bar, Rectangle)] == [4, 40]
     (tmp_path / "score.json").write_text(json.dumps({"answers": figures}), encoding="utf-8")
     for name in ("a.svg", "b.svg"):
         assert main(["curve", str(tmp_path / "score.json"), str(tmp_path / name)]) == 0

@@ -17,10 +17,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 import simulated_noise
 from exact_allan_coverage import POWER, exact_coverage, true_variance
 
-from planrunner.estimators.allan.allan_deviation import LEAST_FREEDOM
 from planrunner.estimators.allan.confidence import degrees_of_freedom, interval
 from planrunner.estimators.allan.fit import TERMS, fit_noise
 from planrunner.estimators.allan.phase import Phase
+from planrunner.estimators.allan.planning import LEAST_FREEDOM
 from planrunner.estimators.allan.table import deviations
 from planrunner.estimators.root_of_square import root_of
 

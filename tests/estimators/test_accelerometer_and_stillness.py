@@ -174,7 +174,7 @@ def test_still_detection_refusals() -> None:
     parameters = AccelerometerMultiPositionParameters(reference="gravity_magnitude")
     request = EstimateRequest(
         "a", (recorded,), parameters, SITE, sensor(*CHANNELS), detection=detection(threshold="1e-9 m/s^2")
-    )  # type: ignore[arg-type]
+    )
     with pytest.raises(EstimationError, match="no still span was found"):
         AccelerometerMultiPosition().estimate(request)
     by_orientation = AccelerometerMultiPositionParameters()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from planrunner.design.identifiability import identify
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rock, Segment
 from planrunner.uncertainty.decision import expanded_uncertainty
 
@@ -22,15 +24,15 @@ BOTH = {"gyros": imu.GYROS, "accelerometers": imu.ACCELS}
 SIX = ("east north up", "east south down", "up east north", "down east south", "north up east", "south down east")
 
 
-def calibrate(recorded: object, setup: Setup | None = None, site: object = imu.SITE, **keys: object) -> Estimate:
-    parameters = ImuMultiPositionParameters(**(keys or BOTH))  # type: ignore[arg-type]
+def calibrate(recorded: Any, setup: Setup | None = None, site: Site = imu.SITE, **keys: Any) -> Estimate:
+    parameters = ImuMultiPositionParameters(**(keys or BOTH))
     request = EstimateRequest(
         "imu",
         recorded,
         parameters,
         site,
         sensor(*imu.GYROS, *imu.ACCELS),
-        setup=setup or Setup(),  # type: ignore[arg-type]
+        setup=setup or Setup(),
     )
     return ImuMultiPosition().estimate(request)
 
@@ -39,7 +41,7 @@ def designed(segments: list[Segment], **keys: object) -> Design:
     noisy = NoiseModel(white=1e-5)
     outputs = [OutputModel(name, "rad/s", noise=noisy) for name in imu.GYROS]
     outputs += [OutputModel(name, "m/s^2", noise=noisy) for name in imu.ACCELS]
-    parameters = ImuMultiPositionParameters(**(keys or BOTH))  # type: ignore[arg-type]
+    parameters = ImuMultiPositionParameters(**(keys or BOTH))
     return ImuMultiPosition().design(
         DesignRequest("imu", tuple(segments), parameters, imu.SITE, SensorModel("imu", tuple(outputs), 100.0))
     )
@@ -69,7 +71,7 @@ def test_six_positions_by_hand() -> None:
     assert found["accel_scale_z"].value == pytest.approx(9.8 / imu.GRAVITY, rel=1e-9)
     assert found["accel_bias_x"].degrees_of_freedom == 2
     # Inverse of the matrix: true = (S·M)⁻¹·(measured − b), of the first position's x.
-    inverse = np.array(found.extra["accel"]["inverse"])  # type: ignore[index]
+    inverse = np.array(found.extra["accel"]["inverse"])
     assert inverse @ np.array([9.8, 0, 0]) * 9.80665 == pytest.approx([imu.GRAVITY, 0, 0], rel=1e-9, abs=1e-9)
 
 

@@ -31,14 +31,14 @@ report: [summary.md]
 """
 
 
-def run(plan: Path, folder: Path, *more: str) -> dict:  # type: ignore[type-arg]
+def run(plan: Path, folder: Path, *more: str) -> dict:
     done = planrunner("run", str(plan), "--quiet", *more, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     (results,) = folder.glob("runs/*/analyses/1/results.json")
     return json.loads(results.read_text(encoding="utf-8"))
 
 
-def coefficients(results: dict, name: str) -> dict[str, dict]:  # type: ignore[type-arg]
+def coefficients(results: dict, name: str) -> dict[str, dict]:
     estimates = results["estimates"]
     one = estimates[name] if isinstance(estimates, dict) else next(item for item in estimates if item["name"] == name)
     return {item["name"]: item for item in one["coefficients"]}

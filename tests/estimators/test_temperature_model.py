@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from recorded import from_means, from_samples, real, segment, sensor
 
 from planrunner.checking import check_plan
@@ -41,7 +42,7 @@ NOTHING = Setup()
 CHAMBER = Setup(inputs=Inputs({"temperature": InputQuantity("temperature", 0.0, "K", 0.2)}))
 
 
-def given(temperature: object, value: object, u: object = 0.0, name: str = "K", unit: str = "1") -> Estimate:
+def given(temperature: ArrayLike, value: ArrayLike, u: ArrayLike = 0.0, name: str = "K", unit: str = "1") -> Estimate:
     """An estimate that gives one coefficient by temperature."""
     t, y = np.atleast_1d(temperature).astype(float), np.atleast_1d(value).astype(float)
     data = {"temperature_degC": t.tolist(), "value": y.tolist(), "unit": unit}
@@ -55,7 +56,7 @@ def given(temperature: object, value: object, u: object = 0.0, name: str = "K", 
     )
 
 
-def model(*uses: Estimate, recorded: tuple = (), setup: Setup = NOTHING, **keys: object) -> Estimate:  # type: ignore[type-arg]
+def model(*uses: Estimate, recorded: tuple = (), setup: Setup = NOTHING, **keys: object) -> Estimate:
     parameters = TemperatureModelParameters(**keys)  # type: ignore[arg-type]
     named = {f"cal{n}": one for n, one in enumerate(uses)}
     request = EstimateRequest("curve", recorded, parameters, SITE, sensor("gyro"), named, setup=setup)
@@ -351,7 +352,7 @@ def test_a_warmer_chamber_moves_the_knots_of_a_spline_along_it() -> None:
     """By its slope, which scipy's natural spline through the same knots has too."""
     celsius = np.linspace(-40, 80, 13)
     found = model(given(celsius, np.sin(celsius / 30)), setup=CHAMBER, form="spline", order=3)
-    knots = found.extra["curves"]["K"]["knots_degC"]  # type: ignore[index]
+    knots = found.extra["curves"]["K"]["knots_degC"]
     spline = pytest.importorskip("scipy.interpolate").CubicSpline(
         knots, [item.value for item in found.coefficients], bc_type="natural"
     )

@@ -30,6 +30,7 @@ from standing_unit import recorded, request, samples
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by_magnitude
+from planrunner.estimators.accelerometer import gravity_magnitude
 from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPosition,
     AccelerometerMultiPositionParameters,
@@ -101,7 +102,7 @@ def said_of_triads() -> Iterator[Estimate | str]:
         yield AccelerometerMultiPosition().estimate(
             EstimateRequest("a", tuple(known), parameters, accelerometers.SITE, model)
         )
-    yield from map(accelerometer_by_magnitude._describe, accelerometer_by_magnitude.NAMES)
+    yield from map(accelerometer_by_magnitude._describe, gravity_magnitude.NAMES)
 
 
 def said_of_noise() -> Iterator[Estimate | str]:

@@ -174,7 +174,6 @@ def test_make_safe_is_asked_again_when_interrupted(tmp_path: Path) -> None:
 def test_bench_without_table_and_chamber(tmp_path: Path) -> None:
     """A recording being played back: nothing to move, dwell as long as it lasts."""
     bench = make_bench()
-    bench.table_moves = bench.table
     bench.table = bench.chamber = None
     bench.instruments = {"sensor": bench.sensor}
     schedule = Schedule((segment(0, "all", attitude=None, dwell=None, settle=0.0, transition=0.0),), 0.0)
@@ -185,8 +184,18 @@ def test_bench_without_table_and_chamber(tmp_path: Path) -> None:
 
 def test_a_motion_that_the_table_cannot_do_is_refused(tmp_path: Path) -> None:
     class Positioner:
-        identify, make_safe, close = (lambda self: {}), (lambda self: None), (lambda self: None)
-        orient, holding = (lambda self, attitude: 0.0), (lambda self: True)
+        def identify(self) -> dict[str, str]:
+            return {}
+
+        def make_safe(self) -> None: ...
+
+        def close(self) -> None: ...
+
+        def orient(self, attitude: object) -> float:
+            return 0.0
+
+        def holding(self) -> bool:
+            return True
 
     bench = make_bench()
     bench.table = bench.instruments["table"] = Positioner()

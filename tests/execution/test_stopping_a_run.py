@@ -42,7 +42,12 @@ def test_first_interrupt_ends_after_the_segment(tmp_path: Path) -> None:
 @pytest.mark.parametrize("signals", [("SIGINT", "SIGINT"), ("SIGTERM",)])
 def test_second_interrupt_or_termination_ends_at_once(tmp_path: Path, signals: tuple[str, ...]) -> None:
     bench = make_bench(block=10)
-    stop_on(bench, "sensor.stream P2", lambda: [signal.raise_signal(getattr(signal, name)) for name in signals])
+
+    def press() -> None:
+        for name in signals:
+            signal.raise_signal(getattr(signal, name))
+
+    stop_on(bench, "sensor.stream P2", press)
     with StopRequest() as stop:
         outcome, reader = carry_out(tmp_path, bench, mixed_schedule(), stop=stop)
     assert (outcome.completed, outcome.stopped) == (1, "at once")

@@ -148,7 +148,7 @@ def test_control_is_taken_before_the_first_command_and_no_sooner(
 ) -> None:
     """A run that fails before answers for the instruments that it has commanded by then, and for no others."""
     bench = make_watched_bench()
-    monkeypatch.setattr(bench.chamber, "identify", lambda: {}[0])
+    monkeypatch.setattr(bench.chamber, "identify", lambda: dict[int, str]()[0])
     outcome, reader = carry_out(tmp_path / "asked", bench, plan(None))
     assert outcome.untouched == ("table", "chamber", "sensor") and bench.controlled == set()
     assert events(reader, "safe")[0]["untouched"] == ["table", "chamber", "sensor"]
@@ -221,7 +221,7 @@ def test_a_run_ends_when_its_watchdog_is_gone(tmp_path: Path) -> None:
         if bench.clock.now() > 8:
             raise InstrumentError("the watchdog process has ended")
 
-    bench.sign_of_life = gone
+    bench.sign_of_life = gone  # type: ignore[method-assign]
     outcome, _ = carry_out(tmp_path, bench, plan(None))
     assert outcome.failures[0].message == "the watchdog process has ended"
     assert bench.calls[-3:] == ["table.safe", "chamber.safe", "sensor.safe"]

@@ -40,6 +40,11 @@ def break_with(folder: Path) -> None:
         planrunner.archive.journal,
         planrunner.archive.run_folder,
     )
-    storage.FileIO = Disk  # type: ignore[misc]
-    journal.datetime = run_folder.datetime = Clock  # type: ignore[misc]
+    for module, name, broken in (
+        (storage, "FileIO", Disk),
+        (journal, "datetime", Clock),
+        (run_folder, "datetime", Clock),
+    ):
+        assert hasattr(module, name)
+        setattr(module, name, broken)
     time.time = lambda: true_time() + ahead()

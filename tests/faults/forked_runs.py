@@ -117,8 +117,7 @@ def _made_ready(folder: Path) -> None:
     """Import and compile what a run needs the first time."""
     from planrunner.bench.model import driver_of, read_bench
     from planrunner.instruments.wire import links
-    from planrunner.instruments.wire.framing import Framer
-    from planrunner.instruments.wire.serial_stream import Piece
+    from planrunner.instruments.wire.framing import Framer, Piece
 
     for module in IMPORTED:
         import_module(module)

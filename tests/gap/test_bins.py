@@ -12,8 +12,8 @@ import pytest
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.gap import bins
-from planrunner.gap.candidates import Weighing, nominal_columns
-from planrunner.gap.diagnosis import FULL, Diagnosis, diagnose
+from planrunner.gap.candidates import FULL, Weighing, nominal_columns
+from planrunner.gap.diagnosis import Diagnosis, diagnose
 from planrunner.gap.observed import Observed, observed
 from planrunner.gap.poses import poses
 from planrunner.gap.weighing import lasting

@@ -15,7 +15,7 @@ from planrunner.gap.diagnosis import Options, diagnose
 from planrunner.gap.observed import ObservationError, Observed
 from planrunner.gap.posterior import PRIORS
 from planrunner.gap.where import levels
-from tests.gap.turntable import DEG, GYRO_WHITE, G, kept, record
+from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, kept, record
 
 Array = np.ndarray
 
@@ -79,8 +79,10 @@ def test_one_effect_is_named_measured_and_closed() -> None:
 
 
 def test_two_effects_are_named_together() -> None:
-    def both(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-        return _unbalance(observed, omega, force, draw)[0], _tilt(observed, omega, force, draw)[1]  # type: ignore[return-value]
+    def both(
+        observed: Observed, omega: Array, force: Array, draw: np.random.Generator
+    ) -> tuple[Array | float, Array | float]:
+        return _unbalance(observed, omega, force, draw)[0], _tilt(observed, omega, force, draw)[1]
 
     found = diagnose(record(seed=13, fault=both))
     assert found.verdict.kind == "pair"
@@ -92,8 +94,8 @@ def test_two_effects_are_named_together() -> None:
 
 
 @pytest.mark.parametrize(("fault", "kind"), [(_tone, "a tone"), (_offsets, "offset per segment")])
-def test_what_is_not_in_the_catalogue_is_said_to_be(fault: object, kind: str) -> None:
-    found = diagnose(record(seed=14, fault=fault))  # type: ignore[arg-type]
+def test_what_is_not_in_the_catalogue_is_said_to_be(fault: Fault, kind: str) -> None:
+    found = diagnose(record(seed=14, fault=fault))
     assert found.verdict.kind == "unknown"
     assert max(found.posterior.kinds, key=lambda name: found.posterior.kinds[name]) == kind
 

@@ -19,7 +19,7 @@ G = 9.80154
 RATE = 20.0  # Hz
 SITE = Site(39.98 * DEG, G)
 GYRO_WHITE, ACCEL_WHITE = 0.0014 * DEG, 3.5e-4  # SI·√s
-Fault = Callable[[Observed, Array, Array, np.random.Generator], tuple[Array, Array]]
+Fault = Callable[[Observed, Array, Array, np.random.Generator], tuple[Array | float, Array | float]]
 
 
 def _frames() -> list[Array]:

@@ -17,8 +17,9 @@ from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
 from planrunner.instruments import recording_file
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
-from planrunner.instruments.recording import RecordingParameters, RecordingPlayer
+from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording, at_hand
+from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
@@ -82,8 +83,7 @@ FORMATS = pytest.mark.parametrize("name", ["r.parquet", "r.csv"])
 def test_the_whole_recording_is_served_with_signs_and_time_from_its_first_row(tmp_path, name):
     write(tmp_path, name, t=500 + np.arange(100) / RATE)
     instrument = player(tmp_path, file=name)
-    assert isinstance(instrument, StreamsSamples)
-    assert isinstance(instrument, Resumable)
+    assert all(isinstance(instrument, able) for able in (StreamsSamples, Resumable))
     assert dict(instrument.channels()) == {"x": "deg/s", "y": "g"}
     time, data = play(instrument)
     assert time == pytest.approx(np.arange(100) / RATE)
@@ -336,9 +336,12 @@ def test_row_groups_outside_the_stretch_are_not_read(tmp_path, monkeypatch):
     instrument = player(tmp_path, segments="{table: s.csv}")
     rows = []
     original = instrument.file._check_time
-    monkeypatch.setattr(
-        type(instrument.file), "_check_time", lambda self, t, f, b: rows.append((f, t.size)) or original(t, f, b)
-    )
+
+    def counted(self, t, f, b):
+        rows.append((f, t.size))
+        return original(t, f, b)
+
+    monkeypatch.setattr(type(instrument.file), "_check_time", counted)
     time, data = play(instrument)
     assert rows == [(4001, 1000)]
     assert data["x"][[0, -1]].tolist() == [4500.0, 4599.0]

@@ -196,7 +196,8 @@ def carry_out(table, gyro, clock, first, last):
 @pytest.mark.parametrize("broken_after", [1, 2, 3])
 def test_a_resumed_run_is_identical_bit_for_bit(broken_after):
     errors = ", position_error: 2 arcsec, rate_error: 5 ppm"
-    whole, checkpoints = carry_out(*bench(table=errors, **NOISY), 0, len(STEPS))
+    table, gyro, clock = bench(table=errors, **NOISY)
+    whole, checkpoints = carry_out(table, gyro, clock, 0, len(STEPS))
     table, gyro, clock = bench(table=errors, **NOISY)
     now, of_table, of_gyro = json.loads(checkpoints[broken_after - 1])
     clock.set(now)

@@ -97,7 +97,7 @@ def element_of(channels):
 
 def test_it_can_do_what_a_platform_must():
     _, platform, _ = bench()
-    assert isinstance(platform, StreamsSamples) and isinstance(platform, Resumable) and isinstance(platform, HasModes)
+    assert all(isinstance(platform, able) for able in (StreamsSamples, Resumable, HasModes))
     model = VirtualPlatform.model(platform.parameters)
     assert model.kind == "stabilised-platform"
     assert model.modes == ("caged", "navigation")

@@ -161,10 +161,10 @@ def test_a_day_against_the_matrix_exponential(gyro: tuple[float, ...], accelerom
     for _ in time:
         state = step @ state
         wanted.append([state[1] * EAST * np.cos(LATITUDE), state[0] * NORTH, state[3], state[2]])
-    wanted = np.array(wanted).T
-    scale = np.hypot(*wanted[:2]).max()
-    assert np.abs(found[:2] - wanted[:2]).max() < 5e-3 * scale
-    assert np.abs(found[2:] - wanted[2:]).max() < 5e-3 * np.abs(wanted[2:]).max()
+    expected = np.array(wanted).T
+    scale = np.hypot(*expected[:2]).max()
+    assert np.abs(found[:2] - expected[:2]).max() < 5e-3 * scale
+    assert np.abs(found[2:] - expected[2:]).max() < 5e-3 * np.abs(expected[2:]).max()
 
 
 def test_our_error_equations_are_those_written_apart() -> None:

@@ -7,13 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from reporting_example import context
 
 from planrunner.reporting import sandbox, templates
 from planrunner.reporting.sandbox import lay_out
 from planrunner.reporting.template_data import Told, from_json, to_json
 from planrunner.reporting.templates import ReportError, available, render
 from planrunner.reporting.view import Picture, report_view
-from tests.reporting.reporting_example import context
 
 ESCAPES = (
     "{{ ''.__class__.__mro__ }}",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from scripted import Player, parameters, surroundings
 
@@ -11,7 +13,7 @@ from planrunner.instruments.chambers.watlow_f4t import WatlowF4t
 from planrunner.plan.units import ZERO_CELSIUS
 
 RANGE = ("lowest: -40 degC", "highest: 85 degC", "ramp: 3 K/min", "tolerance: 0.5 K")
-DRIVERS = {"watlow_f4t": WatlowF4t, "espec_p300": EspecP300, "thermotron_8800": Thermotron8800}
+DRIVERS: dict[str, Any] = {"watlow_f4t": WatlowF4t, "espec_p300": EspecP300, "thermotron_8800": Thermotron8800}
 
 
 @pytest.mark.parametrize("name", DRIVERS)

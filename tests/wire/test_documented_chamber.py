@@ -64,11 +64,7 @@ def connected(votsch: Any) -> Iterator[tuple[Chamber, Any]]:
 
 def test_it_reaches_temperatures_and_is_left_at_ambient(votsch: Any) -> None:
     with connected(votsch) as (chamber, driver):
-        assert isinstance(driver, Instrument)
-        assert isinstance(driver, HoldsTemperature)
-        assert isinstance(driver, Readable)
-        assert isinstance(driver, Watched)
-        assert isinstance(driver, SelfLimiting)
+        assert all(isinstance(driver, able) for able in (Instrument, HoldsTemperature, Readable, Watched, SelfLimiting))
         assert not driver.at_temperature()
         driver.set_temperature(-40 + ZERO_CELSIUS)
         assert "$01E -040.0 0050.0 0100" in chamber.heard  # the other channel keeps its set point

@@ -7,6 +7,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable
+from typing import Self
 
 
 class SendingUnit:
@@ -24,7 +25,7 @@ class SendingUnit:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._send, daemon=True)
 
-    def __enter__(self) -> SendingUnit:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 

@@ -172,7 +172,7 @@ def test_frames_of_xsens_whose_packets_differ_keep_their_order() -> None:
 
 def test_binary_messages_of_vectornav() -> None:
     draw = np.random.default_rng(11)
-    columns = {
+    columns: dict[str, np.ndarray] = {
         "time_startup": np.arange(COUNT) * 2_500_000 + 10**12,
         "imu": draw.uniform(-9, 9, (COUNT, 6)).astype(np.float32),
     }
