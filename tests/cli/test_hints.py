@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.bench.model import models, read_bench
-from planrunner.checking import benches_for, check_plan
+from planrunner.bench.model import benches_for, models, read_bench
+from planrunner.checking import check_plan
 from planrunner.cli import main
 from planrunner.designing_rates import RateOptions, design_rates, has_rates_alone
 from planrunner.estimators.interface import EstimationError
