@@ -130,7 +130,8 @@ def _results(estimate: Estimate, before: Estimate | None, probability: float) ->
         same = earlier is not None and earlier.unit == item.unit
         older = (
             format_pair(
-                earlier.value, coverage_factor(earlier.degrees_of_freedom, probability) * earlier.standard_uncertainty
+                earlier.near(item.value),
+                coverage_factor(earlier.degrees_of_freedom, probability) * earlier.standard_uncertainty,
             )
             if earlier is not None and same
             else ("", "")

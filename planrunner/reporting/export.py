@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 
-from planrunner.estimators.interface import Estimate
+from planrunner.estimators.interface import Coefficient, Estimate
 
 M_WORDS = frozenset(
     (
@@ -83,15 +83,18 @@ def _opening(estimate: Estimate, provenance: Mapping[str, str]) -> list[str]:
 
 
 def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """name, value, unit, standard_uncertainty, degrees_of_freedom, description; comment lines begin with #."""
+    """name, value, unit, standard_uncertainty, degrees_of_freedom, description, period; comment lines begin with #. period: in the unit,
+    of a circular quantity; empty for all others."""
     out = io.StringIO()
     for line in _opening(estimate, provenance):
         out.write(f"# {line}\n")
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(("name", "value", "unit", "standard_uncertainty", "degrees_of_freedom", "description"))
+    writer.writerow(("name", "value", "unit", "standard_uncertainty", "degrees_of_freedom", "description", "period"))
     for item in estimate.coefficients:
         numbers = (repr(float(item.value)), _cell(item.unit), repr(float(item.standard_uncertainty)))
-        writer.writerow((_cell(item.name), *numbers, repr(float(item.degrees_of_freedom)), _cell(item.description)))
+        words = (repr(float(item.degrees_of_freedom)), _cell(item.description))
+        period = repr(float(item.period)) if math.isfinite(item.period) else ""
+        writer.writerow((_cell(item.name), *numbers, *words, period))
     return out.getvalue()
 
 
@@ -102,7 +105,8 @@ def _cell(text: str) -> str:
 
 
 def _matlab(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A script that sets a struct: value, unit, u and nu of every coefficient, names, and the covariance matrix."""
+    """A script that sets a struct: value, unit, u and nu of every coefficient, the period of a circular one, names, and the covariance
+    matrix."""
     root = identifiers([estimate.name], M_WORDS)[0]
     fields = identifiers([item.name for item in estimate.coefficients], M_WORDS)
     lines = [f"% {line}" for line in _opening(estimate, provenance)]
@@ -113,6 +117,8 @@ def _matlab(estimate: Estimate, provenance: Mapping[str, str]) -> str:
             f"{root}.{name}.degrees_of_freedom = {_m(item.degrees_of_freedom)};",
             f"{root}.{name}.unit = {_m_text(item.unit)};",
         ]
+        if math.isfinite(item.period):
+            lines.append(f"{root}.{name}.period = {_m(item.period)};  % {comment(item.unit)}")
     names = ", ".join(_m_text(item.name) for item in estimate.coefficients)
     lines.append(f"{root}_names = {{{names}}};")
     rows = "; ...\n  ".join(" ".join(_m(value) for value in row) for row in estimate.covariance.tolist())
@@ -149,6 +155,7 @@ def _yaml(estimate: Estimate, provenance: Mapping[str, str]) -> str:
                 "degrees_of_freedom": _Exact(item.degrees_of_freedom),
                 "description": item.description,
             }
+            | ({"period": _Exact(item.period)} if math.isfinite(item.period) else {})
             for item in estimate.coefficients
         },
         "covariance": [[_Exact(value) for value in row] for row in estimate.covariance.tolist()],
@@ -185,23 +192,29 @@ def yaml_float(value: float) -> str:
 
 
 def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A header of constants, which C and C++ take: value and standard uncertainty of every coefficient."""
+    """A header of constants, which C and C++ take: value and standard uncertainty of every coefficient, the period of a circular one."""
     root = identifiers([estimate.name])[0].upper()
-    suffix = "_STANDARD_UNCERTAINTY"
-    both = identifiers(text for item in estimate.coefficients for text in (item.name, item.name + suffix))
-    fields = [name.upper() for name in both]
+    constants = [constant for item in estimate.coefficients for constant in _constants(item)]
+    names = identifiers(name for name, _, _ in constants)
     guard = f"PLANRUNNER_{root}_H"
     lines = [f"/* {line} */" for line in _opening(estimate, provenance)]
     lines += [f"#ifndef {guard}", f"#define {guard}", ""]
-    for place, item in enumerate(estimate.coefficients):
-        for name, value, about in (
-            (fields[2 * place], item.value, ""),
-            (fields[2 * place + 1], item.standard_uncertainty, "standard uncertainty, "),
-        ):
-            if not math.isfinite(value):
-                raise ExportError(f"{item.name} is not a finite number, which a C header cannot hold")
-            lines.append(f"#define {root}_{name} ({float(value)!r}) /* {about}{comment(item.unit)} */")
+    for name, (_, value, about) in zip(names, constants, strict=True):
+        lines.append(f"#define {root}_{name.upper()} ({value!r}) /* {comment(about)} */")
     return "\n".join([*lines, "", "#endif", ""])
+
+
+def _constants(item: Coefficient) -> list[tuple[str, float, str]]:
+    """Name, value and comment of what a header holds of a coefficient. Raises `ExportError` for what is not finite."""
+    if not (math.isfinite(item.value) and math.isfinite(item.standard_uncertainty)):
+        raise ExportError(f"{item.name} is not a finite number, which a C header cannot hold")
+    found = [
+        (item.name, float(item.value), item.unit),
+        (f"{item.name}_STANDARD_UNCERTAINTY", float(item.standard_uncertainty), f"standard uncertainty, {item.unit}"),
+    ]
+    if math.isfinite(item.period):
+        found.append((f"{item.name}_PERIOD", float(item.period), f"period, {item.unit}"))
+    return found
 
 
 FORMS: dict[str, Callable[[Estimate, Mapping[str, str]], str]] = {

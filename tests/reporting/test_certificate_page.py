@@ -6,11 +6,13 @@ import re
 from dataclasses import replace
 
 import certificate_example as example
+import numpy as np
 import pytest
 import reporting_example
 from test_report_page import NAMESPACES, read
 
 from planrunner.certificates import ASKED
+from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.reporting.certificate import CertificateFacts, certificate_view, css_string
 from planrunner.reporting.report import render_report
 
@@ -83,6 +85,17 @@ def test_results_before_and_after_stand_side_by_side_with_the_same_unit() -> Non
     single = certificate_view(example.context(before={}))
     assert not single["has_before"]
     assert "Before adjustment" not in words(render_report(example.context(before={}, told={}), "certificate.html"))
+
+
+def test_a_heading_before_stands_within_half_a_turn_of_the_one_after() -> None:
+    """359.95 deg before and 0.10 deg after differ by 0.15 deg, as the eye reads them side by side."""
+    made = [
+        Estimate("drift", "test", (Coefficient("heading", value, "deg", 0.005, period=360.0),), np.eye(1))
+        for value in (0.10, 359.95)
+    ]
+    shown = certificate_view(replace(example.context(before={"drift": made[1]}), estimates=(made[0],)))
+    (row,) = shown["results"][0]["rows"]
+    assert (float(row["value"]), float(row["before"].replace("−", "-"))) == (0.1, -0.05)
 
 
 def test_conformity_names_rule_guard_band_and_risk() -> None:

@@ -150,3 +150,15 @@ def test_provenance_stands_in_the_opening_comment() -> None:
         opening = export(example.estimate(), form, PROVENANCE).splitlines()[:3]
         assert all(line.startswith(mark) for line in opening)
         assert "sha256:00ff" in opening[2]
+
+
+def test_the_period_of_a_circular_quantity_is_written_and_of_no_other() -> None:
+    items = (Coefficient("heading", 359.9, "deg", 0.1, period=360.0), Coefficient("bias", 2.0, "deg/h", 0.5))
+    estimate = Estimate("free", "strapdown_navigation", items, np.eye(2))
+    assert [row["period"] for row in read_csv(export(estimate, "csv"))] == ["360.0", ""]
+    found = yaml.safe_load(export(estimate, "yaml"))["coefficients"]
+    assert found["heading"]["period"] == 360.0
+    assert "period" not in found["bias"]
+    matlab, header = export(estimate, "matlab"), export(estimate, "c")
+    assert re.findall(r"^free\.(\w+)\.period = (\S+);", matlab, re.M) == [("heading", "360.0")]
+    assert re.findall(r"^#define (\w+_PERIOD) \((\S+)\)", header, re.M) == [("FREE_heading_PERIOD".upper(), "360.0")]
