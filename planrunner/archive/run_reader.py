@@ -21,6 +21,7 @@ from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.findings import Finding
 from planrunner.plan.schedule import Schedule
+from planrunner.plan.selection import spelt_alike
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,8 @@ class RunReader:
         """
         segments = []
         for item in self.acknowledged():
-            if item.index >= len(schedule.segments) or schedule.segments[item.index].label != item.label:
+            known = item.index < len(schedule.segments)
+            if not (known and spelt_alike(item.label, schedule.segments[item.index].label)):
                 message = f"segment {item.index + 1} was recorded as '{item.label}', which the plan does not have there"
                 raise IntegrityError(f"{self.path}: {message}; was planrunner updated since?")
             first = SegmentData(self.folder, item.parts[0]) if item.parts else None

@@ -63,6 +63,11 @@ def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
     return [index for index, label in enumerate(labels) if any(matches(label, pattern) for pattern in patterns)]
 
 
+def spelt_alike(recorded: str, planned: str) -> bool:
+    """Whether a recorded label is the planned one, or was made of the same value when sweeps put other signs into their labels."""
+    return recorded == planned or recorded.replace("+", "") == planned.replace("+", "")
+
+
 def closest_label(label: str, known: Iterable[str]) -> str:
     """A hint naming the known label, or the pattern, that a label or pattern was most likely meant for.
 

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,17 @@ def test_reading_it(run: Path) -> None:
     assert np.isnan(second.readings["chamber.door"])
     assert reader.check_digests() == 5
     assert reader.plan_bytes == b"plan\r\n"
+
+
+@pytest.mark.parametrize(("planned", "reads"), [("+P1", True), ("P+1", True), ("-P1", False), ("P11", False)])
+def test_labels_that_older_sweeps_spelt_with_other_signs(run: Path, planned: str, reads: bool) -> None:
+    """A run of a version that wrote `R10` for `R+10`, or `+20degC` for `20degC`, is read as before."""
+    schedule = Schedule((replace(segment(0), label=planned), segment(1)), 2.0)
+    if reads:
+        assert [item.label for item in RunReader.open(run).recording(schedule)] == [planned, "P2"]
+    else:
+        with pytest.raises(IntegrityError, match="which the plan does not have there"):
+            RunReader.open(run).recording(schedule)
 
 
 def test_shipped_schemas_are_schemas() -> None:

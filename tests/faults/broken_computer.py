@@ -13,7 +13,7 @@ from typing import Any
 
 import planrunner.archive.journal
 import planrunner.archive.run_folder
-import planrunner.archive.storage
+import planrunner.guarded_folder
 
 
 def break_with(folder: Path) -> None:
@@ -35,13 +35,13 @@ def break_with(folder: Path) -> None:
         def now(cls, tz: tzinfo | None = None) -> Any:
             return datetime.now(tz) + timedelta(seconds=ahead())
 
-    storage, journal, run_folder = (
-        planrunner.archive.storage,
+    folders, journal, run_folder = (
+        planrunner.guarded_folder,
         planrunner.archive.journal,
         planrunner.archive.run_folder,
     )
     for module, name, broken in (
-        (storage, "FileIO", Disk),
+        (folders, "FileIO", Disk),
         (journal, "datetime", Clock),
         (run_folder, "datetime", Clock),
     ):
