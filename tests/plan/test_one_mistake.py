@@ -113,9 +113,9 @@ def missing_without(path: Path_, gone: Any, holder: Any, data: Any) -> int:
 
 
 def uses(data: Any) -> int:
-    """How many estimates there are and, in them, further names of segments."""
+    """How many estimates there are and, in them, further names of segments; one of a plan without estimates, for the segment itself."""
     named = [estimate.get("segments") for estimate in data.get("estimates", {}).values()]
-    return sum(max(len(names), 1) if isinstance(names, list) else 1 for names in named)
+    return max(1, sum(max(len(names), 1) if isinstance(names, list) else 1 for names in named))
 
 
 def entries(data: Any, path: Path_ = ()) -> Iterator[Path_]:
