@@ -149,6 +149,7 @@ def test_what_the_driver_asks_for_is_what_the_world_does(
 ) -> None:
     monkeypatch.setenv("PLANRUNNER_LOCKS", str(tmp_path / "locks"))
     with meeting(tmp_path, pair) as (bench, control):
+        bench.take_control()
         table, chamber = bench.table, bench.chamber
         table.limit(OwnLimits(rate=math.radians(300)))
         outer = next(iter(table.read()))
