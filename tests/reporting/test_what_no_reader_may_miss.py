@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,7 +12,7 @@ import certificate_example
 import pytest
 import reporting_example as example
 from diagnosis_example import diagnosis
-from test_page_width import BROWSER, OPTIONS
+from printed_sheets import printed_sheets
 
 from planrunner.bench.model import models, read_bench, shipped_benches
 from planrunner.cli import main
@@ -60,28 +58,9 @@ def test_the_summary_says_it_in_its_first_line_of_text() -> None:
     assert lines[2].startswith("**SIMULATED")
 
 
-@pytest.mark.skipif(BROWSER is None or shutil.which("pdftotext") is None, reason="no Chromium or no pdftotext here")
 @pytest.mark.parametrize("name", simulated_pages())
 def test_every_printed_sheet_carries_the_stamp(name: str, tmp_path: Path) -> None:
-    assert BROWSER is not None
-    page, pdf = tmp_path / "page.html", tmp_path / "printed.pdf"
-    page.write_text(simulated_pages()[name], encoding="utf-8")
-    options = [option for option in OPTIONS if option not in ("--dump-dom", "--hide-scrollbars")]
-    command = [
-        BROWSER,
-        *options,
-        f"--user-data-dir={tmp_path / 'profile'}",
-        "--no-pdf-header-footer",
-        f"--print-to-pdf={pdf}",
-    ]
-    try:
-        subprocess.run([*command, page.as_uri()], capture_output=True, timeout=90, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        pytest.skip(f"the browser does not start here: {type(error).__name__}")
-    if not pdf.is_file():
-        pytest.skip("the browser prints nothing here")
-    printed = subprocess.run(["pdftotext", "-layout", str(pdf), "-"], capture_output=True, text=True, check=True).stdout
-    sheets = printed.removesuffix("\f").split("\f")
+    sheets = printed_sheets(simulated_pages()[name], tmp_path)
     assert len(sheets) > 1
     word = "".join(STAMP.get(name, "SIMULATED").split())
     for place, text in enumerate(sheets, 1):
