@@ -7,10 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.bench.clock import VirtualClock
 from planrunner.bench.inputs import check_vertical, stated_inputs
 from planrunner.bench.model import models, parse_bench, site_of
+from planrunner.instruments.interfaces import Surroundings
+from planrunner.instruments.virtual.carrier import VirtualCarrier, VirtualCarrierParameters
 from planrunner.plan import source
 from planrunner.plan.findings import Findings
+from planrunner.plan.kinds import RecordOf
 
 ARCSEC = math.radians(1 / 3600)
 BENCH = """planrunner_bench: 1
@@ -70,3 +74,15 @@ def test_a_close_latitude_says_which_it_is(site: str, warned: bool) -> None:
     log, made = Findings(), bench(site)
     check_vertical(made, models(made), log)
     assert [finding.code for finding in log] == (["bench-vertical"] if warned else [])
+
+
+@pytest.mark.parametrize("speed", ["0 m/s", "5 m/s"])
+def test_a_simulated_carrier_starts_at_the_latitude_of_the_ellipsoid(speed: str) -> None:
+    """Navigation compares with it, and navigated positions are geodetic."""
+    site = site_of(bench(f"latitude: 45 deg, latitude_kind: astronomic, {DEVIATION}"))
+    surroundings = Surroundings(VirtualClock(), site)
+    log = Findings()
+    parameters = RecordOf(VirtualCarrierParameters).read(source.parse(f"speed: {speed}", "bench.yaml"), log)
+    assert parameters is not None, list(log)
+    carrier = VirtualCarrier.connect(parameters, surroundings)
+    assert carrier.read()["latitude_deg"] == pytest.approx(45 - 20 / 3600, abs=1e-9)

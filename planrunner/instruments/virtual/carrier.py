@@ -83,7 +83,7 @@ class VirtualCarrier:
             raise InstrumentError("a sinusoidal velocity needs no time to speed up: remove period or speed_up")
         if p.speed.value > FASTEST:
             raise InstrumentError(f"{p.speed} is no carrier's speed: {FASTEST:g} m/s at most")
-        site = world.site
+        site = world.site.on_ellipsoid
         if abs(site.latitude) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"
             raise InstrumentError(f"a carrier cannot start beyond {limit} of latitude, where north turns too fast")

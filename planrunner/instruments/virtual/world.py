@@ -105,9 +105,9 @@ class World:
     # -- position --------------------------------------------------------------------------------------------------
 
     def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
-        """Latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats where the bench stands."""
+        """Geodetic latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats where the bench stands."""
         if self.track is None:
-            return self.site.latitude, self.site.longitude, self.site.height, 0.0, 0.0
+            return self.site.on_ellipsoid.latitude, self.site.longitude, self.site.height, 0.0, 0.0
         place = self.track.place(times)
         return place.latitude, place.longitude, self.track.height, *self.track.velocity(place)
 
