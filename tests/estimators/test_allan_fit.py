@@ -125,7 +125,7 @@ def test_what_is_not_there_is_bounded_not_invented() -> None:
     found = estimate(values, 1.0)
     assert found["N_gyro"].value == pytest.approx(1.0, abs=4 * found["N_gyro"].standard_uncertainty)
     assert found["K_gyro"].value <= 3 * found["K_gyro"].standard_uncertainty
-    assert any("K_gyro is not told from zero" in note for note in found.notes)
+    assert any("K_gyro cannot be distinguished from zero" in note for note in found.notes)
 
 
 def test_a_disturbance_that_no_noise_explains_is_said() -> None:

@@ -263,7 +263,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         if fit.squares[k] < _SIGNIFICANT * math.sqrt(fit.covariance[k, k]) * widening:
             bound = (value + 2 * spread) * scale
             result.notes.append(
-                f"{found.name} is not told from zero by this record; it is below about {bound:.2g} {text}."
+                f"{found.name} cannot be distinguished from zero in this record; it is below about {bound:.2g} {text}."
             )
     index = [TERMS.index(term) for term in terms]
     inner = fit.covariance[np.ix_(index, index)]
