@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 from planrunner.bench.model import Bench
 from planrunner.bench.references import references
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Findings
 from planrunner.plan.model import Plan
 from planrunner.plan.schedule import Schedule

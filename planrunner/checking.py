@@ -9,7 +9,7 @@ checked.designs        what each estimate could learn, with predicted uncertaint
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import date
 from functools import cache
 from pathlib import Path
@@ -20,6 +20,7 @@ from planrunner.bench.inputs import check_backed, check_vertical, stated_inputs
 from planrunner.bench.model import Bench, BenchModels, bench_of, benches_for, models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.certificates import check_certificate
+from planrunner.dataclass import dataclass
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup

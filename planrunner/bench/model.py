@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from planrunner.bench.calibration import LINE, Calibration, check_dates
 from planrunner.bench.laboratory import Laboratory
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import Simulation
+from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import Counting, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, Origin, SensorModel, TableModel
 from planrunner.physics.earth import Site

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from planrunner.bench.cycle_checks import Place, check_cycle
 from planrunner.bench.model import BenchModels
+from planrunner.dataclass import dataclass
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import Array, Unreachable
 from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess

@@ -14,12 +14,12 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
 
 from planrunner import __version__
+from planrunner.dataclass import dataclass
 from planrunner.interruption import INTERRUPTED as INTERRUPTED
 from planrunner.interruption import Interruption
 from planrunner.plan.findings import COMMAND_LINE, InputError

@@ -10,9 +10,9 @@ shown as a code, and what its encoding lacks as an escape, before columns are co
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Mark
 from planrunner.reporting.printable import printable
 

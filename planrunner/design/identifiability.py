@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.interface import Design, DesignBlock
 

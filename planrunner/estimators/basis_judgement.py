@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from planrunner.archive.recording import BATCHES
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit

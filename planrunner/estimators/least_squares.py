@@ -8,11 +8,11 @@ them, never a minimum-norm guess.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Coefficient, Estimate, EstimationError
 from planrunner.plan.findings import closest
 from planrunner.plan.quantity import Quantity, parse_symmetric

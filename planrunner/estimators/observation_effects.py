@@ -7,11 +7,12 @@ covariance of the observations, by which they are weighted, and how whatever is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]

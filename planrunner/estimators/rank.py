@@ -7,10 +7,11 @@ differ by five orders of magnitude and would look ill-conditioned.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from typing import Any
 
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Coefficient, Estimate, Plot, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.instruments.models import Origin

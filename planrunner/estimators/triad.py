@@ -11,10 +11,11 @@ that frame and the one in which the matrix was found is what a fixture and a hou
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
 

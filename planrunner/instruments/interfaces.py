@@ -19,13 +19,14 @@ whatever happens, the executor then calls `make_safe` on every instrument that i
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan.findings import Finding

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
+from planrunner.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
 __all__ = ["ChamberModel", "NoiseModel", "Origin", "OutputModel", "SensorModel", "TableAxis", "TableModel"]

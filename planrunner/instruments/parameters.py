@@ -3,8 +3,7 @@ of temperature."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Schema
 from planrunner.plan.quantity import Quantity, read_quantity

@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.findings import InputError, closest
 from planrunner.plan.selection import closest_label

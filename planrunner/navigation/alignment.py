@@ -13,11 +13,11 @@ themselves add: gyro errors in proportion to the rate of turn, from scale factor
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import EAST_VELOCITY, INPUTS, SIZE, TILT, ErrorEquations
 

@@ -12,12 +12,12 @@ nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical Integrat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.schedule import Cycle
 
 Array = NDArray[np.float64]

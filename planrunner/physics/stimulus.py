@@ -7,11 +7,11 @@ planned attitude and motion, the Earth's rotation and gravity at the site.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import cross
 from planrunner.plan.schedule import Rest, Segment, Spin

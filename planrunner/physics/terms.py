@@ -8,11 +8,12 @@ own, so that simulator and estimators cannot be wrong together.) Every term stan
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.physics.earth import EARTH_RATE
 from planrunner.physics.stimulus import Stimulus, StimulusError
 from planrunner.plan.units import STANDARD_GRAVITY

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import Plan
 from planrunner.plan.segments import STATE_KEYS, SegmentSpec, State

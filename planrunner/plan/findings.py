@@ -13,9 +13,11 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from typing import Any, Literal
+
+from planrunner.dataclass import dataclass
 
 Severity = Literal["error", "warning", "note"]
 

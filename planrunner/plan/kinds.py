@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Protocol, dataclass_transform
 
+from planrunner.dataclass import dataclass
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan.values import (

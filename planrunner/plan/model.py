@@ -6,10 +6,11 @@ These records are the one source of the reader, the JSON Schema in `schemas/` an
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from planrunner import plugins
+from planrunner.dataclass import dataclass
 from planrunner.plan import source
 from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.findings import Findings, Mark

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Findings, closest
 from planrunner.plan.quantity import PLAIN, QuantityError, anchored, parse_quantity
 from planrunner.plan.source import Mapping, Node, Scalar, Sequence

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.source import Mapping, Node, Scalar
 from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, dimension_name, suggestion, unit

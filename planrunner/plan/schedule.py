@@ -7,11 +7,12 @@ design look at it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Mark
 
 Array = NDArray[np.float64]

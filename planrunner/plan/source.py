@@ -7,13 +7,14 @@ events without recursion, within limits on size, depth, nodes and aliases, so th
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark
 from planrunner.regular_files import RefusedFileError, read_regular
 

@@ -20,9 +20,10 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
+from planrunner.dataclass import dataclass
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.kinds import ByShape, QuantityOf, Record, Schema, WordOr, keys_of

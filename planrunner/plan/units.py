@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+from planrunner.dataclass import dataclass
 from planrunner.plan.findings import nearest
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901

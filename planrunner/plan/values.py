@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
+from planrunner.dataclass import dataclass
 from planrunner.plan import source
 from planrunner.plan.findings import Findings, closest
 from planrunner.plan.quantity import Quantity, anchored, read_quantity

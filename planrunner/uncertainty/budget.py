@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Budget, BudgetLine, Influence, InputQuantity
 

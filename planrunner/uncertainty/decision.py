@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
+
+from planrunner.dataclass import dataclass
 
 CONFIDENCE = 0.95
 

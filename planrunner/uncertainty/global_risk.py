@@ -7,10 +7,11 @@ item's true value as Student's t (normal for infinitely many degrees of freedom)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
 

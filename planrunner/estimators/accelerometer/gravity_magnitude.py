@@ -11,11 +11,10 @@ b = 0, s = 1, γ = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.allan.confidence import degrees_of_freedom
 from planrunner.estimators.allan.table import octave_factors
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark

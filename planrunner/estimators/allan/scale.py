@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.allan.units import named_units
 from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
 from planrunner.plan import source

@@ -9,11 +9,11 @@ table where a verification position is one of the calibration's.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]

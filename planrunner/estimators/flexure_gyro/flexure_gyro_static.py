@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.fit_positions import fit_positions

@@ -8,11 +8,11 @@ S is diagonal (scale factors), the rows of M have length one (misalignments), b 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.triad import own_frame, scale_and_misalignments, turned_gradient
 from planrunner.physics.terms import ErrorModel

@@ -7,11 +7,11 @@ straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.modulation import schuler_rate
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.instruments.models import TableModel

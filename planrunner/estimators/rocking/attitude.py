@@ -7,10 +7,11 @@ about its own axis k, so that R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0],
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])

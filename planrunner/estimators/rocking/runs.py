@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.rocking.attitude import LevelState, level_state
 from planrunner.plan.schedule import Cycle, Rest, Rock, Segment, Spin

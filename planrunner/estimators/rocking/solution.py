@@ -5,12 +5,13 @@ Drift is that of the element against inertial space: the tilt that an inertially
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimateRequest, EstimationError, Setup
 from planrunner.estimators.rocking.attitude import (
     UP,

@@ -8,13 +8,14 @@ so that the slow turn of the element against gravity does not press on the ends 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.plan.units import UnknownUnitError, unit
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.strapdown.reading import IncrementReader, Increments, reference_speed
 from planrunner.instruments.models import TableModel

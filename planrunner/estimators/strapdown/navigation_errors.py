@@ -9,11 +9,12 @@ it, which is the median of the radial error where its two components are normal 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.navigation.mechanisation import Knots
 from planrunner.navigation.wgs84 import separation
 

@@ -8,12 +8,12 @@ longer gap ends the matter, because where the unit turned meanwhile nobody knows
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.findings import closest
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, same_attitude
 from planrunner.estimators.strapdown.navigation_errors import ErrorRecord, Truth, difference, stride

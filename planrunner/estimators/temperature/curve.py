@@ -16,11 +16,12 @@ from that one is taken for a systematic error that is not corrected (JCGM 100:20
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
 

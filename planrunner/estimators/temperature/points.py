@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Estimate, EstimationError
 from planrunner.plan.findings import closest
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit

@@ -6,11 +6,11 @@ Values come from `temperature_points`, curves and the choice of their order from
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.interface import (
     Coefficient,

@@ -7,11 +7,11 @@ means or the conditions a little (JCGM 100:2008, 5.1.3, note 2), so that a formu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.rate_lines import RateLines, fit_lines
 from planrunner.estimators.tilted.rate_series import RateSeries

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.table_effects import orthogonality_tilts, rate_effects

@@ -5,10 +5,10 @@ Also the two half-lines that meet at zero rate, for asymmetry, and the change of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ What follows the end zero begins the next series, and so does a new temperature.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import matches

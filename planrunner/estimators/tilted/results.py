@@ -6,11 +6,12 @@ At the reference temperature a coefficient is called `K_x`; at the others the te
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Coefficient
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import QUANTITIES, Findings, Group

@@ -8,11 +8,11 @@ within_segment   noise within the segments alone
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.observation_effects import Effect

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual.courses import Rocking, Spinning
 from planrunner.physics.table_motion import about_one_axis

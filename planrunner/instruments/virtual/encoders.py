@@ -7,11 +7,11 @@ minutes its servo wanders. A gimbal's multi-speed resolver errs with a period of
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.virtual.courses import Course, Rocking
 
 Array = NDArray[np.float64]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.virtual.added import Gives, Moments, mean_angle, turned

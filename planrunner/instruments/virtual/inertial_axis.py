@@ -11,12 +11,12 @@ then clipped and counted or rounded. `docs/virtual-sensors.md` names every coeff
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.models import NoiseModel, OutputModel
 from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.imu_keys import (

@@ -10,12 +10,13 @@ square of the base's angular rate.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.virtual.base_motion import base_axes, mean_square_rate, turn, turn_by
 from planrunner.instruments.virtual.world import World
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.virtual.world import World

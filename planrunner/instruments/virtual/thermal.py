@@ -8,10 +8,11 @@ bits however often it was asked for in between.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
 

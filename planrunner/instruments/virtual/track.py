@@ -9,13 +9,13 @@ of time by differentiation in closed form.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual import ellipsoid
 from planrunner.instruments.virtual.courses import Stretch

@@ -1,0 +1,190 @@
+"""`dataclass` as in the standard library, made in a quarter of the time.
+
+Reading and checking a plan needs some hundred and sixty records, and the standard library compiles six functions for each: a third of what
+`check` took as a whole. Here only `__init__` is compiled; comparing, hashing, showing and refusing changes are closures over the names of
+the fields. To a reader, to type checkers, and to `fields`, `replace`, `asdict`, `copy` and `pickle` there is no difference.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from inspect import get_annotations
+from operator import attrgetter
+from reprlib import recursive_repr
+from typing import TYPE_CHECKING, Any
+
+WRITTEN = ("__init__", "__eq__", "__hash__", "__setattr__", "__delattr__")
+"""A class that writes one of these is left to the standard library, which knows what follows for the others."""
+KNOWN = {"frozen", "slots", "eq", "kw_only"}
+
+
+def _dataclass(given: type | None = None, /, **options: bool) -> Any:
+    """See `dataclasses.dataclass`."""
+    if given is None:
+        return lambda cls: _dataclass(cls, **options)
+    bases: list[Any] = [base for base in given.__mro__[1:] if "__dataclass_fields__" in base.__dict__]
+    if (
+        not options.keys() <= KNOWN
+        or any(name in given.__dict__ for name in WRITTEN)
+        or any("InitVar" in str(kind) for kind in get_annotations(given).values())
+        or not all("__made_here__" in base.__dict__ for base in bases)
+        or any(base.__dataclass_params__.frozen != options.get("frozen", False) for base in bases)
+    ):
+        return dataclasses.dataclass(given, **options)
+    return _made(given, bases, **options)
+
+
+def _made(
+    given: type,
+    bases: list[Any],
+    *,
+    frozen: bool = False,
+    slots: bool = False,
+    eq: bool = True,
+    kw_only: bool = False,
+) -> Any:
+    undocumented = given.__doc__ is None
+    if undocumented:  # else the standard library looks for a signature
+        given.__doc__ = given.__name__
+    with _thawed(bases):
+        made: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots, kw_only=kw_only)(given)
+    found = dataclasses.fields(made)
+    if undocumented:
+        made.__doc__ = f"{given.__name__}({', '.join(item.name for item in found if item.init)})"
+    made.__made_here__ = True
+    _write(made, "__init__", _initialiser(made, found, frozen))
+    if "__repr__" not in given.__dict__:
+        _write(made, "__repr__", _shown([item.name for item in found if item.repr]))
+    params = made.__dataclass_params__
+    params.init, params.repr, params.eq = True, True, eq
+    if eq:
+        _write(made, "__eq__", _equal(_values([item.name for item in found if item.compare])))
+        made.__hash__ = None
+        if frozen:
+            counted = [item.name for item in found if (item.compare if item.hash is None else item.hash)]
+            _write(made, "__hash__", _hashed(_values(counted)))
+    if frozen:
+        params.frozen = True
+        names = frozenset(item.name for item in found)
+        _write(made, "__setattr__", _refuses_to_set(made, names))
+        _write(made, "__delattr__", _refuses_to_delete(made, names))
+        if slots:
+            made.__getstate__, made.__setstate__ = _state, _with_state
+    return made
+
+
+@contextmanager
+def _thawed(bases: list[Any]) -> Iterator[None]:
+    """The standard library asks of a frozen base that what derives from it be frozen by its own means."""
+    frozen = [base.__dataclass_params__ for base in bases if base.__dataclass_params__.frozen]
+    try:
+        for params in frozen:
+            params.frozen = False
+        yield
+    finally:
+        for params in frozen:
+            params.frozen = True
+
+
+def _write(made: Any, name: str, function: Any) -> None:
+    function.__name__ = name
+    function.__qualname__ = f"{made.__qualname__}.{name}"
+    setattr(made, name, function)
+
+
+def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: bool) -> Any:
+    """`__init__`, the one function that is compiled."""
+    names: dict[str, object] = {"_absent": dataclasses.MISSING, "_set": object.__setattr__}
+    plain: list[str] = []
+    by_name: list[str] = []
+    lines: list[str] = []
+    for item in found:
+        name, value, parameter = item.name, item.name, item.name
+        if item.default is not dataclasses.MISSING:
+            names[f"_default_{name}"] = item.default
+            parameter = f"{name}=_default_{name}"
+            value = name if item.init else f"_default_{name}"
+        elif item.default_factory is not dataclasses.MISSING:
+            names[f"_factory_{name}"] = item.default_factory
+            parameter = f"{name}=_absent"
+            value = f"_factory_{name}()" + (f" if {name} is _absent else {name}" if item.init else "")
+        elif not item.init:
+            continue
+        if item.init:
+            (by_name if item.kw_only else plain).append(parameter)
+        lines.append(f"_set(self, {name!r}, {value})" if frozen else f"self.{name} = {value}")
+    if hasattr(made, "__post_init__"):
+        lines.append("self.__post_init__()")
+    parameters = ", ".join(["self", *plain, *(["*", *by_name] if by_name else [])])
+    exec(f"def __init__({parameters}):\n  " + "\n  ".join(lines or ["pass"]), names)
+    function: Any = names["__init__"]
+    function.__module__ = made.__module__
+    function.__annotations__ = {item.name: item.type for item in found if item.init} | {"return": None}
+    return function
+
+
+def _values(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
+    """The values of some attributes, in order."""
+    if not names:
+        return lambda _: ()
+    get: Any = attrgetter(*names)
+    return get if len(names) > 1 else lambda record: (get(record),)
+
+
+def _equal(values: Callable[[Any], tuple[Any, ...]]) -> Any:
+    def equal(self: Any, other: Any) -> Any:
+        if other.__class__ is self.__class__:
+            return values(self) == values(other)
+        return NotImplemented
+
+    return equal
+
+
+def _hashed(values: Callable[[Any], tuple[Any, ...]]) -> Any:
+    def hashed(self: Any) -> int:
+        return hash(values(self))
+
+    return hashed
+
+
+def _shown(names: list[str]) -> Any:
+    @recursive_repr()
+    def shown(self: Any) -> str:
+        return f"{self.__class__.__qualname__}({', '.join(f'{name}={getattr(self, name)!r}' for name in names)})"
+
+    return shown
+
+
+def _refuses_to_set(made: Any, names: frozenset[str]) -> Any:
+    def refuse(self: Any, name: str, value: object) -> None:
+        if type(self) is made or name in names:
+            raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
+        super(made, self).__setattr__(name, value)
+
+    return refuse
+
+
+def _refuses_to_delete(made: Any, names: frozenset[str]) -> Any:
+    def refuse(self: Any, name: str) -> None:
+        if type(self) is made or name in names:
+            raise dataclasses.FrozenInstanceError(f"cannot delete field {name!r}")
+        super(made, self).__delattr__(name)
+
+    return refuse
+
+
+def _state(self: Any) -> list[Any]:
+    return [getattr(self, item.name) for item in dataclasses.fields(self)]
+
+
+def _with_state(self: Any, state: list[Any]) -> None:
+    for item, value in zip(dataclasses.fields(self), state, strict=True):
+        object.__setattr__(self, item.name, value)
+
+
+if TYPE_CHECKING:
+    from dataclasses import dataclass as dataclass
+else:
+    dataclass = _dataclass
