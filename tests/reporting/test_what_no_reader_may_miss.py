@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from dataclasses import replace
@@ -23,25 +24,27 @@ from planrunner.reporting.rounding import in_parentheses
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def simulated_pages() -> dict[str, str]:
-    """Every page of a run on simulated instruments, long enough for several sheets of paper."""
-    context = replace(example.context(), origin="simulated", warnings=("A warning. " * 60,) * 8)
+@functools.cache
+def simulated_page(name: str) -> str:
+    """A page of a run on simulated instruments, long enough for several sheets of paper."""
+    if name == "diagnosis":
+        return render_page(DiagnosisContext("Plan", diagnosis("pair"), origin="simulated"))
+    if name == "report":
+        context = replace(example.context(), origin="simulated", warnings=("A warning. " * 60,) * 8)
+        return render_report(context, "report.html")
     certificate = certificate_example.context(
         simulated=True, told={**certificate_example.TOLD, "opinions": "An opinion. " * 300}
     )
-    return {
-        "report": render_report(context, "report.html"),
-        "certificate": render_report(certificate, "certificate.html"),
-        "certificate in Chinese": render_report(certificate, "certificate.zh.html"),
-        "diagnosis": render_page(DiagnosisContext("Plan", diagnosis("pair"), origin="simulated")),
-    }
+    return render_report(certificate, f"certificate{'.zh' if name.endswith('Chinese') else ''}.html")
 
 
+PAGES = ("report", "certificate", "certificate in Chinese", "diagnosis")
 STAMP = {"certificate": "Simulated: not a calibration", "certificate in Chinese": "仿真结果：不构成校准"}
 
 
 def test_the_stamp_stands_beside_the_verdict_and_nothing_is_green() -> None:
-    for name, page in simulated_pages().items():
+    for name in PAGES:
+        page = simulated_page(name)
         body = page[page.index("<body") :]
         assert body.startswith('<body class="simulated">'), name
         assert body.index('class="stamp alarming"') < body.index("<h1"), "at the head of every sheet"
@@ -58,9 +61,9 @@ def test_the_summary_says_it_in_its_first_line_of_text() -> None:
     assert lines[2].startswith("**SIMULATED")
 
 
-@pytest.mark.parametrize("name", simulated_pages())
+@pytest.mark.parametrize("name", PAGES)
 def test_every_printed_sheet_carries_the_stamp(name: str, tmp_path: Path) -> None:
-    sheets = printed_sheets(simulated_pages()[name], tmp_path)
+    sheets = printed_sheets(simulated_page(name), tmp_path)
     assert len(sheets) > 1
     word = "".join(STAMP.get(name, "SIMULATED").split())
     for place, text in enumerate(sheets, 1):

@@ -2,6 +2,9 @@
 
 Shapes and meanings stand with the functions of `checksums`, `framing` and `columns` that call these. Imports numba, and so is imported
 only where bytes are at hand.
+
+numba compiles a function once for each set of argument types, and a number written in a call has a type apart (`Literal[int](0)`). So such
+numbers are written `np.int64(0)`: every function is compiled once.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, U
 from planrunner.instruments.wire.framing import FIXED, LINE, XBUS
 
 LINE_FEED, CARRIAGE_RETURN, ASTERISK, COMMA = 10, 13, 42, 44
+BIG = np.int64(0)  # byte order, as `little` of the functions below
 POWERS = np.array([10.0**power for power in range(16)])
 
 
@@ -54,7 +58,7 @@ def value(data, start, length, padding, kind, width, tables, initial, reflected,
     place, end = np.uintp(start), np.uintp(start + length)
     if not reflected:
         while place + np.uintp(8) <= end:
-            register = np.uint32(register ^ _word(data, place, False))
+            register = np.uint32(register ^ _word(data, place, BIG))
             register = np.uint32(
                 tables[7, np.uintp(register >> 24)]
                 ^ tables[6, np.uintp((register >> 16) & 0xFF)]
@@ -67,7 +71,7 @@ def value(data, start, length, padding, kind, width, tables, initial, reflected,
             )
             place += np.uintp(8)
         if place + np.uintp(4) <= end:
-            register = np.uint32(register ^ _word(data, place, False))
+            register = np.uint32(register ^ _word(data, place, BIG))
             register = np.uint32(
                 tables[3, np.uintp(register >> 24)]
                 ^ tables[2, np.uintp((register >> 16) & 0xFF)]
@@ -79,7 +83,7 @@ def value(data, start, length, padding, kind, width, tables, initial, reflected,
     while place < stop:
         byte = np.uint32(data[place]) if place < end else np.uint32(0)
         if reflected:
-            byte = _mirrored(byte, 8)
+            byte = _mirrored(byte, np.int64(8))
         register = np.uint32(np.uint32(register << 8) ^ tables[0, np.uintp((register >> 24) ^ byte)])
         place += np.uintp(1)
     register = np.uint32(register >> (32 - width))
@@ -173,7 +177,7 @@ def _line_holds(data, place, length, together, kind, width, tables, initial, ref
         for item in range(end - 3, place + length):
             together ^= np.uint32(data[np.uintp(item)])
         return told == np.int64(together)
-    found = value(data, place + 1, end - 4 - place, 0, kind, width, tables, initial, reflected, final)
+    found = value(data, place + 1, end - 4 - place, np.int64(0), kind, width, tables, initial, reflected, final)
     return told == np.int64(found)
 
 
@@ -209,7 +213,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
     shortest = longest if rule == FIXED else 5
     starts = np.empty(data.size // shortest + 1, np.int64)
     lengths = np.empty(starts.size, np.int64)
-    count = place = corrupt = skipped = 0
+    count = place = corrupt = skipped = np.int64(0)
     while place < data.size:
         if place == expected and trailer.size > 0:
             ends = _matches(data, place, trailer)
@@ -275,9 +279,9 @@ def _bits(data, place, width, little):  # type: ignore[no-untyped-def]
 @compiled()
 def bits(data, starts, offset, width, signed, little):  # type: ignore[no-untyped-def]
     out = np.empty(starts.size, np.int64)
-    unused = 64 - 8 * width if signed else 0
+    unused, order = 64 - 8 * width if signed else 0, np.int64(little)
     for frame in range(starts.size):
-        out[frame] = (_bits(data, starts[frame] + offset, width, little) << unused) >> unused
+        out[frame] = (_bits(data, starts[frame] + offset, width, order) << unused) >> unused
     return out
 
 
@@ -291,8 +295,8 @@ def scaled(data, starts, places, scales):  # type: ignore[no-untyped-def]
             _floats(data, starts, offset, width, little, scale, out[row])
         elif kind == FRACTION_FIRST:
             for frame in range(starts.size):
-                fraction = _bits(data, starts[frame] + offset, 4, False)
-                whole = (_bits(data, starts[frame] + offset + 4, 2, False) << 48) >> 48
+                fraction = _bits(data, starts[frame] + offset, np.int64(4), BIG)
+                whole = (_bits(data, starts[frame] + offset + 4, np.int64(2), BIG) << 48) >> 48
                 out[row, frame] = (whole + fraction * 2.0**-32) * scale
         else:
             unused = 64 - 8 * width if kind == SIGNED else 0
