@@ -21,7 +21,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measuring import ROOT, ProcessFailedError, figures_of
+from benchmarks.measuring import ROOT, ProcessFailedError, figures_of, measured
 
 NAMES = (
     "check_speed",
@@ -99,12 +99,6 @@ def run(names: list[str], keep_in: Path | None) -> int:
     for name, reason in failed.items():
         say(f"no new figures of {name}: {reason}")
     return 1 if failed else 0
-
-
-def measured(name: str) -> dict[str, Any]:
-    """The figures of a benchmark at its full size, by what was measured."""
-    found: dict[str, Any] = import_module(f"benchmarks.{name}").run()
-    return found
 
 
 def say(text: str) -> None:

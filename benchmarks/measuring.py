@@ -47,6 +47,12 @@ def figures_of(
     return found
 
 
+def measured(name: str) -> Figures:
+    """The figures of a benchmark at its full size, by what was measured."""
+    found: Figures = import_module(f"benchmarks.{name}").run()
+    return found
+
+
 def peak_memory() -> float:
     """Largest resident size of this process [MB]; NaN where the system has no measure of it."""
     # Linux's `ru_maxrss` remembers the parent's size, so `VmHWM` is read there.

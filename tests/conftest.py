@@ -14,12 +14,12 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Tests start many processes: they compile the modules once, not each of them at every start.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+import pytest
+from hypothesis import HealthCheck, settings
+
 # jsonschema would compile 39 grammars, 3 s in each process, for formats that no schema of ours uses: where the package that has them is
 # installed (the tool behind `make sbom` needs it), jsonschema goes without it, as where it is absent.
 sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
-
-import pytest
-from hypothesis import HealthCheck, settings
 
 # The key by which a run folder is known again is the tests' own, in the processes that they start too.
 os.environ["PLANRUNNER_STATE"] = tempfile.mkdtemp(prefix="planrunner-state-")

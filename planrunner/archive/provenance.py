@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from importlib import metadata
 
@@ -17,6 +18,13 @@ def versions() -> dict[str, str]:
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
     }
+    return found | _libraries()
+
+
+@functools.cache
+def _libraries() -> dict[str, str]:
+    """Read once: a process goes on with the libraries that it has loaded."""
+    found = {}
     for name in LIBRARIES:
         try:
             found[name] = metadata.version(name)

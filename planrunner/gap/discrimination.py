@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _FLAT = 1e-9  # precision of a parameter that is not known at all, relative to what was learnt of it
+_AT_ONCE = 4_000_000  # numbers in the matrices of the measurements that are weighed at a time: memory
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 
@@ -42,19 +43,20 @@ class Rival:
 
 
 def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
-    """(R, R): the log evidence for rival i against rival j that measurements of some information (P, P) bring on average, if i is true."""
-    size = len(information)
+    """(…, R, R): the log evidence for rival i against rival j that measurements of some information (…, P, P) bring on average, if i is
+    true."""
+    size = information.shape[-1]
     covariance = [np.linalg.inv(rival.precision) for rival in rivals]
-    found = np.zeros((len(rivals), len(rivals)))
+    found = np.zeros((*information.shape[:-2], len(rivals), len(rivals)))
     gained, left, spent = [], [], []
     for rival in rivals:
         own = rival.columns
-        after = rival.precision + information[np.ix_(own, own)]
-        across = information[own]
+        across = information[..., own, :]
+        after = rival.precision + across[..., own]
         solved = np.linalg.solve(after, across)
-        gained.append(float(np.linalg.slogdet(after)[1] - np.linalg.slogdet(rival.precision)[1]))
-        left.append(information - across.T @ solved)
-        spent.append(float(np.trace(solved[:, own])))
+        gained.append(np.linalg.slogdet(after)[1] - np.linalg.slogdet(rival.precision)[1])
+        left.append(information - np.swapaxes(across, -1, -2) @ solved)
+        spent.append(np.trace(solved[..., own], axis1=-2, axis2=-1))
     for i, a in enumerate(rivals):
         for j, b in enumerate(rivals):
             if i == j:
@@ -62,32 +64,41 @@ def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
             apart = np.zeros(size)
             apart[a.columns] += a.mean
             apart[b.columns] -= b.mean
-            unsure = float(np.sum(left[j][np.ix_(a.columns, a.columns)] * covariance[i]))
-            found[i, j] = 0.5 * (apart @ left[j] @ apart + unsure - spent[j] + gained[j] - gained[i])
+            rows, columns = np.ix_(a.columns, a.columns)
+            unsure = np.sum(left[j][..., rows, columns] * covariance[i], axis=(-2, -1))
+            found[..., i, j] = 0.5 * (left[j] @ apart @ apart + unsure - spent[j] + gained[j] - gained[i])
     return np.maximum(found, 0.0)
 
 
-def expected_loss(rivals: Sequence[Rival], information: Array) -> float:
-    """Expected −log of the probability that the true rival then has: what a choice of measurements is to make small."""
-    return _averaged(rivals, expected_evidence(rivals, information), np.log1p)
+def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
+    """(…): expected −log of the probability that the true rival then has, after measurements of that information (…, P, P): what a choice
+    of measurements is to make small."""
+    many = information.reshape(-1, *information.shape[-2:])
+    at_once = max(1, _AT_ONCE // (len(rivals) * many[0].size)) if len(many) else 1
+    parts = [
+        _averaged(rivals, expected_evidence(rivals, many[first : first + at_once]), np.log1p)
+        for first in range(0, len(many), at_once)
+    ]
+    return np.concatenate([*parts, np.zeros(0)]).reshape(information.shape[:-2])
 
 
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
-    """Expected probability of the true rival among all, after measurements of that information.
+    """Expected probability of the true rival among all, after measurements of that information (P, P).
 
     The log evidence is taken as normal about its expectation D with variance 2D, as it is between two known signals.
     """
-    return _averaged(rivals, expected_evidence(rivals, information), lambda odds: 1 / (1 + odds))
+    return float(_averaged(rivals, expected_evidence(rivals, information), lambda odds: 1 / (1 + odds)))
 
 
-def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> float:
+def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
+    """evidence: (…, R, R); returns (…)."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
-    total = 0.0
+    total = np.zeros(evidence.shape[:-2])
     for i in range(len(rivals)):
         others = np.arange(len(rivals)) != i
-        d = evidence[i, others][:, None]
+        d = evidence[..., i, others][..., None]
         log = np.clip(d + np.sqrt(2 * d) * _NODES, -700.0, 700.0)
-        odds = (share[others, None] / share[i] * np.exp(-log)).sum(0)
-        total += float(share[i]) * float(measure(odds) @ _WEIGHTS) / float(_WEIGHTS.sum())
+        odds = (share[others, None] / share[i] * np.exp(-log)).sum(-2)
+        total += share[i] * (measure(odds) @ _WEIGHTS) / _WEIGHTS.sum()
     return total

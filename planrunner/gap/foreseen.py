@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,11 @@ class Foreseen:
     means: Array
     noise: Array
     flicker: Array
+
+    @cached_property
+    def whole(self) -> Array:
+        """(P, P), of the segment's own dwell."""
+        return self.information(self.segment.dwell or 0.0)
 
     def information(self, seconds: float) -> Array:
         """(P, P), of a dwell of some seconds. Of the mean, slow noise leaves no more than its own variance allows."""

@@ -93,14 +93,10 @@ def _open(listed: Sequence[Explanation]) -> bool:
     return listed[0].probability < SETTLED and listed[1].probability >= least
 
 
-def _information(item: Foreseen) -> Array:
-    return item.information(item.segment.dwell or 0.0)
-
-
 def _sum(items: Sequence[Foreseen], size: int) -> Array:
     total = np.zeros((size, size))
     for item in items:
-        total += _information(item)
+        total += item.whole
     return total
 
 
@@ -123,20 +119,16 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
         lasting = seconds(before, segment)
         return lasting if before else max(lasting - ahead, segment.dwell or 0.0)
 
-    information = {id(item): _information(item) for item in options}
     total, chosen = np.zeros((size, size)), list[Foreseen]()
-    loss, spent = expected_loss(rivals, total), 0.0
+    loss, spent = float(expected_loss(rivals, total)), 0.0
     running: list[list[Foreseen]] = [[item] for item in options]
     first = True
     while spent < LONGEST and (len(chosen) < FEWEST or expected_probability(rivals, total) < AIM):
         last = chosen[-1].segment if chosen else None
-        gains = []
-        for move in running:
-            more = sum((information[id(item)] for item in move), np.zeros((size, size)))
-            gains.append(loss - expected_loss(rivals, total + more))
+        gains = _gains(rivals, total, loss, running)
         costs = [_chain(last, move, beyond) for move in running]
         if first:
-            running, gains, costs = _shortened(running, gains, costs, rivals, information, last, beyond)
+            running, gains, costs = _shortened(running, gains, costs, rivals, size, last, beyond)
             first = False
         rate = np.array(gains) / np.array(costs)
         if len(chosen) < FEWEST:  # others than those that are taken already
@@ -148,8 +140,15 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
         chosen += running[best]
         spent += costs[best]
         total = _sum(chosen, size)
-        loss = expected_loss(rivals, total)
+        loss = float(expected_loss(rivals, total))
     return _by_temperature(_needed(rivals, chosen, size))
+
+
+def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
+    """What each move saves of the loss that `total` (P, P) leaves."""
+    after = np.array([total + _sum(move, len(total)) for move in moves])
+    gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
+    return gains
 
 
 def _chain(last: Segment | None, move: Sequence[Foreseen], seconds: Seconds) -> float:
@@ -165,7 +164,7 @@ def _shortened(
     gains: list[float],
     costs: list[float],
     rivals: Sequence[Rival],
-    information: dict[int, Array],
+    size: int,
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
@@ -178,10 +177,10 @@ def _shortened(
     for members in temperatures.values():
         kept |= dict.fromkeys(members[:_BUNDLE])
     bundles = [[running[i][0] for i in members[:_BUNDLE]] for members in temperatures.values() if len(members) > 1]
-    size = len(next(iter(information.values())))
-    loss = expected_loss(rivals, np.zeros((size, size)))
+    nothing = np.zeros((size, size))
+    loss = float(expected_loss(rivals, nothing))
     for bundle in bundles if len(temperatures) > 1 else []:
-        gains.append(loss - expected_loss(rivals, _sum(bundle, size)))
+        gains += _gains(rivals, nothing, loss, [bundle])
         costs.append(_chain(last, bundle, seconds))
         running.append(bundle)
         kept[len(running) - 1] = None

@@ -70,7 +70,7 @@ def _with(
     more = len(_further(both, own, layout))
     information = np.zeros((sum(layout.widths) + more,) * 2)
     for item in foresee(both, white, options, _columns(layout, observed.channels), [*layout.widths, more]):
-        information += item.information(item.segment.dwell or 0.0)
+        information += item.whole
     if instrument.pointing:
         information += np.diag(np.concatenate([_seen(layout), np.zeros(more)]))
     return [_widened(rival, sum(layout.widths), more) for rival in rivals], information

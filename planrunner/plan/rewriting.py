@@ -5,6 +5,7 @@ Orientations are written as the nearest orientation in words and turns about the
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,12 +27,15 @@ class RewriteError(ValueError):
     """The plan does not state what is to be changed in a form that can be changed in place. The message says where and what to do."""
 
 
+@functools.cache
 def cardinal_orientations() -> tuple[Matrix, ...]:
     """The 24 right-handed attitudes whose axes lie along the site's axes, rows in East-North-Up."""
     found = []
     for first, second in itertools.permutations(DIRECTIONS.values(), 2):
         if np.dot(first, second) == 0:
-            found.append(np.array([first, second, np.cross(first, second)], dtype=float))
+            attitude = np.array([first, second, np.cross(first, second)], dtype=float)
+            attitude.setflags(write=False)
+            found.append(attitude)
     return tuple(found)
 
 

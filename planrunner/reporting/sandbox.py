@@ -8,10 +8,10 @@ folder and, when one is named, from a user's folder that comes first, and from n
 from __future__ import annotations
 
 import base64
+import functools
 import hashlib
 import re
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +116,7 @@ def _roots(folder: Path | None) -> tuple[Path, ...]:
     return (folder.resolve(), own)
 
 
-@lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=8)
 def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Environment:
     import jinja2
     from jinja2.exceptions import SecurityError
@@ -154,7 +154,9 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
                 path = (root / template).resolve()
                 if path.is_relative_to(root) and path.exists():
                     try:
-                        return read_regular(path, MAX_TEMPLATE).decode("utf-8"), str(path), lambda: False
+                        # The shipped ones stay as they are while the program runs, and are compiled once.
+                        kept = root == roots[-1]
+                        return read_regular(path, MAX_TEMPLATE).decode("utf-8"), str(path), lambda kept=kept: kept
                     except RefusedFileError as refused:
                         raise ReportError(f"{path}: {refused}; {refused.hint}") from None
                     except UnicodeDecodeError:

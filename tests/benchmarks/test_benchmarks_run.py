@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import runpy
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -80,6 +82,26 @@ def test_one_that_fails_loses_nothing(
     assert found["diagnosis"].commit == found["check_speed"].commit == "abc123-dirty"
     assert len(found["diagnosis"].date) == 10
     assert "run it again" in command.listed(["allan"], found)
+
+
+def test_as_a_command_it_measures_in_a_process_that_can_import_what_it_calls(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    started: list[list[str]] = []
+
+    def run(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        started.append(command)
+        return subprocess.CompletedProcess(command, 0, '{"ratio": 2.0}', "")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(command, "commit", lambda: "abc123")
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "allan"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(ROOT / "benchmarks" / "__main__.py"), run_name="__main__")
+    assert ended.value.code == 0, capsys.readouterr().err
+    (module, name) = next(words[3:5] for words in started if "benchmarks.measuring" in words)
+    assert callable(getattr(import_module(module), name))
+    assert "2" in capsys.readouterr().out
 
 
 def test_a_process_that_fails_says_why() -> None:

@@ -241,7 +241,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
             if good:
                 starts[count], lengths[count] = place, length
                 count += 1
-                place += length  # type: ignore[assignment]
+                place += length
                 expected = place
                 continue
         if place == expected:
