@@ -72,7 +72,7 @@ class Probe:
     """Gives the same short block for every segment."""
 
     def __init__(self) -> None:
-        self.time = np.arange(ROWS) * 0.01
+        self.time = np.arange(ROWS, dtype=float) * 0.01
         self.values = np.random.default_rng(0).standard_normal((3, ROWS))
 
     def identify(self) -> Mapping[str, str]:

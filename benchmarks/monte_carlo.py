@@ -30,7 +30,7 @@ def run(size: Size = FULL) -> dict[str, object]:
     matrix = np.column_stack([np.ones(POSITIONS), rng.normal(size=(POSITIONS, TERMS - 1))])
     outputs = output_coefficients(np.array([0.2, 0.21, 2e-3, -1e-3, *rng.normal(size=8)]))
     mean = matrix @ outputs.T + 0.01 * rng.normal(size=(POSITIONS, 2))
-    start = 150.0 * np.arange(POSITIONS)
+    start = 150 * np.arange(POSITIONS, dtype=float)
     observations = Observations(
         ("x", "y"),
         ("pulse/s", "pulse/s"),

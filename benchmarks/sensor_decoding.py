@@ -12,13 +12,14 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
+from functools import partial
 
 import numpy as np
 
 from planrunner.instruments.sensors import kvh1775, stim300, vectornav, xsens
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.wire.framing import Framer, Piece
+from planrunner.plan.quantity import parse_quantity
 from planrunner.simulators import kvh1775 as kvh_unit
 from planrunner.simulators import stim300 as stim_unit
 from planrunner.simulators import vectornav as vectornav_unit
@@ -186,7 +187,7 @@ def streams(
     draw, index = np.random.default_rng(0), np.arange(frames)
     columns = {f"{name}_{axis}": draw.uniform(-1, 1, frames) for name in ("gyro", "acc", "incl") for axis in "xyz"}
     columns |= {f"{name}_T_{axis}": draw.uniform(0, 50, frames) for name in ("gyro", "acc", "incl") for axis in "xyz"}
-    columns |= {"aux": np.zeros(frames), "temperature": draw.integers(0, 50, frames)}
+    columns |= {"aux": np.zeros(frames), "temperature": draw.integers(0, 50, frames).astype(float)}
     stim = stim_unit.Stim300(0xAF, crlf=True).frames(columns, index % 256, np.full(frames, 300)).tobytes()
     kvh = kvh_unit.Kvh1775("A").frames(columns, index).tobytes()
     packets = {
@@ -196,13 +197,11 @@ def streams(
     }
     packets |= {0x1020: index, 0xE020: np.ones(frames)}
     mti = xsens_unit.Xsens([0x1020, 0x4020, 0x8020, 0x0810, 0xE020]).frames(packets).tobytes()
-    outputs = {"time_startup": index * 2_500_000, "imu": draw.uniform(-9, 9, (frames, 6))}
+    outputs = {"time_startup": index * 2_500_000.0, "imu": draw.uniform(-9, 9, (frames, 6))}
     outputs["mag_pres"] = draw.uniform(-1, 1, (frames, 5))
     binary = vectornav_unit.VectorNav().frames(outputs).tobytes()
     lines = b"".join(vectornav_unit.measurement([0.1] * 3, [9.8] * 3, [-0.01] * 3, [k % 90] * 3) for k in range(frames))
-    told = SimpleNamespace(
-        format="A", rotation="rate", angle_unit="rad", temperature_unit="C", sample_rate=SimpleNamespace(value=1000.0)
-    )
+    told = kvh1775.Kvh1775Parameters(port="", sample_rate=parse_quantity("1000 Hz"))
     return {
         "STIM300": (
             stim300.layout(0xAF, 2.0**-19, 2.0**-14, WIRE_RATE),
@@ -247,13 +246,13 @@ def run(size: Size = FULL) -> dict[str, object]:
     figures: dict[str, object] = {}
     for name, (decoder, stream, loop, check, library) in streams(size.frames).items():
         assert decode(decoder, stream) == size.frames == len(loop(stream, check))
-        ours = best(lambda decoder=decoder, stream=stream: decode(decoder, stream), size.turns)
-        theirs = best(lambda loop=loop, stream=stream, check=check: loop(stream, check), size.turns)
+        ours = best(partial(decode, decoder, stream), size.turns)
+        theirs = best(partial(loop, stream, check), size.turns)
         figures[f"{name} [frames/s]"] = size.frames / ours
         figures[f"{name} [MB/s]"] = len(stream) / ours / 1e6
         figures[f"{name} / loop (target ≥ 30)"] = theirs / ours
         if library is not None:
-            fastest = best(lambda loop=loop, stream=stream, library=library: loop(stream, library), size.turns)
+            fastest = best(partial(loop, stream, library), size.turns)
             figures[f"{name} / loop with compiled check"] = fastest / ours
         if name == "STIM300":
             figures["STIM300 / its wire rate of 2 kHz (target ≥ 100)"] = size.frames / ours / WIRE_RATE

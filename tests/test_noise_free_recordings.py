@@ -43,7 +43,9 @@ class Stretch:
 def write(folder: Path, name: str, stretches: Sequence[Stretch], rate: float, suffixes: Mapping[str, str]) -> None:
     """`name`.parquet and `name`.segments.csv, the stretches 5 s apart. rate: Hz; suffixes: of the columns, by channel."""
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    time, columns, rows, start = [], {channel: [] for channel in suffixes}, ["label,start_s,end_s"], 0.0
+    time: list[np.ndarray] = []
+    columns: dict[str, list[np.ndarray]] = {channel: [] for channel in suffixes}
+    rows, start = ["label,start_s,end_s"], 0.0
     for one in stretches:
         n = len(next(iter(one.channels.values())))
         time.append(start + np.arange(n) / rate)
@@ -106,9 +108,9 @@ def test_rate_staircase(tmp_path, capsys):
         )
     suffixes = dict.fromkeys(stretches[0].channels, "_deg_per_s")
     write(tmp_path, "rimu_jig/rate_staircase", stretches, 100.0, suffixes)
-    for name, one in ended(tmp_path, PLANS / "rimu_rate_staircase.yaml", capsys).items():
+    for name, found in ended(tmp_path, PLANS / "rimu_rate_staircase.yaml", capsys).items():
         near(
-            one,
+            found,
             {
                 f"K_{name}_gyro_y": 1.01,
                 f"F0_{name}_gyro_y": 0.3,
@@ -130,8 +132,8 @@ def test_tumbled_accelerometers(tmp_path, capsys):
             Stretch(f"P{n:02}", {f"{k}_accel_{a}": np.full(300, v) for k in ("lsm", "bno") for a, v in one.items()})
         )
     write(tmp_path, "rimu_jig/pitch_tumble", stretches, 100.0, dict.fromkeys(stretches[0].channels, "_g"))
-    for one in ended(tmp_path, PLANS / "rimu_pitch_tumble.yaml", capsys).values():
-        near(one, {"bias_x": 10.0, "bias_y": 4.0, "bias_z": -20.0, "scale_z": 0.99, "misalignment_z_x": 0.0})
+    for found in ended(tmp_path, PLANS / "rimu_pitch_tumble.yaml", capsys).values():
+        near(found, {"bias_x": 10.0, "bias_y": 4.0, "bias_z": -20.0, "scale_z": 0.99, "misalignment_z_x": 0.0})
 
 
 def test_still_spans(tmp_path, capsys):

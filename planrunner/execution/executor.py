@@ -41,12 +41,23 @@ class OpenBench(Protocol):
     """A bench whose instruments are connected. `instruments` holds all of them by name, those named by role
     included; `limits` is what they shall keep to by themselves."""
 
-    clock: Any
-    table: Any
-    chamber: Any
-    sensor: Any
-    monitors: Any
-    instruments: Mapping[str, Any]
+    @property
+    def clock(self) -> Any: ...
+
+    @property
+    def table(self) -> Any: ...
+
+    @property
+    def chamber(self) -> Any: ...
+
+    @property
+    def sensor(self) -> Any: ...
+
+    @property
+    def monitors(self) -> Any: ...
+
+    @property
+    def instruments(self) -> Mapping[str, Any]: ...
 
     @property
     def limits(self) -> OwnLimits: ...

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
+Values = NDArray[np.floating | np.integer]
+"""Readings, real or whole."""
 Order = Literal["big", "little"]
 
 

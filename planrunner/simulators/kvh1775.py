@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.simulators.check_values import CRC_32
-from planrunner.simulators.columns import Bytes, constant, floats, integers, joined
+from planrunner.simulators.columns import Bytes, Values, constant, floats, integers, joined
 
-Array = NDArray[np.float64]
 _HEADERS = {"A": b"\xfe\x81\xff\x55", "B": b"\xfe\x81\xff\x56", "C": b"\xfe\x81\xff\x57"}
 _LENGTHS = {"A": 36, "B": 40, "C": 38}
 ALL_VALID = 0x77
@@ -28,7 +26,7 @@ class Kvh1775:
         """Bytes of a frame on the line."""
         return _LENGTHS[self.format]
 
-    def frames(self, columns: Mapping[str, Array], sequence: Array) -> Bytes:
+    def frames(self, columns: Mapping[str, Values], sequence: Values) -> Bytes:
         """Frames (n, length). columns: `gyro_x` … as they go out (rad or deg, rate or angle), `acc_x` … in g, `temperature` in whole
         degrees or hundredths, `status`, and for B `time_stamp`."""
         count = sequence.size

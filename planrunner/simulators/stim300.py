@@ -10,12 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.simulators.check_values import CRC_32
-from planrunner.simulators.columns import Bytes, constant, integers, joined
+from planrunner.simulators.columns import Bytes, Values, constant, integers, joined
 
-Array = NDArray[np.float64]
 GYRO, ACCELEROMETER, INCLINOMETER = "gyro", "acc", "incl"
 _TWO, _INCLINED, _ALL = (GYRO, ACCELEROMETER), (GYRO, INCLINOMETER), (GYRO, ACCELEROMETER, INCLINOMETER)
 _PLAIN = (((GYRO,), False), (_TWO, False), (_INCLINED, False), (_ALL, False))
@@ -51,7 +49,7 @@ class Stim300:
         clusters, warm, extra = DATAGRAMS[self.datagram]
         return 8 + len(clusters) * (17 if warm else 10) + (4 if extra else 0) + (2 if self.crlf else 0)
 
-    def frames(self, columns: Mapping[str, Array], counter: Array, latency: Array) -> Bytes:
+    def frames(self, columns: Mapping[str, Values], counter: Values, latency: Values) -> Bytes:
         """Datagrams (n, length). columns: `gyro_x` … in deg/s (deg for increments), `acc_x` …, `incl_x` … in g, `gyro_T_x` … in degC;
         `pps` or `aux` raw; `gyro_status` and so on where they are not zero. counter: of internal samples; latency: µs."""
         clusters, warm, extra = DATAGRAMS[self.datagram]

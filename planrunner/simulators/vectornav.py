@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planrunner.simulators.check_values import CRC_16, exclusive_or
-from planrunner.simulators.columns import Bytes, constant, floats, integers, joined
+from planrunner.simulators.columns import Bytes, Values, constant, floats, integers, joined
 
-Array = NDArray[np.float64]
 _NANOSECONDS = 0
 _COMMON = {
     "time_startup": (0, _NANOSECONDS),
@@ -35,7 +33,7 @@ class VectorNav:
         """Bytes of a message on the line."""
         return 6 + sum(4 * _COMMON[name][1] or 8 for name in self.fields)
 
-    def frames(self, columns: Mapping[str, Array]) -> Bytes:
+    def frames(self, columns: Mapping[str, Values]) -> Bytes:
         """Messages (n, length). columns: by output, (n,) or (n, components): ns, deg, rad/s, m/s^2, gauss, degC, kPa."""
         count = len(next(iter(columns.values())))
         chosen = sorted((_COMMON[name][0], name) for name in self.fields)
@@ -58,10 +56,10 @@ def line(body: str) -> bytes:
 
 
 def measurement(
-    magnetic: Sequence[float],
-    accel: Sequence[float],
-    rate: Sequence[float],
-    ypr: Sequence[float],
+    magnetic: Sequence[float] | Values,
+    accel: Sequence[float] | Values,
+    rate: Sequence[float] | Values,
+    ypr: Sequence[float] | Values,
     kind: str = "VNYMR",
 ) -> bytes:
     """A line of measurements, each (3,): `VNYMR` attitude [deg], magnetic field [gauss], acceleration [m/s^2] and rate [rad/s]; `VNYPR`,

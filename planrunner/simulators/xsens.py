@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.simulators.check_values import sum_to_zero
-from planrunner.simulators.columns import Bytes, constant, floats, integers, joined
+from planrunner.simulators.columns import Bytes, Values, constant, floats, integers, joined
 
 Array = NDArray[np.float64]
 MTDATA2 = 0x36
@@ -37,7 +37,7 @@ class Xsens:
             return sum(_UTC)
         return _INTEGERS.get(item) or _COMPONENTS[whole] * (4, 4, 6, 8)[item & 3]
 
-    def frames(self, columns: Mapping[int, Array]) -> Bytes:
+    def frames(self, columns: Mapping[int, Values]) -> Bytes:
         """Packets (n, length). columns: by identifier without its format, (n,) or (n, components), in SI units and degC."""
         count = len(next(iter(columns.values())))
         parts = []
@@ -61,7 +61,7 @@ def known(item: int) -> bool:
     return item in _INTEGERS or ((item & 0xFFF0) in _COMPONENTS and item & 0xF < 4)
 
 
-def _real(values: Array, form: int) -> Bytes:
+def _real(values: Values, form: int) -> Bytes:
     """Reals (n,): IEEE 754, or fixed point with 20 or 32 bits behind the point (of the latter, the fraction goes first)."""
     if form == 1:
         return integers(np.rint(values * 2.0**20), 4)

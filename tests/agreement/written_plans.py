@@ -336,7 +336,7 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
         count = draw(st.sampled_from([6, 12, 24]))
         entry = {**state, "label": "P", "for_each": {"orientation": _six_or_more(count)}}
         entry.pop("orientation")
-        if gyros and draw(st.booleans()):
+        if bool(gyros) and draw(st.booleans()):
             return [entry], {
                 "estimator": "imu_multi_position",
                 "segments": "P",
@@ -345,36 +345,31 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
                 **basis,
             }
         reference = draw(st.sampled_from(["orientation", "gravity_magnitude"]))
-        estimate = {
+        return [entry], {
             "estimator": "accelerometer_multi_position",
             "segments": "P",
             "outputs": accels,
             "reference": reference,
             **basis,
         }
-        return [entry], estimate
     if form == "still":
         estimator = draw(
             st.sampled_from(["accelerometer_multi_position", "imu_multi_position", "scale_factor", "repeatability"])
         )
-        estimate = {
-            "estimator": estimator,
-            "segments": {
-                "detect": "still",
-                "within": draw(st.sampled_from(["P", "P", "*"])),
-                "window": "0.1 s",
-                "threshold": "1 m/s^2",
-                "at_least": "0.2 s",
-            },
+        detection: dict[str, Any] = {
+            "detect": "still",
+            "within": draw(st.sampled_from(["P", "P", "*"])),
+            "window": "0.1 s",
+            "threshold": "1 m/s^2",
+            "at_least": "0.2 s",
         }
+        estimate: dict[str, Any] = {"estimator": estimator, "segments": detection}
         if estimator == "accelerometer_multi_position":
             estimate |= {"reference": "gravity_magnitude"}
         if estimator == "repeatability":
             estimate |= {"channels": names[:1]}
         if draw(st.booleans()):
-            estimate["segments"]["channels"] = draw(
-                st.lists(st.sampled_from(names), min_size=1, max_size=3, unique=True)
-            )
+            detection["channels"] = draw(st.lists(st.sampled_from(names), min_size=1, max_size=3, unique=True))
         entry = {**state, "label": "P", "for_each": {"orientation": _six_or_more(12)}}
         entry.pop("orientation")
         return [entry], estimate
@@ -406,7 +401,7 @@ def estimable(draw: st.DrawFn, draft: Draft) -> tuple[list[dict[str, Any]], dict
         estimate = {"estimator": "temperature_model", "segments": "T", "channels": chosen}
         return [entry], {
             **estimate,
-            **({"temperature_channel": thermometer[0]} if thermometer and draw(st.booleans()) else {}),
+            **({"temperature_channel": thermometer[0]} if bool(thermometer) and draw(st.booleans()) else {}),
         }
     if form == "repeat":
         return [{**state, "label": "B", "repeat": draw(st.integers(1, 4))}], {

@@ -109,7 +109,7 @@ def flip(path: Path, place: int = -20) -> None:
     path.write_bytes(data)
 
 
-CHANGES: dict[str, Callable[[Path], None]] = {
+CHANGES: dict[str, Callable[[Path], object]] = {
     "plan": lambda run: flip(run / "plan.yaml", 0),
     "bench": lambda run: (run / "bench.yaml").unlink(),
     "run.json": lambda run: flip(run / "run.json", -5),

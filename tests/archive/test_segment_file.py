@@ -34,7 +34,7 @@ def make_writer(run: Path, **options: float) -> SegmentWriter:
 
 
 def block(start: float, rows: int, step: float = 0.1) -> Block:
-    time = start + step * np.arange(rows)
+    time = start + step * np.arange(rows, dtype=float)
     return Block(time, {"y": np.cos(time), "x": np.sin(time)})
 
 

@@ -246,7 +246,8 @@ def test_a_lock_that_is_removed_before_it_is_held_is_taken_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else the next process would make, and hold, another file of the same name."""
-    path, taken = tmp_path / "x.lock", []
+    path = tmp_path / "x.lock"
+    taken: list[int] = []
     locked = exclusive._lock
 
     def slowly(descriptor: int) -> None:

@@ -67,6 +67,7 @@ def test_the_models_of_the_default_bench():
     given = models(read_bench("virtual")[0])
     assert math.degrees(given.site.latitude) == pytest.approx(39.98)
     assert given.site.gravity == 9.80154
+    assert given.table is not None and given.chamber is not None and given.sensor is not None
     assert [axis.name for axis in given.table.axes] == ["outer", "middle", "inner"]
     assert given.table.axes[0].direction == (0, 0, 1)
     assert given.table.axes[0].continuous
@@ -74,7 +75,8 @@ def test_the_models_of_the_default_bench():
     assert given.chamber.lowest == pytest.approx(218.15)
     assert given.chamber.ramp == pytest.approx(0.05)
     assert given.sensor.kind == "flexure-gyro"
-    assert given.sensor.output("torquer_x").unit == "pulse/s"
+    torquer = given.sensor.output("torquer_x")
+    assert torquer is not None and torquer.unit == "pulse/s"
     assert not given.replays
     # 0.2012 deg/h is 0.2012·π/180/3600 rad/s.
     assert given.sensor.nominal["SF_X"] == pytest.approx(0.2012 * 4.848136811095e-6, rel=1e-12)
@@ -86,9 +88,11 @@ def test_a_bench_that_plays_back_has_no_table_and_says_so():
     assert given.table is None
     assert given.chamber is None
     assert given.replays
+    assert given.sensor is not None
     assert [output.name for output in given.sensor.outputs][:2] == ["lsm_gyro_x", "lsm_gyro_y"]
     # One sample scatters by 5 deg/s at 100 Hz, so the mean over 1 s by 0.5 deg/s.
-    assert given.sensor.output("lsm_gyro_y").noise.standard_error(1.0, 100.0) == pytest.approx(0.5)
+    gyro = given.sensor.output("lsm_gyro_y")
+    assert gyro is not None and gyro.noise.standard_error(1.0, 100.0) == pytest.approx(0.5)
 
 
 def test_a_file_is_found_beside_the_plan(tmp_path):
@@ -183,11 +187,11 @@ def test_a_channel_of_another_dimension_than_its_noise_is_a_finding():
 def test_the_order_of_making_safe():
     text = HEAD + "instruments:" + CHAMBER + TABLE
     bench, _ = parse_bench(source.parse(text, "b.yaml"))
-    assert safe_order(bench) == ("table", "chamber")
+    assert bench is not None and safe_order(bench) == ("table", "chamber")
     stated, _ = parse_bench(
         source.parse(text.replace("instruments", "safe_order: [chamber, table]\ninstruments"), "b.yaml")
     )
-    assert safe_order(stated) == ("chamber", "table")
+    assert stated is not None and safe_order(stated) == ("chamber", "table")
 
 
 @settings(max_examples=400, deadline=None)
@@ -204,7 +208,7 @@ def test_a_bench_with_a_slip_of_the_pen_gives_findings_never_a_traceback(name, p
         assert findings
         return
     bench, log = parse_bench(root)
-    assert log.errors or models(bench).site.gravity > 0
+    assert log.errors or (bench is not None and models(bench).site.gravity > 0)
 
 
 def test_the_shipped_folders_are_found():

@@ -11,6 +11,7 @@ from planrunner.bench import model
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.model import parse_bench, read_bench
 from planrunner.bench.opening import open_bench
+from planrunner.bench.watchdog import Watchdog
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan import source
 from planrunner.plan.kinds import Boolean, Record, key
@@ -101,7 +102,9 @@ def test_each_is_made_safe_whatever_the_others_do():
 def test_signs_of_life_come_between_the_instruments_while_each_is_made_safe():
     """Each may take its time-outs; a watchdog that is gone keeps nobody from his turn."""
 
-    class Watchdog:
+    class Ending(Watchdog):
+        def __init__(self): ...
+
         def sign_of_life(self):
             LOG.append("alive")
             if len(LOG) > 4:
@@ -110,7 +113,7 @@ def test_signs_of_life_come_between_the_instruments_while_each_is_made_safe():
     opened = open_bench(bench("a: {driver: table}, b: {driver: chamber}, c: {driver: sensor}"))
     LOG.clear()
     opened.take_control()
-    opened.watchdog = Watchdog()
+    opened.watchdog = Ending()
     assert opened.make_safe() == []
     assert LOG == ["alive", "table safe", "alive", "chamber safe", "alive", "sensor safe"]
 
@@ -145,7 +148,9 @@ def test_nothing_is_commanded_unguarded():
     """The watchdog hears of an instrument before it is commanded; when it is gone, nothing is."""
     told = []
 
-    class Watchdog:
+    class Ending(Watchdog):
+        def __init__(self): ...
+
         def sign_of_life(self): ...
 
         def answer_for(self, names):
@@ -154,7 +159,7 @@ def test_nothing_is_commanded_unguarded():
                 raise InstrumentError("the watchdog process has ended")
 
     with open_bench(bench(ALL)) as opened:
-        opened.watchdog = Watchdog()
+        opened.watchdog = Ending()
         opened.take_control("t")
         opened.take_control("t")
         opened.take_control("t", "c")

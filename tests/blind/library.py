@@ -104,13 +104,13 @@ class Library:
 
     def weighed(self, factors: tuple[float, ...], flicker: bool = True) -> Weighed:
         """Gram matrix of the columns in a noise, as they are and with the nominal parameters projected out."""
-        raw = gram = 0.0
+        raw, gram = np.zeros(()), np.zeros(())
         solved = [self._solved(i, f, flicker) for i, f in enumerate(factors)]
         for channel, (own, cross) in enumerate(self._products):
             sigma, inverse = solved[channel // 3]
             raw = raw + own / sigma**2
             gram = gram + (own - cross @ inverse @ cross.T) / sigma**2
-        return Weighed(self, solved, np.asarray(raw), np.asarray(gram))
+        return Weighed(self, solved, raw, gram)
 
 
 @dataclass(frozen=True)

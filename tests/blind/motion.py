@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tests.blind.plans import Axis, Segment
+from tests.blind.plans import Axes, Axis, Segment
 
 Array = np.ndarray
 
@@ -118,7 +118,7 @@ class Schedule:
         return np.array([s.kind != "static" for s in self.segments])[self.index]
 
     @cached_property
-    def places(self) -> tuple[tuple[str, str, str], ...]:
+    def places(self) -> tuple[Axes, ...]:
         return tuple(dict.fromkeys(s.axes for s in self.segments))
 
     @cached_property

@@ -305,8 +305,9 @@ class Opinion:
             for e in self.label["entries"]
             if not e["absorbed"] and not CATALOGUE.get(e["effect"], CATALOGUE["table_tilt"]).covariance
         ]
-        blocks = [self._nearest(entry) for entry in own if entry["effect"] in CATALOGUE]
-        if not blocks or None in blocks or any(e["effect"] in BY_DEVICE for e in own):
+        nearest = [self._nearest(entry) for entry in own if entry["effect"] in CATALOGUE]
+        blocks = [block for block in nearest if block is not None]
+        if not blocks or len(blocks) < len(nearest) or any(e["effect"] in BY_DEVICE for e in own):
             return None
         around = self.library.around
         faults = [Fault(e["effect"], np.array(e["theta"]), tuple(e["shape"])) for e in own]

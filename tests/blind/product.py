@@ -44,7 +44,7 @@ TABLE = TableModel(
 )
 CHAMBER = ChamberModel(ZERO_CELSIUS - 20.0, ZERO_CELSIUS + 70.0, 2.0 / 60)
 """What a laboratory has that can do all plans here: a three-axis table and a chamber."""
-_WORD = {direction: word for word, direction in WORDS.items()}
+_WORD: dict[tuple[float, ...], str] = {direction: word for word, direction in WORDS.items()}
 
 
 def motion(row: Row) -> Motion:
@@ -216,8 +216,9 @@ def posterior(shown: Shown) -> dict[str, float]:
 
 
 def _axis(direction: Array) -> Axis:
-    near = tuple(round(float(v), 9) for v in direction)
-    return _WORD.get(near, tuple(float(v) for v in direction))
+    x, y, z = (float(v) for v in direction)
+    near = (round(x, 9), round(y, 9), round(z, 9))
+    return _WORD.get(near, (x, y, z))
 
 
 def _rows(segments: Sequence[Segment], last: Row, move: float, soak: float) -> tuple[Row, ...]:

@@ -176,7 +176,7 @@ class Scored:
         return top["channel"] in true and top["factor"] in wanted
 
 
-def calibration(confidence: Sequence[float], correct: Sequence[bool]) -> dict[str, Any]:
+def calibration(confidence: Sequence[float] | np.ndarray, correct: Sequence[bool] | np.ndarray) -> dict[str, Any]:
     """Reliability in bins, expected calibration error, and how often a calibrated one would come out larger (4000 draws)."""
     p, y = np.asarray(confidence, float), np.asarray(correct, float)
     if not len(p):

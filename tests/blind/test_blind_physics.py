@@ -7,7 +7,7 @@ import pytest
 
 from tests.blind.device import SENSORS, clean_output, fault, ideal, recorded
 from tests.blind.motion import Schedule, Site, stimulus
-from tests.blind.plans import X_UP, Y_UP, Segment
+from tests.blind.plans import X_UP, Y_UP, Axes, Segment
 
 MEMS = SENSORS["mems"]
 EAST_RATE = 15.041067 / 3600
@@ -21,7 +21,7 @@ def rest(chamber: float = 25.0, ramp: bool = False) -> Segment:
     return Segment("s", "static", X_UP, 4.0, chamber=chamber, ramp=ramp, start=600.0)
 
 
-def turn(rate: float = 60.0, axes: tuple[str, str, str] = X_UP, chamber: float = 25.0) -> Segment:
+def turn(rate: float = 60.0, axes: Axes = X_UP, chamber: float = 25.0) -> Segment:
     return Segment("r", "rate", axes, 6.0, rate, chamber=chamber, start=600.0)
 
 

@@ -217,7 +217,7 @@ def test_the_curve_stands_where_the_bins_are(tmp_path: Path) -> None:
     assert isinstance(points, ErrorbarContainer)
     line, _, (intervals,) = points.lines
     assert isinstance(line, Line2D) and isinstance(intervals, LineCollection)
-    assert line.get_ydata().tolist() == [0.5, 1.0]
+    assert np.asarray(line.get_ydata()).tolist() == [0.5, 1.0]
     assert line.get_xdata() == pytest.approx([0.35, 0.95], abs=0.01)
     # Wilson by hand: 2 of 4 gives 0.15 to 0.85, 40 of 40 gives 0.912 to 1.
     ((low, high), (least, most)) = (segment[:, 1] for segment in intervals.get_segments())

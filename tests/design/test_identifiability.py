@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from planrunner.design.identifiability import identify, identify_block
 from planrunner.estimators.interface import Design, DesignBlock
 from planrunner.physics.earth import Site
 from planrunner.physics.flexure_gyro import static_model
-from planrunner.physics.stimulus import segment_means
-from planrunner.physics.terms import Term
+from planrunner.physics.stimulus import Stimulus, segment_means
+from planrunner.physics.terms import Array, Term
 from planrunner.plan.schedule import Rest, Segment
 
 SITE = Site(math.radians(39.98))
@@ -75,9 +76,12 @@ def test_products_are_seen_with_up_along_the_corners_of_a_cube() -> None:
 
 def test_squares_and_bias_cannot_be_told_apart() -> None:
     """a_X² + a_Y² + a_Z² is constant at 1 g: rank 9 of 10, at any attitude."""
+
+    def squared(axis: int) -> Callable[[Stimulus], Array]:
+        return lambda felt: felt.specific_force[:, axis] ** 2
+
     squares = tuple(
-        Term(f"accel_{name}_squared", "", 9.80665**2, "(m/s^2)^2", lambda s, k=k: s.specific_force[:, k] ** 2, 2)
-        for k, name in enumerate("xyz")
+        Term(f"accel_{name}_squared", "", 9.80665**2, "(m/s^2)^2", squared(k), 2) for k, name in enumerate("xyz")
     )
     attitudes = np.array([np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0] for k in range(30)])
     found = identify_block(block(attitudes, extra=squares))

@@ -116,8 +116,9 @@ def test_orientations_are_written_as_they_are_read() -> None:
         attitude *= np.linalg.det(attitude)
         log = Findings()
         node = source.parse(f"orientation: {orientation_text(attitude)}", "x").get("orientation")
+        assert node is not None
         read = OrientationKind().read(node, log)
-        assert read is not None
+        assert read is not None and read.attitude is not None
         assert np.allclose(read.attitude, as_written(attitude), atol=1e-12)
         assert np.abs(read.attitude - attitude).max() < 2e-4
     assert orientation_text(np.eye(3)) == "{x: east, y: north, z: up}"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -109,8 +110,8 @@ def static_coverage(campaign: Static, runs: int, seed: int) -> dict[str, float]:
                 means = currents(axes, truth=GYRO, **keys) + noise[:, k].mean(axis=1)
                 error = noise[:, k].std(axis=1, ddof=1) / math.sqrt(BATCHES)
                 planned = replace(segment(label, attitude(words)), orientation=words)
-                named, start = dict(zip(CHANNELS, means, strict=True)), k * (DWELL + PAUSE)
-                recorded.append(from_means(planned, named, "pulse/s", error, BATCHES, start=start))
+                named = dict(zip(CHANNELS, means, strict=True))
+                recorded.append(from_means(planned, named, "pulse/s", error, BATCHES, start=k * (DWELL + PAUSE)))
             request = EstimateRequest("d", tuple(recorded), parameters, SITE, sensor(*CHANNELS), setup=setup)
             count(combined(FlexureGyroStatic().estimate(request)), GYRO, hits)
     return {name: found / runs for name, found in hits.items()}
@@ -121,8 +122,12 @@ def rate_coverage(campaign: Rates, runs: int, seed: int) -> dict[str, float]:
     if campaign.flicker:
         stated["bias instability gyro"] = InputQuantity("bias instability gyro", 0.0, "pulse/s", campaign.flicker)
     setup = Setup(inputs=Inputs(stated))
-    keys = {"uncertainty": campaign.basis, "rate_uncertainty": parse_quantity(f"{campaign.common * 1e6:g} ppm")}
-    parameters = ScaleFactorParameters(outputs=("gyro",), weights=campaign.weights, **keys)
+    parameters = ScaleFactorParameters(
+        outputs=("gyro",),
+        weights=campaign.weights,
+        uncertainty=campaign.basis,
+        rate_uncertainty=parse_quantity(f"{campaign.common * 1e6:g} ppm"),
+    )
     rng = np.random.default_rng(seed)
     truth = {"K_gyro": SLOPE, "F0_gyro": OFFSET}
     hits = dict.fromkeys(truth, 0)
@@ -160,14 +165,14 @@ def main() -> None:
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     only = sys.argv[2] if len(sys.argv) > 2 else ""
     print(f"{runs} runs each; coverage in %, lowest and highest over the coefficients")
-    campaigns = [(name, static_coverage, one) for name, one in STATIC.items()]
-    campaigns += [(name, rate_coverage, one) for name, one in RATE.items()]  # type: ignore[misc, arg-type]
-    for name, measure, campaign in campaigns:
-        if only in f"{measure.__name__}, {name}":
-            found = measure(campaign, runs, 20)
+    campaigns = {f"static_coverage, {name}": partial(static_coverage, one) for name, one in STATIC.items()}
+    campaigns |= {f"rate_coverage, {name}": partial(rate_coverage, one) for name, one in RATE.items()}
+    for name, covered in campaigns.items():
+        if only in name:
+            found = covered(runs, 20)
             low, high = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
             shown = f"{100 * found[low]:.1f} ({low}) … {100 * found[high]:.1f} ({high})"
-            print(f"{measure.__name__}, {name}: {shown}", flush=True)
+            print(f"{name}: {shown}", flush=True)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def from_means(
     planned: Segment,
     means: Mapping[str, float],
     unit: str,
-    standard_error: Sequence[float] | float = 0.0,
+    standard_error: Sequence[float] | np.ndarray | float = 0.0,
     batches: int = 32,
     count: int = 1200,
     start: float = 0.0,

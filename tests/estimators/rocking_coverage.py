@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from rocking_recordings import ARCSEC, DEG, GRAVITY, LATITUDE, PER_HOUR, TABLE, World, estimate, recordings
@@ -35,7 +36,7 @@ SETUP = Setup(
 
 def one(draw: np.random.Generator, states: Sequence[str]) -> Estimate:
     """One rocking test with everything drawn anew: what all its runs share, and what each has of its own."""
-    shared = {
+    shared: dict[str, Any] = {
         "installation": STATED * draw.standard_normal(6),
         "latitude": LATITUDE + 20 * ARCSEC * draw.standard_normal(),
         "gravity": GRAVITY + 2e-5 * draw.standard_normal(),

@@ -14,6 +14,7 @@ import numpy as np
 from recorded import from_samples
 from scipy.spatial.transform import Rotation
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
 from planrunner.estimators.rocking.rocking_drift import RockingDrift
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
@@ -106,7 +107,7 @@ def samples(
     return time, channels
 
 
-def input_axes(angles: Sequence[float]) -> list[np.ndarray]:
+def input_axes(angles: Sequence[float] | np.ndarray) -> list[np.ndarray]:
     """Unit vectors of the accelerometers' input axes, each turned about one axis and then about the other."""
     xz, xy, yz, yx, zy, zx = angles
     x, y, z = np.eye(3)
@@ -128,7 +129,7 @@ def recordings(
 ) -> list[Any]:
     """Recorded segments of quadruples: (state, four worlds) each, a short caged segment before each run."""
     draw = np.random.default_rng(seed)
-    recorded = []
+    recorded: list[RecordedSegment] = []
     for number, (state, four) in enumerate(worlds, start=1):
         for name, world in zip(("static-1", "dynamic-1", "dynamic-2", "static-2"), four, strict=True):
             caged = planned(f"{state}", f"r{number}/cage", len(recorded), 10.0, "caged")

@@ -87,4 +87,5 @@ def campaign(count: int, seed: int = 1, told_after: int = 0) -> dict[str, tuple[
 
 
 if __name__ == "__main__":
-    campaign(*(int(word) for word in sys.argv[1:]), told_after=1000)
+    count, *seed = (int(word) for word in sys.argv[1:3])
+    campaign(count, seed[0] if seed else 1, told_after=1000)

@@ -13,7 +13,7 @@ from recorded import from_means
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.physics.earth import Site
-from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
 
 LATITUDE, GRAVITY = math.radians(39.98), 9.80154
 SITE = Site(LATITUDE, GRAVITY)
@@ -64,10 +64,12 @@ def plan(rates: Sequence[float] = (50.0, -50.0), positions: Sequence[str] = POSI
 
 def felt(segment: Segment, tilt: np.ndarray | None = None, rate_error: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Mean rate [rad/s] and specific force [m/s²] on the sensor's axes."""
+    assert segment.attitude is not None
     axes = segment.attitude if tilt is None else segment.attitude @ tilt
     earth, up = EARTH * np.array([0, math.cos(LATITUDE), math.sin(LATITUDE)]), np.array([0, 0, GRAVITY])
     if isinstance(segment.motion, Rest):
         return axes @ earth, axes @ up
+    assert isinstance(segment.motion, Spin | Cycle)
     rate = segment.motion.rate * (1 + rate_error)
     seen = (TURN @ earth).mean(axis=0)
     return axes @ (seen + rate * np.array([0, 0, 1.0])), axes @ up
@@ -117,8 +119,11 @@ def recorded(
 ) -> tuple[RecordedSegment, ...]:
     """One recording in SI, with half a dwell between segments. noise: rad/√s and m/s²·√s, white; tilt: rad, of each orientation about each
     axis, the same whenever it is taken; flicker: (6, segments, batches), of the batches' means."""
-    found, tilts, now = [], {}, 0.0
+    found: list[RecordedSegment] = []
+    tilts: dict[str, np.ndarray] = {}
+    now = 0.0
     for place, segment in enumerate(segments):
+        assert segment.dwell is not None
         turn = None
         if tilt and draw is not None:
             a, b, c = tilts.setdefault(segment.orientation, tilt * draw.standard_normal(3))

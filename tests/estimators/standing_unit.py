@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from recorded import from_samples, segment
@@ -83,7 +84,7 @@ def sensor(noise: float = 0.0, rate: float = RATE) -> SensorModel:
 
 
 def request(
-    *segments: RecordedSegment, site: Site = SITE, setup: Setup | None = None, **parameters: object
+    *segments: RecordedSegment, site: Site = SITE, setup: Setup | None = None, **parameters: Any
 ) -> EstimateRequest:
-    made = StrapdownNavigationParameters(**parameters)  # type: ignore[arg-type]
+    made = StrapdownNavigationParameters(**parameters)
     return EstimateRequest("free", segments, made, site, sensor(), setup=setup or Setup())

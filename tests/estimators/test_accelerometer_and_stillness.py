@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from recorded import from_means, from_samples, segment, sensor
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPosition,
     AccelerometerMultiPositionParameters,
@@ -33,9 +34,13 @@ def attitudes(count: int, seed: int = 0) -> list[np.ndarray]:
     return [matrix * np.sign(np.linalg.det(matrix)) for matrix in found]
 
 
-def detection(**texts: str) -> Detection:
-    keys = {"window": "0.5 s", "threshold": "0.05 m/s^2", "at_least": "1 s"} | texts
-    return Detection(detect="still", **{name: parse_quantity(text) for name, text in keys.items()})
+def detection(window: str = "0.5 s", threshold: str = "0.05 m/s^2", at_least: str = "1 s") -> Detection:
+    return Detection(
+        detect="still",
+        window=parse_quantity(window),
+        threshold=parse_quantity(threshold),
+        at_least=parse_quantity(at_least),
+    )
 
 
 def test_known_attitudes_recover_the_response() -> None:
@@ -120,7 +125,7 @@ def test_magnitude_refuses_what_it_cannot_tell() -> None:
         fit_magnitude(up * 9.8 * np.linspace(0.02, 5, 22)[:, None], 9.8)
 
 
-def made_by_hand(rows: int) -> tuple[object, list[tuple[float, float]]]:
+def made_by_hand(rows: int) -> tuple[RecordedSegment, list[tuple[float, float]]]:
     """100 Hz; still 0–5 s, turning 5–7 s, still 7–7.8 s (too short), turning 7.8–9 s, still 9–15 s; a missing sample at 12 s."""
     time = np.arange(1500) / 100
     rng = np.random.default_rng(0)
@@ -149,8 +154,8 @@ def test_still_spans_do_not_depend_on_blocks(rows: int) -> None:
 
 def test_span_statistics_equal_the_samples_own() -> None:
     recorded, _ = made_by_hand(64)
-    first = still_spans(recorded, detection())[0]  # type: ignore[arg-type]
-    (block,) = list(made_by_hand(5000)[0].blocks(CHANNELS))  # type: ignore[attr-defined]
+    first = still_spans(recorded, detection())[0]
+    (block,) = list(made_by_hand(5000)[0].blocks(CHANNELS))
     inside = (block.time >= first.span.start) & (block.time < first.span.end - 1e-6)
     values = np.column_stack([block.channels[name][inside] for name in CHANNELS])
     assert first.count == inside.sum()
@@ -178,7 +183,7 @@ def test_still_detection_refusals() -> None:
     with pytest.raises(EstimationError, match="no still span was found"):
         AccelerometerMultiPosition().estimate(request)
     by_orientation = AccelerometerMultiPositionParameters()
-    request = EstimateRequest("a", (recorded,), by_orientation, SITE, sensor(*CHANNELS), detection=detection())  # type: ignore[arg-type]
+    request = EstimateRequest("a", (recorded,), by_orientation, SITE, sensor(*CHANNELS), detection=detection())
     with pytest.raises(EstimationError, match="reference: gravity_magnitude"):
         AccelerometerMultiPosition().estimate(request)
     turned = from_samples(

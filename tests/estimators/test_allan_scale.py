@@ -28,13 +28,13 @@ VALUES = simulated_noise.rate(np.random.default_rng(2), 2**13, 0.1, N=1.0, B=0.1
 DRIFT = Estimate("drift", "other", (Coefficient("SF_Y", 0.2, "(deg/h)/(pulse/s)", 0.001, 7.0),), np.array([[1e-6]]))
 
 
-def estimate(scale: object, unit: str = "pulse/s", **uses: Estimate) -> Estimate:
+def estimate(scale: object, uses: dict[str, Estimate] | None = None, unit: str = "pulse/s") -> Estimate:
     time = np.arange(VALUES.size) * 0.1
     recorded = from_samples(segment("rest"), time, {"gyro": VALUES}, {"gyro": unit})
     scales: dict[str, Any] = {} if scale is None else {"gyro": scale}
     parameters = AllanDeviationParameters(outputs=("gyro",), scale_factors=scales)
     return AllanDeviation().estimate(
-        EstimateRequest("noise", (recorded,), parameters, SITE, sensor("gyro", unit=unit), uses=uses)
+        EstimateRequest("noise", (recorded,), parameters, SITE, sensor("gyro", unit=unit), uses=uses or {})
     )
 
 
@@ -49,7 +49,7 @@ def estimate(scale: object, unit: str = "pulse/s", **uses: Estimate) -> Estimate
 )
 def test_pulses_become_a_rate(scale: object, uses: dict[str, Estimate]) -> None:
     """N in (pulse/s)·√s times 0.2 (deg/h)/(pulse/s) is (deg/h)·√s, and 1 (deg/h)·√s is 1/60 deg/√h; B in pulse/s times 0.2 is deg/h."""
-    plain, found = estimate(None), estimate(scale, **uses)
+    plain, found = estimate(None), estimate(scale, uses)
     assert found["N_gyro"].unit == "deg/sqrt(h)" and found["B_gyro"].unit == "deg/h"
     assert found["N_gyro"].value == pytest.approx(0.2 / 60 * plain["N_gyro"].value, rel=1e-9)
     assert found["B_gyro"].value == pytest.approx(0.2 * plain["B_gyro"].value, rel=1e-9)
@@ -62,7 +62,7 @@ def test_pulses_become_a_rate(scale: object, uses: dict[str, Estimate]) -> None:
 
 
 def test_volts_become_an_acceleration() -> None:
-    plain, found = estimate(None, "V"), estimate(parse_quantity("2 V/g"), "V")
+    plain, found = estimate(None, unit="V"), estimate(parse_quantity("2 V/g"), unit="V")
     assert found["B_gyro"].unit == "ug"
     assert found["B_gyro"].value == pytest.approx(plain["B_gyro"].value / 2 * 1e6, rel=1e-9)
     assert not found.influences
@@ -79,7 +79,7 @@ def test_volts_become_an_acceleration() -> None:
 )
 def test_what_cannot_be_meant(scale: object, uses: dict[str, Estimate], words: str) -> None:
     with pytest.raises(EstimationError, match=words):
-        estimate(scale, **uses)
+        estimate(scale, uses)
 
 
 def test_an_output_that_is_not_analysed() -> None:

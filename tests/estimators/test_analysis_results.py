@@ -110,6 +110,7 @@ def test_influences_widen_what_limits_are_held_against() -> None:
     assert made["D_X_F"].standard_uncertainty == pytest.approx(math.hypot(own, 3.0))
     assert made["D_Y_F"] == plain["D_Y_F"]
     at = [item.name for item in made.coefficients].index("D_X_F")
+    assert made.covariance is not None and made.data_covariance is not None
     assert made.covariance[at, at] - made.data_covariance[at, at] == pytest.approx(9.0)
     assert hold(limits()[0], {"drift": plain}).verdict == "pass"
     assert hold(limits()[0], {"drift": made}).verdict == "fail"
@@ -122,14 +123,14 @@ def test_influences_widen_what_limits_are_held_against() -> None:
 
 def test_a_limit_says_its_rule_and_its_risks() -> None:
     """Guard band ½·U99; global risks only where a prior is stated, in the coefficient's unit."""
-    keys = {"quantity": "drift.D_X_F", "within": "±1.25 deg/h", "guard_band": 0.5, "coverage": 0.99}
-    plain, known = Limit(**keys), Limit(**keys, prior=parse_quantity("0.001 deg/s ± 0.0001 deg/s"))
+    plain = Limit(quantity="drift.D_X_F", within="±1.25 deg/h", guard_band=0.5, coverage=0.99)
+    known = replace(plain, prior=parse_quantity("0.001 deg/s ± 0.0001 deg/s"))
     found = analyse(ESTIMATES, [plain, known], recording(), SITE, sensor(*CHANNELS))
     without, with_ = found.limits
     k = coverage_factor(4, 0.99)
     assert without.guard_band == pytest.approx(0.5 * k * without.standard_uncertainty)
     assert without.expanded_uncertainty == pytest.approx(k * without.standard_uncertainty)
-    assert (without.guard_factor, without.coverage, without.coverage_factor) == (0.5, 0.99, pytest.approx(k))
+    assert (without.guard_factor, without.coverage, without.coverage_factor) == pytest.approx((0.5, 0.99, k))
     assert without.false_decision == pytest.approx(
         1 - without.probability if without.verdict == "pass" else without.probability
     )
@@ -137,9 +138,8 @@ def test_a_limit_says_its_rule_and_its_risks() -> None:
     # 3.6 ± 0.36 deg/h lies 6.5 standard deviations above ±1.25: hardly any item conforms and hardly any is accepted.
     assert 0 <= with_.consumer_risk < 1e-6
     assert 0 <= with_.producer_risk < 1e-6
-    wrong = analyse(
-        ESTIMATES, [Limit(**keys, prior=parse_quantity("0.1 deg ± 0.2 deg"))], recording(), SITE, sensor(*CHANNELS)
-    )
+    angle = replace(plain, prior=parse_quantity("0.1 deg ± 0.2 deg"))
+    wrong = analyse(ESTIMATES, [angle], recording(), SITE, sensor(*CHANNELS))
     assert "write it in deg/h" in wrong.failures["limit on drift.D_X_F"]
 
 

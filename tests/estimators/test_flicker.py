@@ -112,7 +112,7 @@ NOISE = np.random.default_rng(1).normal(scale=0.08, size=(2, 8))
 def test_uncertainties_are_those_of_generalised_least_squares() -> None:
     """By the textbook formula (XᵀV⁻¹X)⁻¹ written with inverses, where all is declared and believed."""
     found = fitted(recorded(NOISE), declared(0.3), uncertainty="within_segment")
-    start = 180.0 * np.arange(8)
+    start = 180.0 * np.arange(8, dtype=float)
     left = 0.08**2 - 0.3**2 * math.log(32) / (math.pi * 31)  # white, less what flicker makes of the scatter within
     covariance = left * np.eye(8) + 0.09 * mean_covariance(start, start + 120, 86400.0)
     earth = 15.041067 * np.array([0, math.cos(SITE.latitude), math.sin(SITE.latitude)])

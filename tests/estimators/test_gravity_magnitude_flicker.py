@@ -106,8 +106,13 @@ def test_flicker_reaches_spans_that_are_found_by_their_stillness() -> None:
         values[1000 * k + 800 : 1000 * (k + 1)] += 3 * np.sin(2 * np.pi * np.arange(200) / 100)[:, None]
     channels = {name: values[:, k] for k, name in enumerate(CHANNELS)}
     recorded = from_samples(segment("t"), time, channels, dict.fromkeys(CHANNELS, "m/s^2"))
-    still = {"window": "0.5 s", "threshold": "0.05 m/s^2", "at_least": "1 s"}
-    chosen = Detection(detect="still", channels=CHANNELS, **{k: parse_quantity(text) for k, text in still.items()})
+    chosen = Detection(
+        detect="still",
+        channels=CHANNELS,
+        window=parse_quantity("0.5 s"),
+        threshold=parse_quantity("0.05 m/s^2"),
+        at_least=parse_quantity("1 s"),
+    )
     parameters = AccelerometerMultiPositionParameters(reference="gravity_magnitude", uncertainty="within_segment")
     model = sensor(*CHANNELS, unit="m/s^2")
     sizes = (1e-3,) * 3

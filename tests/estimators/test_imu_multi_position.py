@@ -20,7 +20,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rock, Segment
 from planrunner.uncertainty.decision import expanded_uncertainty
 
-BOTH = {"gyros": imu.GYROS, "accelerometers": imu.ACCELS}
+BOTH: dict[str, Any] = {"gyros": imu.GYROS, "accelerometers": imu.ACCELS}
 SIX = ("east north up", "east south down", "up east north", "down east south", "north up east", "south down east")
 
 
@@ -87,8 +87,7 @@ def test_a_rate_by_hand() -> None:
             if other != n // 2:
                 values[other] = 0.25
         recorded.append(from_means(segment, dict(zip(imu.GYROS, values, strict=True)), "deg/s", 1e-6))
-    keys = {"gyros": imu.GYROS, "gyro_terms": ("bias", "rate_x", "rate_y", "rate_z")}
-    found = calibrate(tuple(recorded), **keys)
+    found = calibrate(tuple(recorded), gyros=imu.GYROS, gyro_terms=("bias", "rate_x", "rate_y", "rate_z"))
     for axis in "xyz":
         assert found[f"gyro_scale_{axis}"].value == pytest.approx(1.5, rel=1e-9)
         assert found[f"gyro_bias_{axis}"].value == pytest.approx(0.25 * 3600, rel=1e-9)
@@ -243,7 +242,7 @@ def test_a_rate_about_one_axis_only_is_ill_conditioned() -> None:
         ({"gyros": imu.GYROS, "gyro_terms": ("bias", "rate_x", "rate_y", "rate_z", "accel_x_accel_z")}, "is a product"),
     ],
 )
-def test_bad_plans(keys: dict[str, object], words: str) -> None:
+def test_bad_plans(keys: dict[str, Any], words: str) -> None:
     recorded = imu.recorded(imu.plan(), imu.drawn_truth(np.random.default_rng(2)), np.random.default_rng(3))
     with pytest.raises(EstimationError, match=words):
         calibrate(recorded, **keys)

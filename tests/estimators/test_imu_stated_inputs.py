@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def stated(name: str, unit: str, u: float) -> Setup:
 @pytest.mark.parametrize(("name", "step"), [("latitude", 1e-4), ("gravity", 1e-3)])
 def test_sensitivities_are_those_of_a_refit(name: str, step: float, misalignment: str) -> None:
     recorded = imu.recorded(imu.plan(), imu.drawn_truth(np.random.default_rng(2)))
-    keys = {**BOTH, "misalignment": misalignment}
+    keys: dict[str, Any] = {**BOTH, "misalignment": misalignment}
     found = calibrate(recorded, stated(name, "rad", 1.0), **keys)
     up, down = (
         calibrate(recorded, site=replace(imu.SITE, **{name: getattr(imu.SITE, name) + s}), **keys)
@@ -32,7 +33,7 @@ def test_sensitivities_are_those_of_a_refit(name: str, step: float, misalignment
     refit = np.array(
         [(a.value - b.value) / (2 * step) for a, b in zip(up.coefficients, down.coefficients, strict=True)]
     )
-    assert sum(item.sensitivities for item in found.influences)[:, 0] == pytest.approx(
+    assert np.sum([item.sensitivities for item in found.influences], axis=0)[:, 0] == pytest.approx(
         refit, rel=1e-3, abs=1e-5 * np.abs(refit).max()
     )
 
@@ -74,7 +75,8 @@ def test_azimuth_against_a_turned_table() -> None:
 def test_positions_against_tilted_tables() -> None:
     """Independent tilts of every orientation: the spread of many recordings is what the influence says, with the noise beside it."""
     truth, draw, segments = imu.drawn_truth(np.random.default_rng(2)), np.random.default_rng(4), imu.plan()
-    quiet, keys = (1e-8, 1e-5), BOTH | {"uncertainty": "within_segment"}
+    quiet = (1e-8, 1e-5)
+    keys = BOTH | {"uncertainty": "within_segment"}
     spread = [
         [
             item.value

@@ -240,7 +240,7 @@ def test_ratios_and_their_uncertainty_by_hand() -> None:
 
 
 def test_declared_errors_are_predicted_beside_what_is_measured() -> None:
-    declared = {
+    declared: dict[str, Any] = {
         "gyro_errors": tuple(map(parse_quantity, ("0.02 deg/h", "-0.015 deg/h", "0 deg/h"), ("angular rate",) * 3)),
         "accelerometer_errors": tuple(map(parse_quantity, ("50 ug", "-40 ug", "0 ug"), ("acceleration",) * 3)),
     }

@@ -129,8 +129,12 @@ def test_tumble_about_y_cannot_show_y_unless_it_is_left_out() -> None:
 
 def still_poses(threshold: str = "0.12 m/s^2") -> Detection:
     """Three times the 4 mg rms noise of an MPU-9150 (400 µg/√Hz over about 100 Hz), half-second windows, spans of two seconds."""
-    quantities = {"window": "0.5 s", "threshold": threshold, "at_least": "2 s"}
-    return Detection(detect="still", **{name: parse_quantity(text) for name, text in quantities.items()})
+    return Detection(
+        detect="still",
+        window=parse_quantity("0.5 s"),
+        threshold=parse_quantity(threshold),
+        at_least=parse_quantity("2 s"),
+    )
 
 
 def tumbled_by_hand(name: str, detection: Detection) -> Estimate:

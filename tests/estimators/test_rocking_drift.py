@@ -27,10 +27,10 @@ from rocking_recordings import (
 )
 
 from planrunner.archive.recording import IN_MODE
+from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.instruments.models import TableModel
 from planrunner.plan.schedule import Rest, Spin
-from planrunner.uncertainty.budget import combine as add_up
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 DRIFT = np.array([0.2, -0.3, 0.15]) * PER_HOUR
@@ -260,8 +260,7 @@ def test_shared_inputs_are_sensitivities_of_the_whole_chain(quiet):
 
 def test_the_intervals_add_up_with_the_budget(quiet):
     found = estimate(quiet, "{accelerometer_stability: 10 ug}")
-    summed = add_up(found.coefficients, found.covariance, found.influences)
-    assert len(summed.budgets) == 6
+    assert len(combined(found).budgets) == 6
 
 
 # -- what is refused -------------------------------------------------------------------------------------------------

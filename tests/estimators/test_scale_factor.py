@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,14 +36,14 @@ def line(
     unit: str = "deg/s",
     error: object = 0.01,
     setup: Setup = NOTHING,
-    **keys: object,
+    **keys: Any,
 ) -> Estimate:
     errors = np.broadcast_to(np.asarray(error, dtype=float), rates.shape)
     recorded = tuple(
         from_means(segment(f"R{n}", motion=Spin(rate * DEG)), {"gyro": value}, unit, [own])
         for n, (rate, value, own) in enumerate(zip(rates, outputs, errors, strict=True))
     )
-    parameters = ScaleFactorParameters(outputs=("gyro",), **keys)  # type: ignore[arg-type]
+    parameters = ScaleFactorParameters(outputs=("gyro",), **keys)
     request = EstimateRequest("scale", recorded, parameters, SITE, sensor("gyro", unit=unit), setup=setup)
     return combined(ScaleFactor().estimate(request))
 
@@ -98,7 +99,7 @@ def test_within_segment_uncertainty_by_hand() -> None:
 def test_uncertainty_of_the_rate_is_common_to_all() -> None:
     relative = parse_quantity("100 ppm")
     rates = np.array([-1.0, 0, 1])
-    keys = {"error": 0.02, "uncertainty": "within_segment"}
+    keys: dict[str, Any] = {"error": 0.02, "uncertainty": "within_segment"}
     plain, added = line(rates, 500 * rates, **keys), line(rates, 500 * rates, rate_uncertainty=relative, **keys)
     expected = math.hypot(plain["K_gyro"].standard_uncertainty, 500 * 1e-4)
     assert added["K_gyro"].standard_uncertainty == pytest.approx(expected, rel=1e-9)
@@ -204,7 +205,7 @@ def test_each_rates_own_error_by_brute_force(basis: str) -> None:
 def test_budget_of_a_scale_factor_by_hand() -> None:
     """Equal noise s = 0.02 at ω = ±1 and 0: u(K) = s/√2 from the data; errors of two rates give K·u/√2, a common one K·u."""
     rates = np.array([-1.0, 0, 1])
-    keys = {"error": 0.02, "uncertainty": "within_segment", "setup": HELD}
+    keys: dict[str, Any] = {"error": 0.02, "uncertainty": "within_segment", "setup": HELD}
     found = line(rates, 500 * rates, rate_uncertainty=parse_quantity("20 ppm"), **keys)
     budget = next(one for one in found.budgets if one.coefficient == "K_gyro")
     shown = {one.quantity: one.contribution for one in budget.lines}

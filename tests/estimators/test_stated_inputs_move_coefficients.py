@@ -75,13 +75,14 @@ def fitted(
     basis: str = "within_segment",
     noise: NoiseModel | None = None,
     error: float = 0.01,
-    **keys: float,
+    latitude: float = SITE.latitude,
+    gravity: float = SITE.gravity,
 ) -> Estimate:
     """A recording made with the attitudes of `world`, fitted at the planned ones."""
     recorded = tuple(
         from_means(
             replace(segment(label, attitude(words)), orientation=words),
-            dict(zip(CHANNELS, currents(world[label], **keys), strict=True)),
+            dict(zip(CHANNELS, currents(world[label], latitude, gravity), strict=True)),
             "pulse/s",
             error,
         )
@@ -113,11 +114,13 @@ def same_but_for_sign(found: np.ndarray, expected: np.ndarray) -> bool:
     return min(np.abs((found - sign * expected) / size).max() for sign in (1, -1)) < 2e-3
 
 
-def brute(world: dict[str, np.ndarray], step: float = STEP, **keys: float) -> np.ndarray:
+def brute(
+    world: dict[str, np.ndarray], step: float = STEP, latitude: float = SITE.latitude, gravity: float = SITE.gravity
+) -> np.ndarray:
     """Change of all coefficients per unit of the change."""
     nominal = values(fitted(PLANNED, SETUP))
     scale = np.maximum(np.abs(nominal), 1.0)
-    return (values(fitted(world, SETUP, **keys)) - nominal) / step / scale
+    return (values(fitted(world, SETUP, latitude=latitude, gravity=gravity)) - nominal) / step / scale
 
 
 def relative(column: np.ndarray) -> np.ndarray:
@@ -229,6 +232,7 @@ def test_monte_carlo_of_all_of_them_has_the_combined_covariance() -> None:
     drawn_here = {k: v for k, v in SETUP.inputs.quantities.items() if k[:5] != "resol" and k != "table orthogonality"}
     setup = replace(SETUP, inputs=Inputs(drawn_here))
     budget = combined(fitted(PLANNED, setup))
+    assert budget.covariance is not None and budget.data_covariance is not None
     predicted = np.sqrt(np.diag(budget.covariance - budget.data_covariance))
     drawn = []
     for _ in range(400):
@@ -304,7 +308,11 @@ VERIFY = {"V1": "up west south", "V2": "west north down", "V3": "east up south"}
 
 
 def residual_sums(
-    noise: np.ndarray, turned: dict[str, np.ndarray], setup: Setup = NOTHING, **keys: float
+    noise: np.ndarray,
+    turned: dict[str, np.ndarray],
+    setup: Setup = NOTHING,
+    latitude: float = SITE.latitude,
+    gravity: float = SITE.gravity,
 ) -> tuple[np.ndarray, Estimate]:
     """Both sets calibrated and compared on the verification positions, in a world where words point as `turned` says."""
 
@@ -313,7 +321,11 @@ def residual_sums(
             from_means(
                 replace(segment(label, attitude(words)), orientation=words),
                 dict(
-                    zip(CHANNELS, currents(attitude(words) @ turned.get(words, np.eye(3)), **keys) + row, strict=True)
+                    zip(
+                        CHANNELS,
+                        currents(attitude(words) @ turned.get(words, np.eye(3)), latitude, gravity) + row,
+                        strict=True,
+                    )
                 ),
                 "pulse/s",
                 0.1,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from standing_unit import DEG_H, RATE, SITE, recorded, request, samples, sensor
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation, StrapdownNavigationParameters
+from planrunner.physics.earth import Site
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Cycle, Move
@@ -22,9 +24,7 @@ EARTH = SITE.earth_rate
 RADIUS = 6_378_137.0
 
 
-def navigated(
-    errors: tuple[float, ...], seconds: float = 3 * 3600, noise: float = 1e-4, **parameters: object
-) -> Estimate:
+def navigated(errors: tuple[float, ...], seconds: float = 3 * 3600, noise: float = 1e-4, **parameters: Any) -> Estimate:
     """Alignment of 10 min without constant errors, then navigation with them, so that theory needs no alignment error."""
     stop = recorded("align", samples(600, noise=noise), 100.0)
     run = recorded("navigate", samples(seconds, errors=errors, noise=noise, seed=1), 700.0)
@@ -105,14 +105,16 @@ def test_constant_errors_hide_behind_alignment() -> None:
     errors = (0.02, 0, 0, 0, 0, 0)
     stop = recorded("align", samples(600, errors=errors, noise=1e-4), 0.0)
     run = recorded("navigate", samples(7200, errors=errors, noise=1e-4, seed=1), 600.0)
-    stated = {"gyro_uncertainty": parse_quantity("0.02 deg/h"), "accelerometer_uncertainty": parse_quantity("20 ug")}
-    found = StrapdownNavigation().estimate(request(stop, run, **stated))
+    gyro, accelerometer = parse_quantity("0.02 deg/h"), parse_quantity("20 ug")
+    found = StrapdownNavigation().estimate(
+        request(stop, run, gyro_uncertainty=gyro, accelerometer_uncertainty=accelerometer)
+    )
     # heading is off by ε_E/(Ω·cos L), as its stated type B input says
     off = np.radians((found["heading"].value + 180) % 360 - 180)
     assert abs(off) == pytest.approx(0.02 * DEG_H / (EARTH * math.cos(SITE.latitude)), rel=0.02)
-    gyro = next(item for item in found.influences if "gyro" in item.quantity.name)
-    assert math.sqrt(gyro.covariance[0, 0]) == pytest.approx(np.degrees(abs(off)), rel=0.02)
-    assert not gyro.covariance[3:].any()
+    acting = next(item for item in found.influences if "gyro" in item.quantity.name)
+    assert math.sqrt(acting.covariance[0, 0]) == pytest.approx(np.degrees(abs(off)), rel=0.02)
+    assert not acting.covariance[3:].any()
     assert found["radial_error"].value < 200
     with_heading = navigated(errors, seconds=7200)
     assert with_heading["radial_error"].value > 10 * found["radial_error"].value
@@ -264,23 +266,29 @@ def test_position_is_that_told_of_the_run() -> None:
 # -- before the run ----------------------------------------------------------------------------------------------------
 
 
-def planned(**changes: object) -> DesignRequest:
-    stop = recorded("align", samples(10), 0.0).segment
-    run = recorded("navigate", samples(10), 0.0).segment
-    parameters = changes.pop("parameters", StrapdownNavigationParameters())
-    site = changes.pop("site", SITE)
-    noise = changes.pop("noise", 0.01)
+def planned(
+    parameters: StrapdownNavigationParameters | None = None,
+    site: Site = SITE,
+    noise: float = 0.01,
+    stop: dict[str, Any] | None = None,
+    run: dict[str, Any] | None = None,
+) -> DesignRequest:
+    """stop, run: what is different of the segments."""
+    aligned = recorded("align", samples(10), 0.0).segment
+    navigated = recorded("navigate", samples(10), 0.0).segment
     segments = (
-        replace(stop, **{"dwell": 600.0, "index": 0, **changes.pop("stop", {})}),  # type: ignore[arg-type]
-        replace(run, dwell=3 * 3600.0, index=1, **changes.pop("run", {})),  # type: ignore[arg-type]
+        replace(aligned, **{"dwell": 600.0, "index": 0, **(stop or {})}),
+        replace(navigated, **{"dwell": 3 * 3600.0, "index": 1, **(run or {})}),
     )
-    return DesignRequest("free", segments, parameters, site, sensor(noise))  # type: ignore[arg-type]
+    return DesignRequest("free", segments, parameters or StrapdownNavigationParameters(), site, sensor(noise))
 
 
 def test_expected_errors_are_those_of_repetitions() -> None:
     """The design's root mean squares against 30 simulated units with random constant errors and noise: within their scatter of 13 %."""
-    stated = {"gyro_uncertainty": parse_quantity("0.02 deg/h"), "accelerometer_uncertainty": parse_quantity("40 ug")}
-    expected = StrapdownNavigation().design(planned(parameters=StrapdownNavigationParameters(**stated)))
+    stated = StrapdownNavigationParameters(
+        gyro_uncertainty=parse_quantity("0.02 deg/h"), accelerometer_uncertainty=parse_quantity("40 ug")
+    )
+    expected = StrapdownNavigation().design(planned(parameters=stated))
     draw, found = np.random.default_rng(5), []
     for seed in range(30):
         errors = tuple(draw.normal(0, 1, 6) * [0.02, 0.02, 0.02, 40, 40, 40])
@@ -297,11 +305,13 @@ def test_expected_errors_are_those_of_repetitions() -> None:
 
 def test_a_long_alignment_is_foreseen_in_coarser_knots_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     """To a tenth, as uncertainties are planned: coarser knots are fewer measurements of the same."""
-    stated = {"gyro_uncertainty": parse_quantity("0.02 deg/h"), "accelerometer_uncertainty": parse_quantity("40 ug")}
+    stated = StrapdownNavigationParameters(
+        gyro_uncertainty=parse_quantity("0.02 deg/h"), accelerometer_uncertainty=parse_quantity("40 ug")
+    )
     moves = (Move("A", np.pi, "B"), Move("B", -np.pi, "A"))
     turning = Cycle({"A": 0.0, "B": np.pi}, moves, math.radians(10), 120.0)
     for stop in ({"dwell": 10_000.0}, {"dwell": 20 * 276.0, "motion": turning}):
-        plan = planned(parameters=StrapdownNavigationParameters(**stated), stop=stop)
+        plan = planned(parameters=stated, stop=stop)
         found = []
         for knots in (100_000, 1800):
             monkeypatch.setattr("planrunner.estimators.strapdown.design._KNOTS", knots)
@@ -330,7 +340,7 @@ def test_names_foreseen_are_those_estimated() -> None:
         ({"site": replace(SITE, latitude=math.radians(88))}, "physics-navigation-latitude", "88 deg"),
     ],
 )
-def test_plans_that_cannot_work_are_refused(changes: dict[str, object], code: str, words: str) -> None:
+def test_plans_that_cannot_work_are_refused(changes: dict[str, Any], code: str, words: str) -> None:
     remarks = [item for item in StrapdownNavigation().design(planned(**changes)).remarks if item.error]
     assert [remark.code for remark in remarks if words in remark.message] == [code]
 

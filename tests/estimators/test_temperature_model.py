@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,8 +57,8 @@ def given(temperature: ArrayLike, value: ArrayLike, u: ArrayLike = 0.0, name: st
     )
 
 
-def model(*uses: Estimate, recorded: tuple = (), setup: Setup = NOTHING, **keys: object) -> Estimate:
-    parameters = TemperatureModelParameters(**keys)  # type: ignore[arg-type]
+def model(*uses: Estimate, recorded: tuple = (), setup: Setup = NOTHING, **keys: Any) -> Estimate:
+    parameters = TemperatureModelParameters(**keys)
     named = {f"cal{n}": one for n, one in enumerate(uses)}
     request = EstimateRequest("curve", recorded, parameters, SITE, sensor("gyro"), named, setup=setup)
     return TemperatureModel().estimate(request)
@@ -186,7 +187,7 @@ def test_a_ramp_and_its_hysteresis() -> None:
     loop = 0.03
     up = ramp("up", -20, 60, lambda t: 0.1 + 0.002 * (t - 25), 1)
     down = ramp("down", 60, -20, lambda t: 0.1 + 0.002 * (t - 25) + loop * (1 - ((t - 20) / 40) ** 2), 2)
-    keys = {"channels": ("gyro",), "temperature_channel": "inside"}
+    keys: dict[str, Any] = {"channels": ("gyro",), "temperature_channel": "inside"}
     alone = model(recorded=(up,), **keys, order=1)
     assert alone["gyro_T1"].value == pytest.approx(0.002, abs=4 * alone["gyro_T1"].standard_uncertainty)
     assert alone["gyro_T1"].unit == "deg/s/K" and "hysteresis_gyro" not in [c.name for c in alone.coefficients]
@@ -249,7 +250,7 @@ def test_vacuum_chamber_gyro() -> None:
         ({"temperature_channel": "inside"}, "nothing to model"),
     ],
 )
-def test_bad_plans_for_channels(keys: dict[str, object], words: str) -> None:
+def test_bad_plans_for_channels(keys: dict[str, Any], words: str) -> None:
     with pytest.raises(EstimationError, match=words):
         model(recorded=(ramp("up", -20, 60, lambda t: t),), **keys)
 
@@ -269,15 +270,18 @@ def test_bad_plans_for_channels(keys: dict[str, object], words: str) -> None:
         ([given([0, 10, 20], [1, 2, 3])], {"uncertainty": "propagated"}, "has no uncertainty of its own"),
     ],
 )
-def test_bad_plans_for_coefficients(uses: list[Estimate], keys: dict[str, object], words: str) -> None:
+def test_bad_plans_for_coefficients(uses: list[Estimate], keys: dict[str, Any], words: str) -> None:
     with pytest.raises(EstimationError, match=words):
         model(*uses, **keys)
 
 
 def test_too_few_planned_temperatures_are_an_error_before_the_run() -> None:
     held = tuple(replace(segment(f"S{t}"), temperature=t + KELVIN) for t in (0, 40))
-    for keys, needed in (({}, 3), ({"order": 2}, 3)):
-        parameters = TemperatureModelParameters(channels=("gyro",), **keys)
+    plain, square = (
+        TemperatureModelParameters(channels=("gyro",)),
+        TemperatureModelParameters(channels=("gyro",), order=2),
+    )
+    for parameters, needed in ((plain, 3), (square, 3)):
         design = TemperatureModel().design(DesignRequest("curve", held, parameters, SITE, sensor("gyro")))
         assert design is not None
         (remark,) = design.remarks
@@ -361,7 +365,7 @@ def test_a_warmer_chamber_moves_the_knots_of_a_spline_along_it() -> None:
 
 def test_the_sensors_own_thermometer_is_not_the_chambers() -> None:
     up = ramp("up", -20, 60, lambda t: 0.1 + 0.002 * (t - 25))
-    keys = {"channels": ("gyro",), "order": 1, "setup": CHAMBER}
+    keys: dict[str, Any] = {"channels": ("gyro",), "order": 1, "setup": CHAMBER}
     assert model(recorded=(up,), temperature_channel="inside", **keys).influences == ()
     held = tuple(
         from_means(replace(segment(f"S{t}"), temperature=t + KELVIN), {"gyro": 2.0 + 0.5 * t}, "deg/h", 0.01)

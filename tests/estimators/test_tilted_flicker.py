@@ -241,7 +241,7 @@ def test_the_noise_of_the_zeros_is_no_drift() -> None:
 def zeros(drift: Sequence[float]) -> Group:
     """A group of repeats whose zeros moved by so much, each zero of one segment."""
     q, empty = len(drift), np.empty(0)
-    between = np.kron(np.eye(q), [-1.0, 1.0])
+    between = np.kron(np.eye(q), np.array([-1.0, 1.0]))
     moved = np.array(drift)[:, None]
     return Group("", 293.15, ("",) * q, empty, np.empty((q, 0), dtype=np.int64), between, between, empty, moved)
 

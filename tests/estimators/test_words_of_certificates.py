@@ -83,8 +83,9 @@ def said_of_rocking() -> Iterator[Estimate | str]:
 def said_of_triads() -> Iterator[Estimate | str]:
     truth = imu.drawn_truth(np.random.default_rng(1))
     yield imu_calibration.calibrate(imu.recorded(imu.plan(), truth))
-    turned = {**imu_calibration.BOTH, "misalignment": "lower_triangular"}
-    yield imu_calibration.calibrate(imu.recorded(imu.plan(), truth), **turned)
+    yield imu_calibration.calibrate(
+        imu.recorded(imu.plan(), truth), **imu_calibration.BOTH, misalignment="lower_triangular"
+    )
     for kind, text, terms in (
         ("gyro", "rad/s", ("bias", "rate_x", "rate_y", "accel_x_accel_z", "accel_y_accel_z")),
         ("accel", "m/s^2", ("bias", "accel_x", "accel_y", "accel_z", "rate_x", "rate_y", "rate_z")),
@@ -92,12 +93,12 @@ def said_of_triads() -> Iterator[Estimate | str]:
         response = Response(kind, (unit(text),) * 3, error_model(terms), np.ones((3, len(terms))))
         yield from reported(framed([response], lower_triangular=False)).words
     names = accelerometers.CHANNELS
-    for terms in (("bias", "accel_x", "accel_y", "accel_z"), ("bias", "accel_x", "accel_z")):
+    for chosen in (("bias", "accel_x", "accel_y", "accel_z"), ("bias", "accel_x", "accel_z")):
         known = [
             from_means(segment(f"A{n}", one), dict(zip(names, one @ [0.1, 0.2, 9.8], strict=True)), "m/s^2", 1e-4)
             for n, one in enumerate(accelerometers.attitudes(12))
         ]
-        parameters = AccelerometerMultiPositionParameters(terms=terms)
+        parameters = AccelerometerMultiPositionParameters(terms=chosen)
         model = sensor(*names, unit="m/s^2")
         yield AccelerometerMultiPosition().estimate(
             EstimateRequest("a", tuple(known), parameters, accelerometers.SITE, model)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from recorded import from_means, sensor
@@ -147,5 +148,5 @@ def estimate(
     return combined(ScaleFactorTilted().estimate(request))
 
 
-def turned_label(recorded: RecordedSegment, **changes: object) -> RecordedSegment:
+def turned_label(recorded: RecordedSegment, **changes: Any) -> RecordedSegment:
     return replace(recorded, segment=replace(recorded.segment, **changes))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,16 +18,19 @@ EAST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class Calls(list[str]):
-    """What was asked of the bench, in order. `fail_at` names a call that raises `error` when it comes."""
+    """What was asked of the bench, in order. `fail_at` names a call that raises `error` when it comes; `then` is called after each."""
 
     fail_at: str = ""
     error: BaseException = InstrumentError("the cable is out")
     clock: Any = None
+    then: Callable[[str], None] | None = None
 
     def note(self, call: str) -> None:
         self.append(call)
         if self.fail_at and call.startswith(self.fail_at):
             raise self.error
+        if self.then is not None:
+            self.then(call)
 
 
 class Table:

@@ -17,14 +17,12 @@ from planrunner.execution.stopping import StopRequest
 
 def stop_on(bench: Bench, call: str, action: Any) -> None:
     """Do `action` when `call` comes."""
-    note = bench.calls.note
 
-    def noting(name: str) -> None:
-        note(name)
-        if name == call and bench.calls.count(call) == 1:
+    def when_it_comes(noted: str) -> None:
+        if noted == call and bench.calls.count(call) == 1:
             action()
 
-    bench.calls.note = noting  # type: ignore[method-assign]
+    bench.calls.then = when_it_comes
 
 
 def test_first_interrupt_ends_after_the_segment(tmp_path: Path) -> None:

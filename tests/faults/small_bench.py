@@ -131,7 +131,7 @@ class SmallBench:
         until(lambda: not self.state()["faults"], "the faults are cleared")
         for address in ask(self.control, {"ask": "bench"})["addresses"].values():
             if "/" in address:
-                until(lambda place=address: Path(place).exists(), f"{address} is back")
+                until(Path(address).exists, f"{address} is back")
 
     def state(self) -> dict[str, Any]:
         """What is true of the instruments."""

@@ -29,7 +29,7 @@ def test_intervals_of_any_gap_cover_the_truth() -> None:
         if found.resolvable:
             said += 1
             true = 1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap)
-            covered += found.interval_90[0] <= true <= found.interval_90[1]
+            covered += bool(found.interval_90[0] <= true <= found.interval_90[1])
     assert said > 100
     assert covered >= binom.ppf(0.01, said, 0.9)
 
@@ -51,7 +51,7 @@ def test_intervals_of_an_explained_gap_cover_the_truth_and_no_more() -> None:
         cause = Known(1.0, gram, signature.T @ difference, mean, covariance)
         found, any_gap = measured(residual, difference, [cause], 0.0), measured(residual, difference)
         shrinks = 1 - np.linalg.norm(signature @ (true - predicted)) / np.linalg.norm(signature @ true)
-        covered += found.interval_90[0] <= shrinks <= found.interval_90[1]
+        covered += bool(found.interval_90[0] <= shrinks <= found.interval_90[1])
         narrower += not any_gap.resolvable or np.ptp(found.interval_90) < np.ptp(any_gap.interval_90)
     assert binom.ppf(0.01, tries, 0.9) <= covered <= binom.ppf(0.99, tries, 0.9)
     assert narrower > 0.9 * tries

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -53,7 +52,7 @@ def test_nothing_is_found_in_noise() -> None:
 
 
 @pytest.mark.parametrize("fault", [None, _unbalance, _offsets])
-def test_shares_add_up_within_a_factor_and_cut_the_same_gap_anew_across_factors(fault: Callable[..., object]) -> None:
+def test_shares_add_up_within_a_factor_and_cut_the_same_gap_anew_across_factors(fault: Fault | None) -> None:
     by_factor: dict[str, float] = {}
     for place, _ in levels(Weighing(record(seed=12, fault=fault))):
         assert place.of == "gap"

@@ -8,7 +8,7 @@ import pytest
 from planrunner.gap.diagnosis import Diagnosis, Options, diagnose
 from planrunner.gap.next import FEWEST, Proposal, propose
 from planrunner.gap.observed import Observed
-from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.schedule import Motion, Rest, Segment, Spin
 from tests.gap.turntable import DEG, Fault, G, _frames, record
 
 Array = np.ndarray
@@ -23,9 +23,10 @@ def _asymmetry(size: float) -> Fault:
 
 
 def _options(rates: tuple[float, ...] = (20.0, 90.0), frames: int = 12) -> list[Segment]:
-    found = []
+    found: list[Segment] = []
+    motions: tuple[Motion, ...] = (Rest(), *(Spin(sign * rate * DEG) for rate in rates for sign in (1, -1)))
     for frame in _frames()[:frames]:
-        for motion in (Rest(), *(Spin(sign * rate * DEG) for rate in rates for sign in (1, -1))):
+        for motion in motions:
             found.append(Segment(len(found), f"O{len(found)}", frame, "", motion, 40.0))
     return found
 

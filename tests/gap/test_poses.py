@@ -88,9 +88,9 @@ def test_scale_and_the_sums_of_opposite_misalignments_are_told() -> None:
     told = {p.name: (p.value, p.standard_uncertainty) for p in found.parameters}
     for name, expected in {"k_x": 4000, "k_y": -3000, "k_z": 7000}.items():
         assert told[name][0] == pytest.approx(expected, abs=4 * told[name][1])
-    for name, expected in {"gamma_xy": 0.003, "gamma_xz": 0.003, "gamma_yz": -0.004}.items():
+    for name, angle in {"gamma_xy": 0.003, "gamma_xz": 0.003, "gamma_yz": -0.004}.items():
         value, u = told[name]
-        assert np.radians(value / 3600) == pytest.approx(expected, abs=4 * np.radians(u / 3600))
+        assert np.radians(value / 3600) == pytest.approx(angle, abs=4 * np.radians(u / 3600))
 
 
 def test_a_whole_model_leaves_nothing_and_a_turned_triad_is_not_seen() -> None:

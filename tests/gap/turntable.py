@@ -104,8 +104,10 @@ def felt(observed: Observed) -> tuple[Array, Array]:
 def kept(observed: Observed, chosen: list[int]) -> Observed:
     """Some segments of a recording, as if the others had never been."""
     parts = [observed.segments()[index] for index in chosen]
-    per_sample = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
-    arrays = {name: np.concatenate([getattr(observed, name)[part] for part in parts]) for name in per_sample}
+
+    def of(per_sample: Array) -> Array:
+        return np.concatenate([per_sample[part] for part in parts])
+
     return replace(
         observed,
         labels=tuple(observed.labels[index] for index in chosen),
@@ -113,5 +115,11 @@ def kept(observed: Observed, chosen: list[int]) -> Observed:
         attitude=observed.attitude[chosen],
         bounds=np.concatenate(([0], np.cumsum([part.stop - part.start for part in parts]))),
         last_change=observed.last_change[chosen],
-        **arrays,
+        time=of(observed.time),
+        angle=of(observed.angle),
+        rate=of(observed.rate),
+        acceleration=of(observed.acceleration),
+        temperature=of(observed.temperature),
+        temperature_rate=of(observed.temperature_rate),
+        values=of(observed.values),
     )

@@ -24,7 +24,8 @@ def means(opened, dwell, motion=None):
     motion = motion or Rest()
     opened.clock.sleep(opened.table.orient(LEVEL))
     opened.clock.sleep(opened.table.begin_motion(motion, dwell))
-    total, count = {}, 0
+    total: dict[str, float] = {}
+    count = 0
     for block in opened.sensor.stream(Segment(0, "S", LEVEL, "", motion, dwell)):
         count += block.time.size
         for name, samples in block.channels.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +43,8 @@ def allocated() -> Iterator[pa.MemoryPool]:
     pa.set_memory_pool(usual)
 
 
-def written(path: Path, columns: dict[str, object], **options: object) -> Path:
-    pq.write_table(pa.table({"time": TIME} | columns), path, **options)
+def written(path: Path, columns: Mapping[str, object], **options: object) -> Path:
+    pq.write_table(pa.table({"time": TIME, **columns}), path, **options)
     return path
 
 

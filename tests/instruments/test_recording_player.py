@@ -154,8 +154,10 @@ def test_time_and_table_may_have_units_of_their_own(tmp_path):
 def test_the_model_is_known_without_the_file():
     model = RecordingPlayer.model(parameters(file="nowhere.parquet"))
     assert (model.kind, model.sample_rate) == ("imu", 10.0)
-    assert model.output("y").full_scale == pytest.approx(2.0)
-    assert model.output("x").noise.white == pytest.approx(0.2 / np.sqrt(10))
+    x, y = model.output("x"), model.output("y")
+    assert x is not None and y is not None
+    assert y.full_scale == pytest.approx(2.0)
+    assert x.noise.white == pytest.approx(0.2 / np.sqrt(10))
 
 
 @FORMATS

@@ -23,7 +23,7 @@ from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 
 LONG = np.longdouble
-pytestmark = pytest.mark.skipif(np.finfo(LONG).eps > 1e-18, reason="needs 80-bit numbers")
+pytestmark = pytest.mark.skipif(bool(np.finfo(LONG).eps > 1e-18), reason="needs 80-bit numbers")
 A = LONG(6378137)
 FLATTENING = 1 / LONG("298.257223563")
 B = A * (1 - FLATTENING)

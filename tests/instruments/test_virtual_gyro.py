@@ -139,15 +139,18 @@ def test_bias_instability_lies_flat_at_the_floor_of_ieee_952():
 def test_flicker_goes_on_across_a_pause_as_its_processes_do():
     # Over a pause far beyond every correlation time nothing is remembered; over a short one nearly everything is.
     draw = generator(1, 0)
+
+    def begun(flicker, time):
+        flicker.begin(time, draw)
+        assert flicker.state is not None
+        return flicker.state.sum()
+
     far, near = [], []
     for _ in range(400):
         flicker = Flicker(1.0)
-        flicker.begin(0.0, draw)
-        before = flicker.state.sum()
-        flicker.begin(1.0, draw)
-        soon = flicker.state.sum()
-        flicker.begin(1e8, draw)
-        far.append((soon, flicker.state.sum()))
+        before = begun(flicker, 0.0)
+        soon = begun(flicker, 1.0)
+        far.append((soon, begun(flicker, 1e8)))
         near.append((before, soon))
     assert abs(np.corrcoef(np.array(far).T)[0, 1]) < 0.25
     assert np.corrcoef(np.array(near).T)[0, 1] > 0.9

@@ -79,7 +79,8 @@ accelerometers:
     assert model.modes == ("powered", "unpowered")
     assert model.nominal == {"K_gyro_a": pytest.approx(1000 * 180 / math.pi), "K_accel_z": 1.0}
     gyro, accelerometer = model.output("gyro_a"), model.output("accel_z")
-    assert (gyro.unit, gyro.full_scale) == ("pulse/s", pytest.approx(400_000))
+    assert gyro is not None and accelerometer is not None
+    assert gyro.unit == "pulse/s" and gyro.full_scale == pytest.approx(400_000)
     # 0.06 deg/√h is 0.001 deg/√s; an arc second in 0.01 s is 100 arcsec/s or 1/36 deg/s.
     assert gyro.noise.white == pytest.approx(1.0)
     assert gyro.noise.bias_instability == pytest.approx(0.1)

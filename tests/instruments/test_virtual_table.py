@@ -56,10 +56,10 @@ def chamber():
 
 
 def test_they_can_do_what_they_must():
-    for protocol in (HoldsOrientation, Moves, Readable, Resumable):
-        assert isinstance(table()[0], protocol)
-    for protocol in (HoldsTemperature, Readable, Resumable):
-        assert isinstance(chamber()[0], protocol)
+    for of_a_table in (HoldsOrientation, Moves, Readable, Resumable):
+        assert isinstance(table()[0], of_a_table)
+    for of_a_chamber in (HoldsTemperature, Readable, Resumable):
+        assert isinstance(chamber()[0], of_a_chamber)
 
 
 def test_a_move_takes_its_trapezoid_and_holds_only_then():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from planrunner.navigation import attitude
@@ -37,10 +39,9 @@ def at_rest(
     return np.concatenate([omega, force]) * dt
 
 
-def navigator(latitude: float, rotation: Array, **options: object) -> Navigator:
-    return Navigator(
-        attitude.quaternion(rotation), np.zeros(3), (latitude, 0.0, 0.0), **{"earth_rate": EARTH_RATE, **options}
-    )
+def navigator(latitude: float, rotation: Array, **options: Any) -> Navigator:
+    given = {"earth_rate": EARTH_RATE, **options}
+    return Navigator(attitude.quaternion(rotation), np.zeros(3), (latitude, 0.0, 0.0), **given)
 
 
 def stand(unit: Navigator, sample: Array, dt: float, seconds: float) -> tuple[Array, Array]:

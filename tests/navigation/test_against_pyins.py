@@ -181,7 +181,7 @@ def _extended(sample: Array, dt: float, n: int, rotation: Array) -> tuple[float,
     return float(lat), float(lon)
 
 
-@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="needs a long double of more than 64 bits")
+@pytest.mark.skipif(bool(np.finfo(np.longdouble).eps > 1e-18), reason="needs a long double of more than 64 bits")
 def test_rounding_is_below_a_hundredth_of_a_millimetre() -> None:
     """At rest with errors: what double precision costs us lies far below what departs the two, which is their interval."""
     dt, n = 0.2, 6_000

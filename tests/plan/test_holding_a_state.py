@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,7 @@ from planrunner.bench.model import models, read_bench
 from planrunner.bench.scheduling import build_schedule
 from planrunner.plan.expand import expand
 from planrunner.plan.reader import parse_plan
-from planrunner.plan.schedule import Schedule, Stability, Watch
+from planrunner.plan.schedule import Schedule, Watch
 
 HEAD = """\
 planrunner: 1
@@ -20,7 +21,7 @@ sensor: {kind: flexure-gyro, outputs: [torquer_x]}
 """
 
 
-def scheduled(text: str, **known: bool) -> tuple[Schedule, list[str]]:
+def scheduled(text: str, **known: Any) -> tuple[Schedule, list[str]]:
     """The schedule on the virtual bench, of which `known` says something else, and the codes of the errors."""
     plan, log = parse_plan(HEAD + text, "plan.yaml")
     assert plan is not None
@@ -46,20 +47,22 @@ def test_settling_and_watching_in_si() -> None:
     )
     (segment,) = schedule.segments
     assert not errors
-    assert segment.soaked == Stability({"temperature_drift": pytest.approx(0.005)}, 600.0, 10800.0)
+    assert segment.soaked is not None and (segment.soaked.duration, segment.soaked.patience) == (600.0, 10800.0)
+    assert segment.soaked.limits == {"temperature_drift": pytest.approx(0.005)}
     assert segment.stable is not None
     assert segment.stable.limits == {
         "position_error": pytest.approx(math.radians(0.01)),
         "rate_error": pytest.approx(math.pi / 100),
     }
     assert (segment.soak, segment.settle) == (600.0, 5.0)  # what is planned for
-    assert segment.watch == Watch({"temperature_error": 0.5}, pytest.approx(1e-3), None, False, 2)
+    assert segment.watch is not None and segment.watch.lost == pytest.approx(1e-3)
+    assert replace(segment.watch, lost=1e-3) == Watch({"temperature_error": 0.5}, 1e-3, None, False, 2)
 
 
 def test_times_alone_stay_times() -> None:
     (segment,) = scheduled(state("soak: 10 min, settle: 5 s"))[0].segments
     assert (segment.soak, segment.settle) == (600.0, 5.0)
-    assert segment.soaked is segment.stable is segment.watch is None
+    assert segment.soaked is None and segment.stable is None and segment.watch is None
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_right_handed_words_are_taken(words: tuple[str, str, str]) -> None:
     x, y, z = words
     found, log = read(f"{{x: {x}, y: {y}, z: {z}}}")
     assert not len(log)
-    assert found is not None
+    assert found is not None and found.attitude is not None
     attitude = found.attitude
     assert attitude is not None
     for row, word in zip(attitude, words, strict=True):
@@ -151,10 +151,10 @@ def test_turns_agree_with_scipy(turns: list[tuple[str, float]], words: tuple[str
     listed = ", ".join(f"{axis} {angle} deg" for axis, angle in turns)
     found, log = read(f"{{from: {{x: {x}, y: {y}, z: {z}}}, rotate: [{listed}]}}")
     assert not len(log)
-    assert found is not None
+    assert found is not None and found.attitude is not None
     start, _ = read(f"{{x: {x}, y: {y}, z: {z}}}")
-    assert start is not None
-    body = Rotation.from_matrix(start.attitude.T)  # type: ignore[union-attr]
+    assert start is not None and start.attitude is not None
+    body = Rotation.from_matrix(start.attitude.T)
     for axis, angle in turns:
         body = body * Rotation.from_euler(axis.upper(), angle, degrees=True)
     np.testing.assert_allclose(found.attitude, body.as_matrix().T, atol=1e-12)
@@ -166,7 +166,7 @@ def test_turns_agree_with_scipy(turns: list[tuple[str, float]], words: tuple[str
 def test_quaternions_agree_with_scipy(numbers: tuple[float, ...]) -> None:
     found, log = read(f"{{quaternion: [{', '.join(map(str, numbers))}]}}")
     assert not len(log)
-    assert found is not None
+    assert found is not None and found.attitude is not None
     w, x, y, z = numbers
     # scipy's matrix of the sensor's rotation has the sensor's axes as columns; ours has them as rows.
     np.testing.assert_allclose(found.attitude, Rotation.from_quat([x, y, z, w]).as_matrix().T, atol=1e-12)
@@ -175,5 +175,5 @@ def test_quaternions_agree_with_scipy(numbers: tuple[float, ...]) -> None:
 def test_a_turn_by_hand() -> None:
     """A sensor with z up, turned by +90° about its z: x, which pointed east, points north."""
     found, _ = read("{rotate: [z 90 deg]}")
-    assert found is not None
+    assert found is not None and found.attitude is not None
     np.testing.assert_allclose(found.attitude, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)

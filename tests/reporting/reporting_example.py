@@ -74,7 +74,8 @@ def schedule() -> Schedule:
 
 def thermal_schedule() -> Schedule:
     """Three temperatures with fourteen rates or rests each, one of them a ramp."""
-    segments, time = [], 0.0
+    segments: list[Segment] = []
+    time = 0.0
     for kelvin in (233.15, 293.15, 333.15):
         for place, degrees in enumerate((0, 300, -300, 150, -150, 60, -60, 20, -20, 10, -10, 1, -1, 0)):
             transition, soak = (2400.0, 3600.0) if place == 0 else (5 + abs(degrees) / 10, 0.0)

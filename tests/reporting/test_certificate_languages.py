@@ -33,7 +33,7 @@ def catalogue(name: str) -> Catalog:
 
 
 def messages(found: Catalog) -> dict[str, Any]:
-    return {message.id: message for message in found if message.id}
+    return {message.id: message for message in found if isinstance(message.id, str) and message.id}
 
 
 def extracted() -> set[str]:

@@ -42,7 +42,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
         given = dict(attrs)
-        if given.get("http-equiv", "").lower() == "content-security-policy":
+        if (given.get("http-equiv") or "").lower() == "content-security-policy":
             self.tags[-1] = "policy"
             self.policy = given["content"] or ""
         for name, value in attrs:

@@ -11,7 +11,7 @@ import pytest
 import reporting_example as example
 
 from planrunner.estimators.interface import Plot
-from planrunner.plan.schedule import Cycle, Move, Rest, Rock, Schedule, Segment
+from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Schedule, Segment
 from planrunner.reporting import plots
 from planrunner.reporting.timeline import panels_of, spans
 
@@ -23,9 +23,10 @@ def rocking() -> Schedule:
     cycle = Cycle(
         {"A": 0.0, "C": math.pi}, (Move("A", math.pi, "C"), Move("C", -math.pi, "A")), math.radians(10), 300.0
     )
+    planned: tuple[tuple[Motion, float | None], ...] = ((Rest(), 600.0), (rock, 600.0), (cycle, None))
     made = [
         Segment(i, f"s{i}", np.eye(3), "", motion, dwell, start=700.0 * i + 10, transition=10)
-        for i, (motion, dwell) in enumerate(((Rest(), 600.0), (rock, 600.0), (cycle, None)))
+        for i, (motion, dwell) in enumerate(planned)
     ]
     return Schedule(tuple(made), 3000.0)
 

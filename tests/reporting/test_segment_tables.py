@@ -18,7 +18,7 @@ def summaries(channels: int) -> list[SegmentSummary]:
     names = tuple(f"c{k}" for k in range(channels))
     found = []
     for row, segment in enumerate(schedule().segments[:2]):
-        mean = 10.0 * np.arange(channels) + row
+        mean = 10.0 * np.arange(channels, dtype=float) + row
         error = np.full(channels, 0.01)
         statistics = Statistics(names, 100, 0, mean, mean, mean, np.eye(channels), error, 32, 0.0, 60.0, 0.1)
         found.append(SegmentSummary(segment, statistics, dict.fromkeys(names, "mg"), "again" if row else ""))
@@ -32,7 +32,7 @@ def test_channels_stand_in_tables_of_six(channels: int, tables: int) -> None:
     whole = segment_table(summaries(channels))
     if tables == 1:
         assert found == [whole]
-    shown = {}
+    shown: dict[str, tuple[object, ...]] = {}
     for table in found:
         assert table.columns[:2] == ("#", "Segment") and [row[1] for row in table.rows] == LABELS
         assert sum(title.endswith("[mg]") for title in table.columns) <= 6

@@ -17,6 +17,7 @@ from printed_sheets import printed_sheets
 
 from planrunner.bench.model import models, read_bench, shipped_benches
 from planrunner.cli import main
+from planrunner.instruments.models import Origin
 from planrunner.reporting.diagnosis_page import DiagnosisContext, render_page
 from planrunner.reporting.report import render_report
 from planrunner.reporting.rounding import in_parentheses
@@ -50,7 +51,12 @@ def test_the_stamp_stands_beside_the_verdict_and_nothing_is_green() -> None:
         assert body.index('class="stamp alarming"') < body.index("<h1"), "at the head of every sheet"
         verdict = body[body.index('class="verdict') :]
         assert STAMP.get(name, "SIMULATED") in verdict[: verdict.index("</div>")], name
-    for origin, word in (("measured", None), (None, None), ("replayed", "PLAYED BACK")):
+    others: tuple[tuple[Origin | None, str | None], ...] = (
+        ("measured", None),
+        (None, None),
+        ("replayed", "PLAYED BACK"),
+    )
+    for origin, word in others:
         page = render_report(replace(example.context(), origin=origin), "report.html")
         assert "SIMULATED" not in page and 'class="simulated"' not in page
         assert ("PLAYED BACK" in page) == (word is not None)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planrunner.plan.findings import InputError
-from planrunner.simulators.faults import FaultBoard, read_fault, read_script
+from planrunner.simulators.faults import Fault, FaultBoard, read_fault, read_script
 from planrunner.simulators.frame_faults import struck
 
 ROLES = {"table": "table", "chamber": "chamber", "gyro": "sensor"}
@@ -24,7 +24,7 @@ def numbers(sent: np.ndarray) -> np.ndarray:
     return sent[:, 0].astype(int) * 256 + sent[:, 1]
 
 
-def fault(kind: str, share: str = "100 %") -> object:
+def fault(kind: str, share: str = "100 %") -> Fault:
     return read_fault(f"{{instrument: gyro, fault: {kind}, share: {share}}}", ROLES)
 
 

@@ -21,6 +21,7 @@ from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.faults import FaultBoard, read_fault
 from planrunner.simulators.message_port import Manner, MessagePort
+from planrunner.simulators.ports import Port
 from planrunner.simulators.sensor_feed import SensorFeed
 from planrunner.simulators.serial_line import SerialLine
 from planrunner.simulators.table_plant import TablePlant
@@ -46,7 +47,7 @@ def test_a_rate_beyond_the_limit_is_held_to_it_and_said() -> None:
     unit.answer(":lim:rate rate,1,50;:dem:rate 1,80")
     plant.live.clock.time = 10.0
     assert unit.answer(":read:rate? 1") == "50"
-    assert int(unit.answer(":status:a1dyn?")) & 16
+    assert int(unit.answer(":status:a1dyn?") or "none") & 16
 
 
 def test_an_axis_that_turns_faster_than_its_trip_switches_itself_off() -> None:
@@ -57,7 +58,7 @@ def test_an_axis_that_turns_faster_than_its_trip_switches_itself_off() -> None:
     plant.live.clock.time = 5.0
     assert unit.answer(":read:rate? 1") == "0"
     assert unit.answer(":mode? 1") == "Abort"
-    assert int(unit.answer("*STB?")) & 64
+    assert int(unit.answer("*STB?") or "none") & 64
     unit.answer(":mode:rate 1")
     assert unit.answer(":read:rate? 1") == "0"
 
@@ -158,8 +159,8 @@ def test_the_sensor_feels_the_table_turn_from_the_moment_of_the_command() -> Non
     assert turned == pytest.approx(0.5 * 0.5 * 100 + 9.5 * 100, abs=1e-3)
 
 
-class Gate:
-    """A port that takes as much as it is told."""
+class Gate(Port):
+    """A port that takes as much as `room`."""
 
     def __init__(self) -> None:
         self.room, self.got = 10**9, bytearray()
@@ -168,6 +169,18 @@ class Gate:
         taken = data[: self.room]
         self.got += taken
         return len(taken)
+
+    def attend(self) -> None:
+        """Nothing comes in."""
+
+    def unplug(self) -> None:
+        """Its other end stays."""
+
+    def plug(self) -> None:
+        """It was never out."""
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
 def test_a_line_sends_no_faster_than_its_baud_rate() -> None:

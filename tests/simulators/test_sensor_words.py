@@ -23,7 +23,7 @@ def block(count: int) -> Block:
         "accel_z": np.full(count, 9.80665),
         "sensor_temperature": np.full(count, 25.0),
     }
-    return Block(np.arange(1, count + 1) * 0.01, values)
+    return Block(np.arange(1, count + 1, dtype=float) * 0.01, values)
 
 
 def test_stim300_counts_internal_samples_and_carries_its_units() -> None:

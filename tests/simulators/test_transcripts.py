@@ -40,8 +40,8 @@ def built(header: dict[str, str]) -> tuple[LiveWorld, Any]:
         return live, TABLES[name](TablePlant(live))
     lowest, highest, ramp = numbers(header["limits"])[:3]
     start = header["start"]
-    measured = float(re.search(r"(-?[\d.]+) degC", start)[1])
-    set_to = float(re.search(r"set(?: point)? (-?[\d.]+)", start)[1])
+    (measured,) = map(float, re.findall(r"(-?[\d.]+) degC", start)[:1])
+    (set_to,) = map(float, re.findall(r"set(?: point)? (-?[\d.]+)", start)[:1])
     live = bench_pieces.with_chamber(lowest, highest, ramp, measured)
     plant = ChamberPlant(live)
     plant.setpoint = set_to + ZERO_CELSIUS

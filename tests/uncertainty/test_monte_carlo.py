@@ -45,10 +45,7 @@ def test_additive_examples(
     (interval,) = found.intervals
     assert found.stabilised
     assert interval.standard_deviation == pytest.approx(u, abs=2 * delta / 5)
-    assert (interval.low, interval.high) == (
-        pytest.approx(-end, abs=2 * delta / 5),
-        pytest.approx(end, abs=2 * delta / 5),
-    )
+    assert (interval.low, interval.high) == pytest.approx((-end, end), abs=2 * delta / 5)
     expanded = 1.959964 * math.hypot(*widths)
     assert expanded == pytest.approx(gum, abs=0.05)
     assert validate(0.0, expanded, interval, tolerance).validated is valid

@@ -66,8 +66,7 @@ class Controller:
         if text.startswith(":limit:absolute?"):
             return "1000,4200,40000,-400,400,1100"
         if text.startswith((":limit:rate?", ":limit:acc?")):
-            what, axis = text[7:].split("?")[0], text[-1]
-            return self.limits[f"{what} {axis}"]
+            return self.limits[f"{text[7:].split('?')[0]} {text[-1]}"]
         return {"*idn?": "ACUTRONIC,ACT2000,17,2.1", ":status:stb?": "0", "*stb?": "0"}.get(text, "Closed")
 
     def _obey(self, main: str, command: str) -> None:

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block, FrameCounts
 from planrunner.instruments.sensors.samples import Array, Decoder, Samples, Whole
-from planrunner.instruments.wire.framing import Framer
+from planrunner.instruments.wire.framing import Framer, Piece
 from planrunner.instruments.wire.host_clock import HostClock, Unwrapping
-from planrunner.instruments.wire.serial_stream import SerialStream
+from planrunner.instruments.wire.serial_stream import Ring
 
 FIRST = 0.25
 """Seconds of frames before the first are stamped: the least delayed of them tells when they were taken."""
+
+
+class Arriving(Protocol):
+    """Where a sensor's bytes come in. ring: what is kept of them until they are taken."""
+
+    @property
+    def ring(self) -> Ring: ...
+
+    def take(self) -> Sequence[Piece]:
+        """All that has come since the last call, oldest first."""
 
 
 class SegmentStream:
@@ -27,7 +39,7 @@ class SegmentStream:
     def __init__(
         self,
         decoder: Decoder,
-        link: SerialStream,
+        link: Arriving,
         start: float,
         wanted: int,
         byte_time: float,

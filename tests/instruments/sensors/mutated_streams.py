@@ -8,6 +8,7 @@ import numpy as np
 
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
 from planrunner.simulators.check_values import sum_to_zero
+from planrunner.simulators.columns import Values
 
 FRAMES = 4
 
@@ -21,7 +22,7 @@ def seeds() -> dict[str, tuple[str, bytes]]:
     index = np.arange(FRAMES)
     stim = stim300.Stim300(0xAF, crlf=True).frames(columns, index * 4, np.full(FRAMES, 300)).tobytes()
     rate = stim300.Stim300(0x90).frames(columns, index, np.full(FRAMES, 300)).tobytes()
-    packets = {
+    packets: dict[int, Values] = {
         0x4020: draw.uniform(-9, 9, (FRAMES, 3)),
         0x8020: draw.uniform(-9, 9, (FRAMES, 3)),
         0x1020: index,
@@ -31,7 +32,7 @@ def seeds() -> dict[str, tuple[str, bytes]]:
     binary = vectornav.VectorNav(("time_startup", "imu")).frames(
         {"time_startup": index * 10**7, "imu": draw.uniform(-9, 9, (FRAMES, 6))}
     )
-    lines = b"".join(vectornav.measurement([0.1] * 3, [9.8] * 3, [-0.01] * 3, [k] * 3) for k in index)
+    lines = b"".join(vectornav.measurement([0.1] * 3, [9.8] * 3, [-0.01] * 3, [k] * 3) for k in range(FRAMES))
     body = draw.integers(0, 256, (FRAMES, 10), dtype=np.uint8)
     declared = np.concatenate([np.full((FRAMES, 1), 0xA5, np.uint8), body, sum_to_zero(body)[:, None]], axis=1)
     keys = (

@@ -12,6 +12,7 @@ from planrunner.simulators import kvh1775 as kvh_unit
 from planrunner.simulators import stim300 as stim_unit
 from planrunner.simulators import vectornav as vectornav_unit
 from planrunner.simulators import xsens as xsens_unit
+from planrunner.simulators.columns import Values
 
 COUNT = 300
 CLUSTERS = {"gyro": "gyro", "acc": "accel", "incl": "inclination"}
@@ -132,7 +133,7 @@ def test_numbers_that_are_none_are_refused() -> None:
 @pytest.mark.parametrize("precision", range(4))
 def test_outputs_of_xsens_in_every_way_to_write_numbers(precision: int) -> None:
     draw = np.random.default_rng(precision)
-    columns = {
+    columns: dict[int, Values] = {
         0x4020: draw.uniform(-20, 20, (COUNT, 3)),
         0x8020: draw.uniform(-5, 5, (COUNT, 3)),
         0x0810: draw.uniform(-20, 60, COUNT),
@@ -152,7 +153,8 @@ def test_outputs_of_xsens_in_every_way_to_write_numbers(precision: int) -> None:
 
 
 def test_frames_of_xsens_whose_packets_differ_keep_their_order() -> None:
-    columns = {0x4020: np.arange(3 * COUNT).reshape(COUNT, 3), 0x8020: np.zeros((COUNT, 3)), 0x0810: np.zeros(COUNT)}
+    columns: dict[int, Values] = {0x4020: np.arange(3 * COUNT).reshape(COUNT, 3), 0x8020: np.zeros((COUNT, 3))}
+    columns |= {0x0810: np.zeros(COUNT)}
     columns |= {0x1020: np.arange(COUNT), 0xE020: np.where(np.arange(COUNT) == 7, 1 | 1 << 12, 1)}
     shapes = ([0x1020, 0x4020, 0x8020, 0xE020], [0x1020, 0x0810, 0x8020, 0x4023], [0x1020, 0x4020])
     rows = [xsens_unit.Xsens(items).frames(columns) for items in shapes]

@@ -43,7 +43,7 @@ class Feed:
     def take(self) -> list[Piece]:
         due = [item for item in self.sent if item[0] <= self.now]
         self.sent = self.sent[len(due) :]
-        grid = {}
+        grid: dict[float, list[bytes]] = {}
         for when, data in due:
             grid.setdefault(np.ceil(when / 0.004) * 0.004, []).append(data)
         return [Piece(when, b"".join(parts)) for when, parts in grid.items()]

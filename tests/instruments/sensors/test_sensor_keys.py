@@ -26,10 +26,10 @@ def test_a_model_is_known_without_connecting() -> None:
     model = model_of(keys + "accelerometers: {velocity_random_walk: 0.06 m/s/sqrt(h), full_scale: 10 g}")
     gyro, accel = model.output("gyro_x"), model.output("accel_z")
     assert gyro is not None and accel is not None
-    assert (gyro.unit, gyro.full_scale) == ("deg/s", pytest.approx(400))
+    assert gyro.unit == "deg/s" and gyro.full_scale == pytest.approx(400)
     assert gyro.noise.white == pytest.approx(0.15 / 60)
     assert gyro.noise.resolution == 2.0**-14
-    assert (accel.unit, accel.full_scale) == ("g", pytest.approx(10))
+    assert accel.unit == "g" and accel.full_scale == pytest.approx(10)
     assert accel.noise.white == pytest.approx(0.06 / 60 / 9.80665)
     assert model.sample_rate == 2000
 

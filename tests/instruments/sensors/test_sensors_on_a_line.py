@@ -19,6 +19,7 @@ from planrunner.instruments.sensors.xsens import XsensMti
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
+from planrunner.simulators.columns import Values
 
 KEYS = "driver: stim300; sample_rate: 500 Hz; datagram: 0x91; silence: 2 s"
 IMPATIENT = KEYS.replace("2 s", "1 s")
@@ -151,7 +152,7 @@ class AnsweringMti(SendingUnit):
         super().__init__(self._frames, 100)
 
     def _frames(self, first: int, end: int) -> bytes:
-        columns = {0x4020: np.zeros((end - first, 3)), 0x8020: np.zeros((end - first, 3))}
+        columns: dict[int, Values] = {0x4020: np.zeros((end - first, 3)), 0x8020: np.zeros((end - first, 3))}
         columns |= {0x1020: np.arange(first, end), 0xE020: np.ones(end - first)}
         stream = xsens.Xsens([0x1020, 0x4020, 0x8020, 0xE020]).frames(columns).tobytes()
         while len(self.heard) >= self.answered + 5:

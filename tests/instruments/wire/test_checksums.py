@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import binascii
 import zlib
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -106,7 +107,7 @@ def test_frames_of_one_length_are_found_by_their_check_and_by_nothing_else(
     framing = Framing(
         b"\x7e", 10 + size, checksum=check, check_bytes=size, covered_from=1, padding=padding, little=little
     )
-    order = "little" if little else "big"
+    order: Literal["little", "big"] = "little" if little else "big"
     frames = [b"\x7e" + body + remainder(check, body + bytes(padding)).to_bytes(size, order) for body in bodies]
     spoilt = data.draw(st.integers(0, len(frames) - 1))
     place, bit = data.draw(st.integers(1, 9 + size)), data.draw(st.integers(0, 7))

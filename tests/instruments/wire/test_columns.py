@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def rows(frames: Frames, offset: int, width: int) -> list[bytes]:
 @pytest.mark.parametrize("kind", [SIGNED, UNSIGNED])
 @pytest.mark.parametrize("little", [False, True])
 def test_integers(frames: Frames, width: int, kind: int, little: bool) -> None:
-    order = "little" if little else "big"
+    order: Literal["little", "big"] = "little" if little else "big"
     want = [int.from_bytes(row, order, signed=kind == SIGNED) for row in rows(frames, 3, width)]
     item = Field(3, width, kind, 0.5, little)
     scaled = [number * 0.5 for number in want]

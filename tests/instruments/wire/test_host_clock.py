@@ -80,10 +80,11 @@ def test_steps_back_and_repetitions() -> None:
 def test_a_counter_that_was_set_anew_is_told(counter: Counter, before: int) -> None:
     count = np.arange(200)
     raw = np.where(count < 100, before + count * int(counter.step), (count - 100) * int(counter.step))
+    received = 1 + count.astype(float) * 0.01
     unwrapping = Unwrapping(counter)
-    assert unwrapping.resolve(1 + count[:100] * 0.01, raw[:100]).size == 100
+    assert unwrapping.resolve(received[:100], raw[:100]).size == 100
     with pytest.raises(InstrumentError, match="ahead of the frames that came: was the sensor switched off"):
-        unwrapping.resolve(1 + count[100:] * 0.01, raw[100:])
+        unwrapping.resolve(received[100:], raw[100:])
 
 
 def test_frames_lost_while_the_computer_slept_are_no_jump() -> None:
