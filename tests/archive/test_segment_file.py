@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -28,9 +29,9 @@ def read_part(run: Path, part: Part, channels: list[str] | None = None) -> Itera
     return read_part_of(GuardedFolder.open(run), part, channels)
 
 
-def make_writer(run: Path, **options: float) -> SegmentWriter:
+def make_writer(run: Path, **options: Any) -> SegmentWriter:
     (run / "segments").mkdir(exist_ok=True)
-    return SegmentWriter(GuardedFolder.open(run / "segments"), "0001-P1", UNITS, Storage("flushed"), **options)  # type: ignore[arg-type]
+    return SegmentWriter(GuardedFolder.open(run / "segments"), "0001-P1", UNITS, Storage("flushed"), **options)
 
 
 def block(start: float, rows: int, step: float = 0.1) -> Block:

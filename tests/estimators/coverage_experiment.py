@@ -11,6 +11,7 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from planrunner.uncertainty.influences import InputQuantity, Inputs
 GYRO = TRUTH | {"SF_X": 0.2012, "SF_Y": 0.1987, "epsilon": 8.0, "xi": -5.0}
 NAMES = tuple(GYRO)
 DWELL, PAUSE, BATCHES, WHITE = 120.0, 60.0, 32, 0.9
-SCENARIOS: dict[str, dict[str, object]] = {
+SCENARIOS: dict[str, dict[str, Any]] = {
     "white noise": {},
     "white noise, second output four times noisier": {"ratio": 4.0},
     "white noise, outputs not pooled": {"pool": False},
@@ -145,7 +146,7 @@ def main() -> None:
     for name, keys in SCENARIOS.items():
         if only not in name:
             continue
-        found = coverage(runs, 20, **keys)  # type: ignore[arg-type]
+        found = coverage(runs, 20, **keys)
         parts = [
             f"{basis}: {100 * share.min():.1f} ({NAMES[int(share.argmin())]}) … {100 * share.max():.1f} ({NAMES[int(share.argmax())]})"
             for basis, share in found.items()

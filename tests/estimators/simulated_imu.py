@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from recorded import from_means
@@ -75,9 +76,9 @@ def felt(segment: Segment, tilt: np.ndarray | None = None, rate_error: float = 0
     return axes @ (seen + rate * np.array([0, 0, 1.0])), axes @ up
 
 
-def outputs(segment: Segment, truth: Mapping[str, np.ndarray], **errors: object) -> tuple[np.ndarray, np.ndarray]:
+def outputs(segment: Segment, truth: Mapping[str, np.ndarray], **errors: Any) -> tuple[np.ndarray, np.ndarray]:
     """Gyros in rad/s, accelerometers in m/s²: S·M·true + b + G·f with the arrays A_g, b_g, G, A_a, b_a of `truth`."""
-    rate, force = felt(segment, **errors)  # type: ignore[arg-type]
+    rate, force = felt(segment, **errors)
     return truth["A_g"] @ rate + truth["b_g"] + truth["G"] @ force, truth["A_a"] @ force + truth["b_a"]
 
 

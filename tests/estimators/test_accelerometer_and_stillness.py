@@ -139,8 +139,8 @@ def made_by_hand(rows: int) -> tuple[RecordedSegment, list[tuple[float, float]]]
     return recorded, [(0.25, 4.75), (9.25, 11.75), (12.25, 14.75)]
 
 
-def times(recorded: object) -> list[tuple[float, float]]:
-    return [(one.span.start, one.span.end) for one in still_spans(recorded, detection())]  # type: ignore[arg-type]
+def times(recorded: RecordedSegment) -> list[tuple[float, float]]:
+    return [(one.span.start, one.span.end) for one in still_spans(recorded, detection())]
 
 
 @pytest.mark.parametrize("rows", [1, 7, 100, 5000])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,10 @@ from planrunner.physics.earth import Site
 SITE = Site(math.radians(40.0))
 
 
-def estimate(values: np.ndarray, interval: float, unit: str = "pulse/s", **keys: object) -> Estimate:
+def estimate(values: np.ndarray, interval: float, unit: str = "pulse/s", **keys: Any) -> Estimate:
     time = np.arange(values.size) * interval
     recorded = from_samples(segment("rest"), time, {"gyro": values}, {"gyro": unit}, rows=10_007)
-    parameters = AllanDeviationParameters(outputs=("gyro",), **keys)  # type: ignore[arg-type]
+    parameters = AllanDeviationParameters(outputs=("gyro",), **keys)
     return AllanDeviation().estimate(EstimateRequest("noise", (recorded,), parameters, SITE, sensor("gyro", unit=unit)))
 
 

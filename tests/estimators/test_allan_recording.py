@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,8 @@ def record(values: np.ndarray, time: np.ndarray | None = None, label: str = "res
     return from_samples(segment(label), stamps, {"gyro": np.asarray(values, float)}, {"gyro": "pulse/s"}, rows=rows)
 
 
-def run(*segments: RecordedSegment, **keys: object) -> Estimate:
-    parameters = AllanDeviationParameters(outputs=("gyro",), **keys)  # type: ignore[arg-type]
+def run(*segments: RecordedSegment, **keys: Any) -> Estimate:
+    parameters = AllanDeviationParameters(outputs=("gyro",), **keys)
     return AllanDeviation().estimate(EstimateRequest("noise", segments, parameters, SITE, sensor("gyro")))
 
 

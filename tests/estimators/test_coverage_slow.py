@@ -33,7 +33,7 @@ def joint_tolerance(runs: int) -> tuple[int, int]:
 )
 def test_intervals_cover_95_percent(runs: int, name: str) -> None:
     low, high = joint_tolerance(runs)
-    for basis, share in coverage(runs, 11, **SCENARIOS[name]).items():  # type: ignore[arg-type]
+    for basis, share in coverage(runs, 11, **SCENARIOS[name]).items():
         counts = np.rint(share * runs).astype(int)
         print(f"{name}, {basis}: " + ", ".join(f"{one} {s:.4f}" for one, s in zip(NAMES, share, strict=True)))
         assert low <= counts.min(), (basis, NAMES[int(counts.argmin())], counts.min(), low)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,12 +73,12 @@ def spins(
 
 
 def found(
-    recorded: Sequence[RecordedSegment], stated: dict | None = None, inputs: Inputs | None = None, **keys: object
+    recorded: Sequence[RecordedSegment], stated: dict | None = None, inputs: Inputs | None = None, **keys: Any
 ) -> Estimate:
     axes = stated or STATED
     setup = Setup(None, plan_mounting(axes), inputs or Inputs())
     model = sensor(*(f"gyro_{name}" for name in axes), unit="deg/s")
-    request = EstimateRequest("fixture", tuple(recorded), FixtureAnglesParameters(**keys), SITE, model, setup=setup)  # type: ignore[arg-type]
+    request = EstimateRequest("fixture", tuple(recorded), FixtureAnglesParameters(**keys), SITE, model, setup=setup)
     return combined(FixtureAngles().estimate(request))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ def pulses(
 
 
 def estimate(
-    noise: np.ndarray | float = 0.0, error: float = 0.0, positions: dict[str, str] = OPTIMAL, **keys: object
+    noise: np.ndarray | float = 0.0, error: float = 0.0, positions: dict[str, str] = OPTIMAL, **keys: Any
 ) -> Estimate:
     rows = np.broadcast_to(np.asarray(noise, dtype=float), (len(positions), 2))
     recorded = tuple(
@@ -80,7 +81,7 @@ def estimate(
         )
         for (label, words), row in zip(positions.items(), rows, strict=True)
     )
-    request = EstimateRequest("drift", recorded, FlexureGyroStaticParameters(**keys), SITE, sensor(*CHANNELS))  # type: ignore[arg-type]
+    request = EstimateRequest("drift", recorded, FlexureGyroStaticParameters(**keys), SITE, sensor(*CHANNELS))
     return FlexureGyroStatic().estimate(request)
 
 

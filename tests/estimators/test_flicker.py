@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,8 +100,8 @@ def declared(size: float, tilt: float = 0.0) -> Setup:
     return Setup(inputs=Inputs(stated))
 
 
-def fitted(segments: tuple[RecordedSegment, ...], setup: Setup, **keys: object) -> Estimate:
-    parameters = FlexureGyroStaticParameters(**keys)  # type: ignore[arg-type]
+def fitted(segments: tuple[RecordedSegment, ...], setup: Setup, **keys: Any) -> Estimate:
+    parameters = FlexureGyroStaticParameters(**keys)
     return combined(
         FlexureGyroStatic().estimate(EstimateRequest("d", segments, parameters, SITE, sensor(*CHANNELS), setup=setup))
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,8 +39,8 @@ def recording(error: float = 0.03, truth: dict[str, float] = TRUTH) -> tuple:
     )
 
 
-def request(error: float = 0.03, basis: str = "within_segment", **keys: object) -> EstimateRequest:
-    parameters = FlexureGyroStaticParameters(uncertainty=basis, **keys)  # type: ignore[arg-type]
+def request(error: float = 0.03, basis: str = "within_segment", **keys: Any) -> EstimateRequest:
+    parameters = FlexureGyroStaticParameters(uncertainty=basis, **keys)
     return EstimateRequest("drift", recording(error), parameters, SITE, sensor(*CHANNELS), setup=SETUP)
 
 

@@ -8,6 +8,7 @@ How much the threshold of stillness matters is tabled in docs/real-recordings.md
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from planrunner.plan.selection import Detection
 SITE = Site(math.radians(40.0))
 
 
-def staircase(gyro: str, margin: float = 2.0, **keys: object) -> Estimate:
+def staircase(gyro: str, margin: float = 2.0, **keys: Any) -> Estimate:
     data = table(real("rimu_jig", "rate_staircase.parquet"))
     outputs = tuple(f"{gyro}_gyro_{axis}" for axis in "xyz")
     recorded = []
@@ -38,7 +39,7 @@ def staircase(gyro: str, margin: float = 2.0, **keys: object) -> Estimate:
         spin = Spin(math.radians(float(row["rate_about_sensor_y_deg_per_s"])))
         planned = segment(row["label"], np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float), spin)
         recorded.append(from_samples(planned, data["time_s"][inside], channels, dict.fromkeys(outputs, "deg/s")))
-    parameters = ScaleFactorParameters(outputs=outputs, **keys)  # type: ignore[arg-type]
+    parameters = ScaleFactorParameters(outputs=outputs, **keys)
     return ScaleFactor().estimate(
         EstimateRequest("scale", tuple(recorded), parameters, SITE, sensor(*outputs, unit="deg/s"))
     )

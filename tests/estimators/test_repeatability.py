@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,12 +26,12 @@ def given(value: float, name: str = "K", unit: str = "ppm", u: float = 0.1) -> E
     return Estimate("cal", "other", (Coefficient(name, value, unit, u),), np.array([[u**2]]))
 
 
-def repeats(uses: dict[str, Estimate], **keys: object) -> Estimate:
-    parameters = RepeatabilityParameters(**keys)  # type: ignore[arg-type]
+def repeats(uses: dict[str, Estimate], **keys: Any) -> Estimate:
+    parameters = RepeatabilityParameters(**keys)
     return Repeatability().estimate(EstimateRequest("again", (), parameters, SITE, sensor("gyro"), uses))
 
 
-def of_values(values: dict[str, float], **keys: object) -> Estimate:
+def of_values(values: dict[str, float], **keys: Any) -> Estimate:
     return repeats({name: given(value) for name, value in values.items()}, **keys)
 
 

@@ -11,7 +11,7 @@ import pytest
 from recorded import from_means, segment, sensor
 
 from planrunner.estimators.analysis import combined
-from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
+from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
@@ -165,15 +165,15 @@ def test_design_is_sound_only_with_two_rates() -> None:
     outputs = (OutputModel("gyro", "deg/s", noise=NoiseModel(0.1)),)
     model = SensorModel("gyro", outputs, 100.0, {"K_gyro": 1.0})
 
-    def designed(rates: list[float]) -> object:
+    def designed(rates: list[float]) -> Design:
         planned = tuple(segment(f"R{n}", motion=Spin(rate * DEG)) for n, rate in enumerate(rates))
         return ScaleFactor().design(DesignRequest("s", planned, ScaleFactorParameters(), SITE, model))
 
-    (sound,) = identify(designed([-100, 0, 100]))  # type: ignore[arg-type]
+    (sound,) = identify(designed([-100, 0, 100]))
     assert sound.sound
-    (poor,) = identify(designed([100, 100]))  # type: ignore[arg-type]
+    (poor,) = identify(designed([100, 100]))
     assert poor.unidentifiable == ("offset", "rate")
-    predicted = designed([-100, 0, 100]).predicted[0]  # type: ignore[attr-defined]
+    predicted = designed([-100, 0, 100]).predicted[0]
     assert predicted.standard_uncertainty == pytest.approx(0.1 / math.sqrt(120) / (100 * math.sqrt(2)), rel=1e-9)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -56,12 +57,12 @@ def part_turns(rate: float) -> float:
 
 @pytest.mark.parametrize("axes", MOUNTINGS.values(), ids=MOUNTINGS)
 @pytest.mark.parametrize("dwell", [whole_turns, part_turns], ids=["whole turns", "part turns"])
-def test_truth_comes_back_with_the_earth_corrected_for(axes: dict, dwell: object) -> None:
+def test_truth_comes_back_with_the_earth_corrected_for(axes: dict, dwell: Callable[[float], float]) -> None:
     recorded = [
         one
         for celsius in (-40.0, 20.0, 60.0)
         for repeat in (1, 2)
-        for one in series(axes, GYROS, celsius, repeat, dwell=dwell, settle=7.3)  # type: ignore[arg-type]
+        for one in series(axes, GYROS, celsius, repeat, dwell=dwell, settle=7.3)
     ]
     found = estimate(recorded, axes)
     for name in axes:

@@ -4,28 +4,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from recorded import from_samples
 from standing_unit import RATE, SITE, recorded, request, samples
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
 from planrunner.plan.schedule import Spin
 
 
-def stop(seconds: float = 300, **options: object):
-    return recorded("align", samples(seconds, noise=1e-3), 0.0, **options)  # type: ignore[arg-type]
+def stop(seconds: float = 300, **options: Any):
+    return recorded("align", samples(seconds, noise=1e-3), 0.0, **options)
 
 
-def run(seconds: float = 300, start: float = 300.0, **options: object):
-    return recorded("navigate", samples(seconds, noise=1e-3, seed=1), start, **options)  # type: ignore[arg-type]
+def run(seconds: float = 300, start: float = 300.0, **options: Any):
+    return recorded("navigate", samples(seconds, noise=1e-3, seed=1), start, **options)
 
 
-def refused(words: str, *segments: object, **options: object) -> None:
+def refused(words: str, *segments: RecordedSegment, **options: Any) -> None:
     with pytest.raises(EstimationError, match=words):
-        StrapdownNavigation().estimate(request(*segments, **options))  # type: ignore[arg-type]
+        StrapdownNavigation().estimate(request(*segments, **options))
 
 
 def changed(item, time=None, **channels):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from numpy.typing import ArrayLike
 from recorded import from_means, from_samples, real, segment, sensor
 
+from planrunner.archive.recording import RecordedSegment
 from planrunner.checking import check_plan
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import (
@@ -172,13 +174,15 @@ def test_estimates_of_one_temperature_each_are_put_together() -> None:
 # -- channels --------------------------------------------------------------------------------------------------------
 
 
-def ramp(label: str, low: float, high: float, gyro: object, seed: int = 0) -> object:
+def ramp(
+    label: str, low: float, high: float, gyro: Callable[[np.ndarray], np.ndarray], seed: int = 0
+) -> RecordedSegment:
     """A ramp of 1000 s at 10 Hz with a thermometer in kelvin."""
     time = np.arange(10_000) / 10
     celsius = np.linspace(low, high, time.size)
     noise = 0.01 * np.random.default_rng(seed).standard_normal(time.size)
     planned = replace(segment(label), temperature=low + KELVIN, ramp_to=high + KELVIN)
-    channels = {"gyro": gyro(celsius) + noise, "inside": celsius + KELVIN}  # type: ignore[operator]
+    channels = {"gyro": gyro(celsius) + noise, "inside": celsius + KELVIN}
     return from_samples(planned, time, channels, {"gyro": "deg/s", "inside": "K"})
 
 

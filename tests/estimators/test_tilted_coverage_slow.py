@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from tilted_coverage import (
     BASES,
@@ -26,7 +28,7 @@ def joint_tolerance(intervals: int) -> tuple[int, int]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_intervals_of_scale_factors_hold_the_truth(name: str) -> None:
-    shares = scale_factor_coverage(RUNS, 41, **SCENARIOS[name])  # type: ignore[arg-type]
+    shares = scale_factor_coverage(RUNS, 41, **SCENARIOS[name])
     low, high = joint_tolerance(len(SCENARIOS) * len(shares))
     for what, share in shares.items():
         print(f"{name}: {what} {share:.4f}")
@@ -47,9 +49,9 @@ def test_intervals_of_fixture_angles_hold_the_truth(name: str, basis: str) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("basis", "keys"), OTHER_BASES)
-def test_intervals_on_the_other_bases_hold_the_truth(basis: str, keys: dict[str, float]) -> None:
+def test_intervals_on_the_other_bases_hold_the_truth(basis: str, keys: dict[str, Any]) -> None:
     """White noise and declared flicker."""
-    shares = scale_factor_coverage(RUNS, 44, basis=basis, **keys)  # type: ignore[arg-type]
+    shares = scale_factor_coverage(RUNS, 44, basis=basis, **keys)
     low, high = joint_tolerance(len(OTHER_BASES) * len(shares))
     for what, share in shares.items():
         print(f"{basis}, {keys}: {what} {share:.4f}")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,19 +21,25 @@ ROOT = Path(__file__).resolve().parents[2]
 PLAN = ROOT / "plans" / "scale_factor_tilted.yaml"
 
 
-def designed(axes: dict = TRIAD, stated: Inputs | None = None, drop: int = 0, **keys: object) -> Design:
-    recording = {name: keys.pop(name) for name in ("rates", "dwell") if name in keys}
-    repeats = keys.pop("repeats", 2)
+def designed(
+    axes: dict = TRIAD,
+    stated: Inputs | None = None,
+    drop: int = 0,
+    repeats: int = 2,
+    rates: Sequence[float] = RATES,
+    dwell: Callable[[float], float] = whole_turns,
+    **keys: Any,
+) -> Design:
     gyros = dict.fromkeys(axes, Gyro())
     planned = tuple(
         one.segment
-        for repeat in range(1, repeats + 1)  # type: ignore[operator]
-        for one in series(axes, gyros, repeat=repeat, **recording)[drop:]  # type: ignore[arg-type]
+        for repeat in range(1, repeats + 1)
+        for one in series(axes, gyros, repeat=repeat, rates=rates, dwell=dwell)[drop:]
     )
     outputs = tuple(OutputModel(f"gyro_{name}", "deg/s", noise=NoiseModel(1e-4)) for name in axes)
     model = SensorModel("gyro-triad", outputs, 10.0)
     setup = Setup(None, plan_mounting(axes), stated or Inputs())
-    parameters = ScaleFactorTiltedParameters(**keys)  # type: ignore[arg-type]
+    parameters = ScaleFactorTiltedParameters(**keys)
     return ScaleFactorTilted().design(DesignRequest("scale", planned, parameters, SITE, model, setup=setup))
 
 

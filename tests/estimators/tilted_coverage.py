@@ -13,8 +13,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from planrunner.estimators.interface import Coefficient
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -37,7 +40,7 @@ WHITE = 5e-5  # deg/s·√s
 SPAN = 7200.0  # s, longer than all dwells together
 SAMPLE = 0.1  # s, for which the last sample stands
 SPREAD = 5e-6  # relative, of K from repeat to repeat
-SCENARIOS: dict[str, dict[str, float]] = {
+SCENARIOS: dict[str, dict[str, Any]] = {
     "noise and repeatability": {},
     "with flicker, 0.1 deg/h": {"flicker": 0.1},
     "with flicker, 1 deg/h": {"flicker": 1.0},
@@ -46,7 +49,7 @@ SCENARIOS: dict[str, dict[str, float]] = {
 }
 NAMES = ("K_x", "K_x_-40degC", "temperature_coefficient_x", "F0_x")
 # What the other bases make of declared flicker; the scale factors keep still from repeat to repeat, which neither basis would see.
-OTHER_BASES = [
+OTHER_BASES: list[tuple[str, dict[str, Any]]] = [
     (basis, {"flicker": flicker, "spread": 0.0})
     for basis in ("residual", "within_segment")
     for flicker in (0.0, 0.1, 1.0)
@@ -81,9 +84,9 @@ def noisy(
     return found
 
 
-def holds(item: object, truth: float) -> bool:
-    factor = coverage_factor(item.degrees_of_freedom)  # type: ignore[attr-defined]
-    return abs(item.value - truth) <= factor * item.standard_uncertainty  # type: ignore[attr-defined]
+def holds(item: Coefficient, truth: float) -> bool:
+    factor = coverage_factor(item.degrees_of_freedom)
+    return abs(item.value - truth) <= factor * item.standard_uncertainty
 
 
 def scale_factor_coverage(
@@ -161,11 +164,11 @@ def main() -> None:
     only = sys.argv[2] if len(sys.argv) > 2 else ""
     for name, keys in SCENARIOS.items():
         if only in f"repeats, {name}":
-            told(f"repeats, {name}", scale_factor_coverage(runs, 31, **keys))  # type: ignore[arg-type]
+            told(f"repeats, {name}", scale_factor_coverage(runs, 31, **keys))
     for other, keys in OTHER_BASES:
         name = f"{other}, flicker {keys['flicker']:g} deg/h"
         if only in name:
-            told(name, scale_factor_coverage(runs, 33, basis=other, **keys))  # type: ignore[arg-type]
+            told(name, scale_factor_coverage(runs, 33, basis=other, **keys))
     for name, world in FIXTURE.items():
         for basis in BASES:
             label = f"fixture, {name}, {basis}"

@@ -138,12 +138,12 @@ def estimate(
     stated: Inputs | None = None,
     uses: Mapping[str, Estimate] | None = None,
     site: Site = SITE,
-    **keys: object,
+    **keys: Any,
 ) -> Estimate:
     """With its influences added, as an analysis does."""
     setup = Setup(None, plan_mounting(axes), stated or Inputs())
     model = sensor(*(f"gyro_{name}" for name in axes), unit="deg/s")
-    parameters = ScaleFactorTiltedParameters(**{"uncertainty": "residual", **keys})  # type: ignore[arg-type]
+    parameters = ScaleFactorTiltedParameters(**{"uncertainty": "residual", **keys})
     request = EstimateRequest("scale", tuple(recorded), parameters, site, model, uses or {}, None, setup)
     return combined(ScaleFactorTilted().estimate(request))
 

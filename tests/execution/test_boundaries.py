@@ -72,7 +72,9 @@ def test_the_operator_is_asked_with_the_bench_safe_and_all_is_reached_again(tmp_
     assert [(event["prompt"], event["answer"]) for event in events(reader, "asked")] == [("Mount face B", "done")]
 
 
-def test_an_open_interlock_is_no_fault_while_the_operator_works(tmp_path: Path) -> None:
+def test_an_open_interlock_is_no_fault_while_the_operator_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The table's interlock is open and the sensor switched off until the operator is done."""
     bench = make_watched_bench()
     person = Person(bench, 50)
@@ -98,7 +100,7 @@ def test_an_open_interlock_is_no_fault_while_the_operator_works(tmp_path: Path) 
         if working["now"]:
             raise InstrumentError("the sensor was switched off")
 
-    person.ask = asked  # type: ignore[method-assign]
+    monkeypatch.setattr(person, "ask", asked)
     bench.table.course, bench.sensor.heartbeat = course, beat
     outcome, reader = carry_out(tmp_path, bench, TWO, operator=person)
     assert outcome.ok and any(looked)

@@ -156,7 +156,7 @@ def test_what_cannot_be_made_safe_is_told(tmp_path: Path) -> None:
     assert outcome.unsafe == ("table: the brake does not answer",)
 
 
-def test_make_safe_is_asked_again_when_interrupted(tmp_path: Path) -> None:
+def test_make_safe_is_asked_again_when_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench, asked = make_bench(), []
 
     def interrupted() -> list[str]:
@@ -165,7 +165,7 @@ def test_make_safe_is_asked_again_when_interrupted(tmp_path: Path) -> None:
             raise KeyboardInterrupt
         return []
 
-    bench.make_safe = interrupted  # type: ignore[method-assign]
+    monkeypatch.setattr(bench, "make_safe", interrupted)
     outcome, _ = carry_out(tmp_path, bench, mixed_schedule())
     assert outcome.ok
     assert len(asked) == 2

@@ -13,6 +13,7 @@ from planrunner.gap.effects.gyro_output import lagged
 from planrunner.gap.effects.interface import Column
 from planrunner.gap.effects.surroundings import TimeLatency
 from planrunner.gap.observed import Observed
+from planrunner.plan.schedule import Rock
 from tests.gap.turntable import DEG, SITE, G, record
 
 Array = np.ndarray
@@ -179,10 +180,12 @@ def test_lever_arm_is_the_acceleration_of_its_path(observed: Observed) -> None:
     arm, step = np.array([0.02, -0.01, 0.03]), 1e-3
     index = next(i for i, p in enumerate(observed.segments()) if observed.acceleration[p].any())
     part, motion = observed.segments()[index], observed.motions[index]
+    assert isinstance(motion, Rock)
+    amplitude, pulse = motion.amplitude, 2 * np.pi * motion.frequency
     since = observed.time[part] - observed.time[part.start]
 
     def position(t: Array) -> Array:
-        angle = motion.amplitude * np.sin(2 * np.pi * motion.frequency * t)  # type: ignore[union-attr]
+        angle = amplitude * np.sin(pulse * t)
         return Rotation.from_rotvec(angle[:, None] * UP).apply(observed.attitude[index].T @ arm)
 
     path = (position(since + step) - 2 * position(since) + position(since - step)) / step**2
@@ -204,7 +207,8 @@ def test_a_lag_of_a_sine_is_the_textbook_response(observed: Observed) -> None:
     """After its transient, amplitude 1/√(1 + (ωτ)²) and phase −atan ωτ; and a delay shifts the phase alone."""
     index = next(i for i, p in enumerate(observed.segments()) if observed.acceleration[p].any())
     part, motion = observed.segments()[index], observed.motions[index]
-    pulse = 2 * np.pi * motion.frequency  # type: ignore[union-attr]
+    assert isinstance(motion, Rock)
+    pulse = 2 * np.pi * motion.frequency
     since = observed.time[part] - observed.time[part.start]
     axis = int(np.argmax(np.abs(observed.omega[part]).max(0)))
 

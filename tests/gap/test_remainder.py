@@ -12,7 +12,7 @@ from planrunner.gap.diagnosis import diagnose
 from planrunner.gap.observed import Observed
 from planrunner.gap.posterior import Posterior
 from planrunner.gap.remainder import as_probable, leading
-from planrunner.gap.verdict import verdict
+from planrunner.gap.verdict import Verdict, verdict
 from tests.gap.turntable import record
 
 Array = np.ndarray
@@ -71,18 +71,23 @@ def _candidate(name: str, log_bayes: float) -> Candidate:
     return Candidate(_Named(name), (), np.array([log_bayes]))
 
 
+def _verdict(found: Posterior, candidates: list[Candidate]) -> Verdict:
+    """Without a recording behind them: candidates without columns are held against nothing."""
+    return verdict(None, found, candidates)  # type: ignore[arg-type]
+
+
 def test_a_second_effect_beside_a_remainder_is_residue_too() -> None:
     """A dead zone of 237 σ: what a warm-up adds to it is 0.8 %, and something else 1 %."""
     evidence = {"none": 0.0, "gyro_dead_zone": 56_201.0, "gyro_dead_zone+gyro_warm_up": 56_650.0, "unknown": 57_212.0}
     found = Posterior({"unknown": 1.0} | dict.fromkeys(evidence, 0.0) | {"unknown": 1.0}, evidence, {}, {}, {})
-    said = verdict(None, found, [_candidate("gyro_dead_zone", 56_201.0), _candidate("gyro_warm_up", 100.0)])  # type: ignore[arg-type]
+    said = _verdict(found, [_candidate("gyro_dead_zone", 56_201.0), _candidate("gyro_warm_up", 100.0)])
     assert (said.kind, said.effects, said.residue) == ("effect", ("gyro_dead_zone",), "unknown")
 
 
 def test_terms_of_a_nominal_model_leave_no_residue_of_form() -> None:
     evidence = {"none": 0.0, "gyro_bias": 9400.0, "gyro_bias+gyro_scale_factor": 9600.0}
     found = Posterior({"gyro_bias+gyro_scale_factor": 1.0, "gyro_bias": 0.0, "none": 0.0}, evidence, {}, {}, {})
-    said = verdict(None, found, [_candidate("gyro_bias", 9400.0), _candidate("gyro_scale_factor", 300.0)])  # type: ignore[arg-type]
+    said = _verdict(found, [_candidate("gyro_bias", 9400.0), _candidate("gyro_scale_factor", 300.0)])
     assert (said.kind, said.effects) == ("pair", ("gyro_bias", "gyro_scale_factor"))
 
 
@@ -102,7 +107,7 @@ def test_more_noise_than_declared_is_no_residue_of_form() -> None:
     probability = {"gyro_noise_excess+lever_arm": 1.0, "lever_arm": 0.0, "none": 0.0}
     for levels, kind in ((frozenset({"gyro_noise_excess"}), "pair"), (frozenset(), "effect")):
         found = Posterior(probability, evidence, {}, {}, {}, levels)
-        said = verdict(None, found, [_candidate("lever_arm", 2000.0)])  # type: ignore[arg-type]
+        said = _verdict(found, [_candidate("lever_arm", 2000.0)])
         assert said.kind == kind
 
 
@@ -125,5 +130,5 @@ def test_a_weak_second_effect_is_named_and_said_to_be_residue_perhaps(
     signatures = [_candidate("gyro_dead_zone", 2000.0)]
     if second == "gyro_warm_up":
         signatures.append(_candidate(second, 100.0))
-    said = verdict(None, found, signatures)  # type: ignore[arg-type]
+    said = _verdict(found, signatures)
     assert (said.kind, said.residue) == (kind, second if residue else None)

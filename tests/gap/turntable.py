@@ -85,9 +85,8 @@ def _turned(row: tuple[Array, Motion, float, float], since: Array) -> tuple[Arra
         return motion.rate * since, np.full(len(since), motion.rate), np.zeros(len(since))
     if isinstance(motion, Rock):
         w = 2 * np.pi * motion.frequency
-        return tuple(
-            motion.amplitude * f for f in (np.sin(w * since), w * np.cos(w * since), -w * w * np.sin(w * since))
-        )  # type: ignore[return-value]
+        sine, cosine = motion.amplitude * np.sin(w * since), motion.amplitude * np.cos(w * since)
+        return sine, w * cosine, -w * w * sine
     return np.zeros(len(since)), np.zeros(len(since)), np.zeros(len(since))
 
 

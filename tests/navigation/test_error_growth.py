@@ -26,16 +26,19 @@ DAY = 86400.0
 DT = 0.5  # at rest all increments are the same; a longer interval only makes the run shorter
 
 
-def run(gyro: tuple[float, ...] = (0, 0, 0), accelerometer: tuple[float, ...] = (0, 0, 0), **options: object):
-    """Errors over a day of a level unit whose axes are east, north and up. options: rate, seconds, tilt (3,)."""
-    rate = float(options.get("rate", EARTH_RATE))  # type: ignore[arg-type]
+def run(
+    gyro: tuple[float, ...] = (0, 0, 0),
+    accelerometer: tuple[float, ...] = (0, 0, 0),
+    rate: float = EARTH_RATE,
+    heading: float = 0.0,
+    seconds: float = DAY,
+):
+    """Errors of a level unit whose axes are east, north and up. rate: of the Earth, rad/s; heading: error of it, deg."""
     rotation = np.eye(3)
     sample = at_rest(LATITUDE, GRAVITY, rotation, DT, gyro, accelerometer, rate)
-    start = rotation
-    if "heading" in options:
-        start = turn("z", -float(options["heading"])) @ rotation  # type: ignore[arg-type]
+    start = turn("z", -heading) @ rotation
     unit = navigator(LATITUDE, start, every=round(60 / DT), earth_rate=rate)
-    return stand(unit, sample, DT, float(options.get("seconds", DAY)))  # type: ignore[arg-type]
+    return stand(unit, sample, DT, seconds)
 
 
 def within(found: Array, wanted: Array, share: float) -> None:

@@ -11,14 +11,14 @@ import pytest
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.physics.stimulus import StimulusError, segment_means
 from planrunner.physics.terms import ACCEL_X, ACCEL_X_ACCEL_Z, BIAS, RATE_Z, ErrorModel, design_matrix
-from planrunner.plan.schedule import Rest, Rock, Segment, Spin
+from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 
 SITE = Site(math.radians(40), 9.80)
 TILTED = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 
 
-def segment(motion: object, dwell: float | None = 10.0, attitude: np.ndarray | None = TILTED) -> Segment:
-    return Segment(0, "S", attitude, "as tested", motion, dwell, temperature=300.0, start=5.0)  # type: ignore[arg-type]
+def segment(motion: Motion, dwell: float | None = 10.0, attitude: np.ndarray | None = TILTED) -> Segment:
+    return Segment(0, "S", attitude, "as tested", motion, dwell, temperature=300.0, start=5.0)
 
 
 def test_rest_in_words() -> None:

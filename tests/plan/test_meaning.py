@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
 
@@ -176,8 +177,8 @@ def test_missing_keys_come_with_an_example() -> None:
 
 
 @pytest.mark.parametrize("path", SHIPPED_PLANS, ids=lambda path: path.stem)
-def test_shipped_plans_are_sound(path: object) -> None:
-    plan, log = load_plan(path)  # type: ignore[arg-type]
+def test_shipped_plans_are_sound(path: Path) -> None:
+    plan, log = load_plan(path)
     assert plan is not None
     check_meaning(plan, expand(plan, log), REPORTS, log)
     assert [str(item) for item in log.errors] == []

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from planrunner.plan import units
 from planrunner.plan.findings import Findings, Mark
-from planrunner.plan.quantity import QuantityError, parse_quantity, parse_sweep, parse_symmetric, read_quantity
+from planrunner.plan.quantity import (
+    Quantity,
+    QuantityError,
+    parse_quantity,
+    parse_sweep,
+    parse_symmetric,
+    read_quantity,
+)
 from planrunner.plan.source import parse
 from planrunner.plan.units import DIMENSIONS, EXAMPLES, UnknownUnitError, convert, unit
 
@@ -330,8 +337,9 @@ def test_half_widths_become_standard_uncertainties(shape: str, divisor: float) -
     given_shape = f", distribution: {shape}" if shape else ""
     found, errors = read(f"{{value: 10 deg, half_width: 6 arcmin{given_shape}, degrees_of_freedom: 12}}")
     assert errors == []
-    assert found.standard_uncertainty == pytest.approx(0.1 * DEG / divisor)  # type: ignore[attr-defined]
-    assert found.degrees_of_freedom == 12.0  # type: ignore[attr-defined]
+    assert isinstance(found, Quantity)
+    assert found.standard_uncertainty == pytest.approx(0.1 * DEG / divisor)
+    assert found.degrees_of_freedom == 12.0
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import reporting_example as example
 
@@ -66,7 +67,7 @@ FACTS = CertificateFacts(
 )
 
 
-def context(**changes: object) -> ReportContext:
+def context(**changes: Any) -> ReportContext:
     """The report's example with everything that a certificate states; changes: of the facts."""
     met, failed = example.context().limits
     met = replace(met, probability=0.9996, false_decision=0.0004, consumer_risk=0.012, producer_risk=0.034)
@@ -75,4 +76,4 @@ def context(**changes: object) -> ReportContext:
         replace(one, lower=-5.0, upper=5.0, guard_band=one.expanded_uncertainty, guard_factor=1.0)
         for one in (met, failed)
     )
-    return example.context(limits=limits, certificate=replace(FACTS, **changes))  # type: ignore[arg-type]
+    return example.context(limits=limits, certificate=replace(FACTS, **changes))

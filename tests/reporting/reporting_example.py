@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -224,7 +225,7 @@ def comparison() -> Estimate:
     )  # fmt: skip
 
 
-def context(**changes: object) -> ReportContext:
+def context(**changes: Any) -> ReportContext:
     summaries = []
     for segment in schedule().segments:
         mean = 60 * np.array([math.sin(2.0 * segment.index), math.cos(3.0 * segment.index)])
@@ -234,7 +235,7 @@ def context(**changes: object) -> ReportContext:
             segment.start, segment.start + 119.99, 0.01,
         )  # fmt: skip
         summaries.append(SegmentSummary(segment, statistics, {"torquer_x": "pulse/s", "torquer_y": "pulse/s"}))
-    given: dict[str, object] = {
+    given: dict[str, Any] = {
         "title": "Optimal eight-position calibration of a flexure gyro",
         "description": "Torquer currents at rest in eight positions, beside a traditional set of eight.",
         "run_information": {
@@ -281,7 +282,7 @@ def context(**changes: object) -> ReportContext:
             "analysed": "2026-03-02T09:38:55Z",
         },
     }
-    return ReportContext(**{**given, **changes})  # type: ignore[arg-type]
+    return ReportContext(**{**given, **changes})
 
 
 def design() -> Design:

@@ -108,8 +108,8 @@ class Tables(HTMLParser):
         if self._where == "head" and self.titles[-1]:
             self.titles[-1][-1] += data
         elif self.cells and self._where == "body":
-            *place, text = self.cells[-1]
-            self.cells[-1] = (*place, text + data)  # type: ignore[assignment]
+            table, column, before, text = self.cells[-1]
+            self.cells[-1] = (table, column, before, text + data)
 
 
 @pytest.mark.parametrize("name", ["report", "certificate"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 
-def influence(name: str, u: float, sensitivities: object, **keys: object) -> Influence:
+def influence(name: str, u: float, sensitivities: object, **keys: Any) -> Influence:
     array = np.atleast_2d(np.asarray(sensitivities, dtype=float))
     own = {key: keys.pop(key) for key in ("in_scatter", "parts") if key in keys}
-    return Influence(InputQuantity(name, 0.0, "1", u, **keys), array, **own)  # type: ignore[arg-type]
+    return Influence(InputQuantity(name, 0.0, "1", u, **keys), array, **own)
 
 
 def end_gauge() -> tuple[Measured, list[Influence]]:

@@ -99,9 +99,8 @@ def test_zener_diode() -> None:
 
 def test_guard_band_is_the_factor_times_u_of_the_coverage() -> None:
     """U99 = 2.576·0.05 = 0.129; half of it leaves 0.5 − 0.064 = 0.436."""
-    keys = {"rule": "guarded", "factor": 0.5, "confidence": 0.99}
     for value, verdict in ((0.43, "pass"), (0.44, "fail")):
-        decision = decide(value, 0.05, math.inf, -0.5, 0.5, **keys)  # type: ignore[arg-type]
+        decision = decide(value, 0.05, math.inf, -0.5, 0.5, rule="guarded", factor=0.5, confidence=0.99)
         assert decision.verdict == verdict
         assert decision.guard_band == pytest.approx(0.5 * 2.5758 * 0.05, abs=1e-5)
         assert decision.coverage_factor == pytest.approx(2.5758, abs=1e-4)

@@ -297,7 +297,7 @@ def test_rocking_that_is_called_off_before_it_begins_never_begins() -> None:
         assert not any(line.startswith(":dem:osc 1,0.05") for line in controller.heard)
 
 
-def test_a_mode_that_another_thread_changes_meanwhile_has_not_strayed() -> None:
+def test_a_mode_that_another_thread_changes_meanwhile_has_not_strayed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a cycle does: between the question for the mode and its answer the axis is sent to another."""
     with bench() as (controller, table, _):
         table.orient(turned(5.0))
@@ -308,9 +308,9 @@ def test_a_mode_that_another_thread_changes_meanwhile_has_not_strayed() -> None:
                 controller.mode[1], table.commands._modes[1] = "Rate", "rate"
             return answer(text)
 
-        controller._reply = late  # type: ignore[method-assign]
+        monkeypatch.setattr(controller, "_reply", late)
         assert table.watch().faults == ()
-        controller._reply = answer  # type: ignore[method-assign]
+        monkeypatch.setattr(controller, "_reply", answer)
         controller.mode[1] = "Off"
         assert table.watch().faults == ("axis 1 went into the mode 'Off' by itself",)
 
