@@ -134,13 +134,14 @@ def used(cls: type, arguments: tuple[Any, ...], names: dict[str, Any], options: 
     def delete() -> None:
         del twin.a
 
+    by_identity: object = object.__hash__
     shown = repr(record).replace(cls.__qualname__, cls.__name__)
     return [
         shown,
         record == twin,
         record == cls(*(7, *arguments[1:])) if arguments and "kw_only" not in options else None,
         record != 3,
-        result(lambda: hash(record) == hash(twin)) if cls.__hash__ is not object.__hash__ else None,
+        result(lambda: hash(record) == hash(twin)) if cls.__hash__ is not by_identity else None,
         [(item.name, item.init, item.compare, item.kw_only) for item in dataclasses.fields(record)],
         result(lambda: dataclasses.asdict(record)).__repr__(),
         repr(result(lambda: dataclasses.replace(record, a=8))).replace(cls.__qualname__, cls.__name__),
