@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 # Two workers share two cores: threads of the linear algebra would only wait for each other. It reads this as it is loaded.
@@ -32,6 +33,7 @@ sys.dont_write_bytecode = False
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
+KEPT_OPEN = 8  # descriptors that libraries open once, and fixtures that the session shares
 PAGE, NO_PAGE = "report: [report.html, summary.md]", "report: [summary.md]"
 
 
@@ -42,6 +44,24 @@ def data_root() -> Path:
     if not (folder / "rimu_jig").is_dir():
         pytest.skip(f"no recordings beneath {folder}; set PLANRUNNER_DATA")
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def descriptors_are_given_back() -> Iterator[None]:
+    """No module leaves files, folders or sockets open: a process may hold 1024, and runs that go on for weeks are made by this code."""
+    before = _descriptors()
+    yield
+    if _descriptors() > before + KEPT_OPEN:
+        gc.collect()
+    assert _descriptors() <= before + KEPT_OPEN, f"{_descriptors() - before} more are open than before this module"
+
+
+def _descriptors() -> int:
+    """How many file descriptors this process holds; 0 on systems that do not list them."""
+    for folder in ("/proc/self/fd", "/dev/fd"):
+        if os.path.isdir(folder):
+            return len(os.listdir(folder))
+    return 0
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ def allowed() -> dict[str, set[str]]:
 
 
 def imported(path: Path) -> set[str]:
-    """What a file imports of ours, such as `plan.units`; of a package itself, its name alone. `dataclass`, how records are made, is for all."""
+    """What a file imports of ours, such as `plan.units`; of a package itself, its name alone. `dataclass` is for all."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         names = []

@@ -248,10 +248,14 @@ class _OpenPart:
         self.rows = 0
         self._storage = storage
         self._sink = _HashedSink(storage, folder, self.aside)
-        self._native = pa.PythonFile(self._sink, mode="w")
-        self._writer = pq.ParquetWriter(
-            self._native, schema, compression="snappy", use_dictionary=False, write_statistics=False
-        )
+        try:
+            self._native = pa.PythonFile(self._sink, mode="w")
+            self._writer = pq.ParquetWriter(
+                self._native, schema, compression="snappy", use_dictionary=False, write_statistics=False
+            )
+        except BaseException:  # it writes a header
+            self._sink.file.close()
+            raise
 
     def write(self, table: Any) -> None:
         self._writer.write_table(table, row_group_size=max(GROUP_ROWS, 1))

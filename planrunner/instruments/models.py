@@ -106,6 +106,23 @@ class NoiseModel:
             rounding = self.resolution**2 / 6 / samples**2
         return math.sqrt(white + rounding + self.bias_instability**2)
 
+    def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
+        """How probable it is at most that all samples over `seconds` at `rate_hz` of a constant input read the same.
+
+        Without carried rounding the most probable is a mean in the middle of a count. With it the sum of the noise, a random walk that
+        starts anywhere in a count, has to stay within it: exp(−π²·n·σ²/(2·a²)) after n steps of σ between walls a apart bounds the series
+        of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3; walls that are looked at once a step are 2·0.5826·σ
+        farther apart (D. Siegmund, Sequential Analysis, 10.2).
+        """
+        if self.resolution == 0 or self.white == 0:
+            return 0.0 if self.white else 1.0
+        samples, sigma = max(1.0, seconds * rate_hz), self.white * math.sqrt(rate_hz)
+        if self.counted:
+            apart = self.resolution / sigma + 2 * 0.5826
+            return math.exp(-samples * (math.pi / apart) ** 2 / 2)
+        within = math.erf(self.resolution / (2 * math.sqrt(2) * sigma))
+        return math.pow(within, samples)
+
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:

@@ -19,11 +19,12 @@ from .written_plans import Plan
 
 @dataclass(frozen=True)
 class Ended:
-    """passed: whether `check` found no error; errors: the codes that it found; code: the exit code of `run`, None where it was not run;
-    told: what `run` said of what failed; unfit: whether it said that the data do not give an estimate."""
+    """passed: whether `check` found no error; errors, warnings: the codes that it found; code: the exit code of `run`, None where it was
+    not run; told: what `run` said of what failed; unfit: whether it said that the data do not give an estimate."""
 
     passed: bool
     errors: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
     code: int | None = None
     told: str = ""
     unfit: bool = False
@@ -46,10 +47,11 @@ def carried_out(path: Path, runs: Path) -> Ended:
     if not checked.ok:
         assert errors, "refused without an error"
         return Ended(False, errors)
+    warnings = tuple(sorted({finding.code for finding in checked.findings if finding.severity == "warning"}))
     try:
-        return Ended(True, errors, *_run(checked.sound(), runs))
+        return Ended(True, errors, warnings, *_run(checked.sound(), runs))
     except Exception:  # a traceback is what must not be
-        return Ended(True, errors, None, traceback.format_exc())
+        return Ended(True, errors, warnings, None, traceback.format_exc())
     finally:
         shutil.rmtree(runs, ignore_errors=True)
 

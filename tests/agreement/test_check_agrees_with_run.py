@@ -37,7 +37,8 @@ def hold(folder: Path, examples: int, drawn: int) -> Counter[str]:
         told = f"check passed it, and it ended with {ended.code}: {ended.told}\n{written(plan)}"
         assert ended.agrees, told
         counted["unfit"] += ended.unfit
-        assert not ended.unfit or left_to_the_data(plan), told
+        foreseen = left_to_the_data(plan) or "physics-resolution" in ended.warnings
+        assert not ended.unfit or foreseen, told
 
     agree()
     return counted

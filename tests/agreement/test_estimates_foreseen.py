@@ -14,7 +14,7 @@ PLAN = """\
 planrunner: 1
 title: estimates
 bench: {bench}
-sensor: {{kind: imu, outputs: [gyro_z]}}
+sensor: {{kind: {kind}, outputs: [gyro_z]}}
 defaults: {{orientation: {{x: east, y: north, z: up}}, dwell: {dwell}, settle: 0 s}}
 segments:
 {segments}
@@ -26,9 +26,12 @@ Check = Callable[..., Checked]
 
 @pytest.fixture
 def check(tmp_path: Path) -> Check:
-    def made(segments: str, estimate: str, dwell: str = "30 s", bench: str = "virtual_mems") -> Checked:
+    def made(
+        segments: str, estimate: str, dwell: str = "30 s", bench: str = "virtual_mems", kind: str = "imu"
+    ) -> Checked:
         path = tmp_path / "plan.yaml"
-        path.write_text(PLAN.format(segments=segments, estimate=estimate, dwell=dwell, bench=bench), encoding="utf-8")
+        text = PLAN.format(segments=segments, estimate=estimate, dwell=dwell, bench=bench, kind=kind)
+        path.write_text(text, encoding="utf-8")
         return check_plan(path)
 
     return made
@@ -88,6 +91,16 @@ def test_averaging_times_beyond_the_dwell(check: Check) -> None:
     for impossible in ("taus: [200 s]", "fit_up_to: 5 ms"):
         (finding,) = check(rest, f"{allan}, {impossible}").findings.errors
         assert finding.code == "physics-estimate"
+
+
+@pytest.mark.parametrize(("dwell", "outputs"), [("0.13 s", {"gyro_x", "gyro_y"}), ("10 s", set())])
+def test_counts_that_are_coarse_beside_the_noise(dwell: str, outputs: set[str], check: Check) -> None:
+    """0.18″/√s in counts of 0.09″: within 0.13 s the noise need not fill one."""
+    estimate = "estimator: allan_deviation, outputs: [gyro_x, gyro_y]"
+    checked = check("  - {label: A}", estimate, dwell=dwell, bench="virtual_gyro_triad", kind="gyro-triad")
+    found = said(checked)
+    assert {one.code for one in found} == ({"physics-resolution"} if outputs else set())
+    assert {name for one in found for name in ("gyro_x", "gyro_y") if name in one.message} == outputs
 
 
 STILL = "segments: {detect: still, window: 0.5 s, threshold: 0.5 m/s^2, at_least: 1 s"

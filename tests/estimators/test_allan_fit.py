@@ -14,6 +14,7 @@ from planrunner.estimators.allan import kernel as allan_kernel
 from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
 from planrunner.estimators.allan.fit import VarianceCovariance, fit_noise, model_matrix
 from planrunner.estimators.interface import Estimate, EstimateRequest
+from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
 
 SITE = Site(math.radians(40.0))
@@ -134,3 +135,28 @@ def test_a_disturbance_that_no_noise_explains_is_said() -> None:
     values = simulated_noise.rate(draw, 2**14, 1.0, N=1.0) + 2 * np.sin(2 * np.pi * np.arange(2**14) / 200)
     found = estimate(values, 1.0)
     assert any("does not describe" in warning for warning in found.warnings)
+
+
+def test_counts_that_alternate_are_an_observation() -> None:
+    """Two averages of 1, 2, 1, 2 … are equal: an Allan variance of 0, which must not be left out of the fit."""
+    found = estimate(np.array([100.0, 200.0] * 6 + [100.0]), 0.01)
+    (noise,) = found.coefficients
+    assert 0 <= noise.value < 7.07  # 70.7 pulse/s at 0.01 s alone
+    assert 0 < noise.standard_uncertainty < 7.07
+
+
+@pytest.mark.parametrize("counted", [False, True])
+@pytest.mark.parametrize(("sigma", "samples"), [(0.1, 9), (0.3, 9), (0.5, 20), (1.0, 9), (0.2, 40)])
+def test_chance_of_no_change_bounds_what_happens(counted: bool, sigma: float, samples: int) -> None:
+    """Records of white noise, rounded to whole counts from anywhere in a count."""
+    rng = np.random.default_rng(4)
+    noise = sigma * rng.standard_normal((20_000, samples))
+    mean = rng.uniform(size=(20_000, 1)) if counted else np.zeros((20_000, 1))
+    shown = np.diff(np.floor(mean + np.cumsum(noise, axis=1)), prepend=np.floor(mean)) if counted else np.round(noise)
+    unchanged = float(np.mean(np.ptp(shown, axis=1) == 0))
+    rate = 50.0
+    bound = NoiseModel(sigma / math.sqrt(rate), resolution=1.0, counted=counted).chance_of_no_change(
+        samples / rate, rate
+    )
+    assert unchanged <= bound + 3 * math.sqrt(bound / 20_000)
+    assert bound <= 1.0

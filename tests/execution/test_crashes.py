@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -52,11 +52,18 @@ class PowerCutError(BaseException):
     """The process is gone: nothing that would follow happens."""
 
 
-class Faulty(Storage):
-    """Counts operations; `fails` of them, from the `fail_from`-th on, raise. A write that fails leaves half of its
-    data."""
+def disk_full() -> OSError:
+    return OSError(28, "No space left on device")
 
-    def __init__(self, fail_from: int, error: BaseException, fails: int = 10**9):
+
+Fault = Callable[[], BaseException]
+
+
+class Faulty(Storage):
+    """Counts operations; `fails` of them, from the `fail_from`-th on, raise what `error` makes. A write that fails leaves half of its
+    data. An exception that is raised anew would keep what every place it was raised at holds open."""
+
+    def __init__(self, fail_from: int, error: Fault, fails: int = 10**9):
         super().__init__("durable")
         self.count, self.fail_from, self.error, self.fails = 0, fail_from, error, fails
 
@@ -75,7 +82,7 @@ class Faulty(Storage):
             if self.fail_from <= self.count < self.fail_from + self.fails:
                 if name == "write" and self.count == self.fail_from:
                     found(args[0], args[1][: len(args[1]) // 2])
-                raise self.error
+                raise self.error()
             return found(*args)
 
         return counted
@@ -157,13 +164,13 @@ def check_resumed(run: Path, before: dict[int, list[str]], whole: list[Any]) -> 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], int]:
     """The contents of a run without faults, and how many operations on the disk it took."""
-    storage = Faulty(10**9, OSError())
+    storage = Faulty(10**9, OSError)
     run = attempt(tmp_path_factory.mktemp("whole"), storage)
     assert run is not None
     return contents(run), storage.count
 
 
-def crash_everywhere(root: Path, whole: list[Any], numbers: range, error: BaseException, fails: int = 10**9) -> None:
+def crash_everywhere(root: Path, whole: list[Any], numbers: range, error: Fault, fails: int = 10**9) -> None:
     for number in numbers:
         folder = root / str(number)
         folder.mkdir()
@@ -187,31 +194,29 @@ def crash_everywhere(root: Path, whole: list[Any], numbers: range, error: BaseEx
 def test_power_cut_at_operations(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
     whole, operations = uninterrupted
     assert operations > 250
-    crash_everywhere(tmp_path, whole, range(1, operations + 1, 5), PowerCutError())
+    crash_everywhere(tmp_path, whole, range(1, operations + 1, 5), PowerCutError)
 
 
 def test_disk_full_at_operations(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
     whole, operations = uninterrupted
-    crash_everywhere(tmp_path, whole, range(2, operations + 1, 7), OSError(28, "No space left on device"))
+    crash_everywhere(tmp_path, whole, range(2, operations + 1, 7), disk_full)
 
 
 def test_one_write_fails_and_the_next_succeeds(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
     """Space was made just then: a file with a hole in it must not be finished, nor a line be joined to half a line."""
     whole, operations = uninterrupted
-    crash_everywhere(tmp_path, whole, range(3, operations + 1, 9), OSError(28, "No space left on device"), fails=1)
+    crash_everywhere(tmp_path, whole, range(3, operations + 1, 9), disk_full, fails=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fails", [10**9, 1])
-@pytest.mark.parametrize("error", [PowerCutError(), OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("error", [PowerCutError, disk_full, KeyboardInterrupt])
 def test_crash_at_every_operation(
-    tmp_path: Path, uninterrupted: tuple[list[Any], int], error: BaseException, fails: int
+    tmp_path: Path, uninterrupted: tuple[list[Any], int], error: Fault, fails: int
 ) -> None:
     whole, operations = uninterrupted
     with contextlib.suppress(KeyboardInterrupt):
-        crash_everywhere(
-            tmp_path, whole, range(25 if isinstance(error, KeyboardInterrupt) else 1, operations + 1), error, fails
-        )
+        crash_everywhere(tmp_path, whole, range(25 if error is KeyboardInterrupt else 1, operations + 1), error, fails)
         return
     pytest.fail("an interruption came through")
 
@@ -222,17 +227,17 @@ def test_crash_while_resuming(tmp_path: Path, uninterrupted: tuple[list[Any], in
     for number in range(1, 40, 2):
         folder = tmp_path / str(number)
         folder.mkdir()
-        run = attempt(folder, Faulty(operations // 2, PowerCutError()))
+        run = attempt(folder, Faulty(operations // 2, PowerCutError))
         assert run is not None
         before = acknowledged(run)
         with contextlib.suppress(InputError):
-            attempt(folder, Faulty(number, PowerCutError()), run)
+            attempt(folder, Faulty(number, PowerCutError), run)
         assert attempt(folder, Storage("flushed"), run) == run
         check_resumed(run, before, whole)
 
 
 def test_disk_full_leaves_the_bench_safe(tmp_path: Path) -> None:
-    bench, storage = make_bench(), Faulty(60, OSError(28, "No space left on device"))
+    bench, storage = make_bench(), Faulty(60, disk_full)
     with RunWriter.create(tmp_path, "mixed", b"p", b"b", {}, storage=storage) as writer:
         outcome = execute(mixed_schedule(), bench, writer, stop=StopRequest())
     assert "No space left on device" in outcome.failures[0].message
@@ -319,7 +324,7 @@ def test_file_size_limit_is_an_ordinary_failure(tmp_path: Path) -> None:
 def test_events_of_a_crashed_and_resumed_run_fit_the_schema(
     tmp_path: Path, uninterrupted: tuple[list[Any], int]
 ) -> None:
-    run = attempt(tmp_path, Faulty(uninterrupted[1] // 2, PowerCutError()))
+    run = attempt(tmp_path, Faulty(uninterrupted[1] // 2, PowerCutError))
     assert run is not None
     attempt(tmp_path, Storage("flushed"), run)
     kinds = set()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-import select
+import selectors
 import signal
 import subprocess
 import sys
@@ -74,6 +74,9 @@ class Forks:
     def __init__(self, environment: dict[str, str]):
         pipe = subprocess.PIPE
         self.process = subprocess.Popen([sys.executable, __file__], env=environment, stdin=pipe, stdout=pipe, bufsize=0)
+        assert self.process.stdout is not None
+        self.heard = selectors.DefaultSelector()  # `select` itself knows descriptors below 1024 only
+        self.heard.register(self.process.stdout, selectors.EVENT_READ)
         self.codes: dict[int, int] = {}
         self.begun: list[int] = []
         self.rest = b""
@@ -93,7 +96,7 @@ class Forks:
 
     def listen(self, patience: float) -> None:
         assert self.process.stdout is not None
-        while select.select([self.process.stdout], [], [], patience)[0]:
+        while self.heard.select(patience):
             data = os.read(self.process.stdout.fileno(), 65536)
             assert data, "the process that forks has ended"
             *lines, self.rest = (self.rest + data).split(b"\n")
@@ -108,6 +111,7 @@ class Forks:
 
     def close(self) -> None:
         assert self.process.stdin is not None and self.process.stdout is not None
+        self.heard.close()
         self.process.stdin.close()
         self.process.wait(60)
         self.process.stdout.close()
@@ -132,8 +136,10 @@ def _made_ready(folder: Path) -> None:
 def _serve() -> None:
     rest, listening, ready = b"", True, False
     running: set[int] = set()
+    asked_at = selectors.SelectSelector()  # has no descriptor that those who are forked would get
+    asked_at.register(0, selectors.EVENT_READ)
     while listening or running:
-        if listening and select.select([0], [], [], 0.02)[0]:
+        if listening and asked_at.select(0.02):
             data = os.read(0, 65536)
             listening = bool(data)
             *lines, rest = (rest + data).split(b"\n")

@@ -15,12 +15,11 @@ from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.fit import FLAT, TERMS, NoiseFit, expected_covariance, fit_noise
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
 from planrunner.estimators.allan.planning import (
-    LEAST_FREEDOM,
     averaging_factors,
-    fit_limit,
     planned_averaging,
     planned_record,
     require_averaging_times,
+    takes_part,
 )
 from planrunner.estimators.allan.scale import ScaleFactorKind, SensedBy, sensed_by
 from planrunner.estimators.allan.table import KINDS, Deviation, deviations, octave_factors
@@ -232,8 +231,7 @@ def _influences(results: Sequence[_Result]) -> list[Influence]:
 
 
 def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) -> None:
-    limit = fit_limit(parameters.fit_up_to)
-    chosen = [row for row in result.rows if row.tau <= limit and row.freedom >= LEAST_FREEDOM and row.value > 0]
+    chosen = [row for row in result.rows if takes_part(row.tau, row.freedom, parameters.fit_up_to)]
     terms = [term for term in TERMS if term in parameters.terms]
     for dropped in ("K", "Q", "B", "N"):
         if len(terms) > max(1, len(chosen) - 1) and dropped in terms and len(terms) > 1:
@@ -242,7 +240,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     try:
         require_averaging_times(result.name, len(chosen))
     except EstimationError as error:
-        if phase.gaps or any(row.value == 0 for row in result.rows):
+        if phase.gaps:
             raise UnfitDataError(str(error)) from None
         raise
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
@@ -326,7 +324,8 @@ def _plot(result: _Result, chosen: Sequence[Deviation], fit: NoiseFit) -> Plot:
 
 
 def _describe_gaps(result: _Result, phase: Phase) -> None:
-    known = [row for row in result.rows if row.freedom >= _FLOOR_FREEDOM] or result.rows[:1]
+    changing = [row for row in result.rows if row.value > 0]
+    known = [row for row in changing if row.freedom >= _FLOOR_FREEDOM] or changing[:1]
     lowest = min(known, key=lambda row: row.value)
     flat = lowest.value / math.sqrt(FLAT)
     result.notes.append(

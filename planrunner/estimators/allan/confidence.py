@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 LEAST_POINTS = 30  # averages from which the lag-1 autocorrelation tells a noise type
 MOST_POINTS = 2**20
@@ -103,6 +104,13 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
         # The variance grows as the logarithm of the factor; the covariances at other lags do not.
         variance += math.comb(2 * order, order) * 2 * math.log(factor / filtering)
     return max(1.0, variance**2 * count / float(np.sum(weights * covariance**2)))
+
+
+def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modified: bool = False) -> float:
+    """EDF of a variance over runs of `lengths` phase points. Runs are independent of each other: their degrees of freedom add."""
+    sizes, counts = np.unique(lengths, return_counts=True)
+    pairs = zip(sizes.tolist(), counts.tolist(), strict=True)
+    return float(sum(count * degrees_of_freedom(alpha, order, factor, size, modified) for size, count in pairs))
 
 
 def _white_phase(order: int, factor: int, terms: int) -> float:

@@ -160,7 +160,7 @@ def _nodes(near: int, far: int, lengths: Integers) -> tuple[Array, Array]:
 def fit_noise(
     factors: Integers, variances: Array, freedom: Array, lengths: Integers, terms: Sequence[str] = TERMS
 ) -> NoiseFit:
-    """Fit of `terms` to Allan variances (k,) at `factors`; `freedom` (k,): degrees of freedom, for the first weights.
+    """Fit of `terms` to Allan variances (k,) at `factors`, not all 0; `freedom` (k,): degrees of freedom, for the first weights.
 
     Raises `ValueError` when there are fewer averaging times than terms.
     """
@@ -171,7 +171,10 @@ def fit_noise(
         raise ValueError(f"{factors.size} averaging times cannot tell {len(chosen)} coefficients")
     matrix = model_matrix(factors)[:, chosen]
     covariance_of = _covariance_for(factors, lengths)
-    covariance = np.diag(2 * variances**2 / freedom)
+    positive = np.maximum(
+        variances, variances[variances > 0].min()
+    )  # counts that alternate give 0 at even averaging factors
+    covariance = np.diag(2 * positive**2 / freedom)
     squares = np.zeros(4)
     for _ in range(_ROUNDS):
         root = np.linalg.cholesky(covariance)

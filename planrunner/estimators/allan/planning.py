@@ -5,14 +5,13 @@ The record that is planned is judged by the rules that the recorded one is refus
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.estimators.allan.confidence import degrees_of_freedom
+from planrunner.estimators.allan.confidence import freedom_of_runs
 from planrunner.estimators.allan.table import octave_factors
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
 from planrunner.plan.quantity import Quantity
@@ -20,6 +19,7 @@ from planrunner.plan.quantity import Quantity
 Integers = NDArray[np.int64]
 
 LEAST_FREEDOM = 3.0  # of an Allan variance that takes part in the fit
+_NEGLIGIBLE = 1e-6  # probability
 _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance distinguishes
 
 
@@ -58,9 +58,9 @@ def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: flo
     return usable
 
 
-def fit_limit(fit_up_to: Quantity | None) -> float:
-    """The longest averaging time [s] that takes part in the fit."""
-    return math.inf if fit_up_to is None else fit_up_to.value * (1 + 1e-9)
+def takes_part(tau: float, freedom: float, fit_up_to: Quantity | None) -> bool:
+    """Whether an Allan variance at `tau` [s], known with `freedom` degrees of freedom, takes part in the fit."""
+    return freedom >= LEAST_FREEDOM and (fit_up_to is None or tau <= fit_up_to.value * (1 + 1e-9))
 
 
 def require_averaging_times(name: str, count: int) -> None:
@@ -80,9 +80,12 @@ def planned_averaging(
         return ()
     lengths, interval = record.lengths, record.interval
     factors = averaging_factors(taus, lengths, interval, names[0])
-    known = [factor for factor in factors.tolist() if _least_freedom(factor, lengths) >= LEAST_FREEDOM]
-    require_averaging_times(names[0], sum(1 for factor in known if factor * interval <= fit_limit(fit_up_to)))
-    longest = max(known) * interval
+    freedoms = {factor: _least_freedom(factor, lengths) for factor in factors.tolist()}
+    fitted = [factor for factor, freedom in freedoms.items() if takes_part(factor * interval, freedom, fit_up_to)]
+    require_averaging_times(names[0], len(fitted))
+    longest = interval * max(
+        factor for factor, freedom in freedoms.items() if takes_part(factor * interval, freedom, None)
+    )
     whole = (int(lengths.max()) - 1) * interval
     found = []
     if fit_up_to is not None and fit_up_to.value > whole / 2:
@@ -98,16 +101,17 @@ def planned_averaging(
         found.append(
             Remark("physics-averaging", message, f"dwell for {_twice(beyond[0])} at least, or leave it out", "taus")
         )
+    for output in (output for output in request.sensor.outputs if output.name in names and output.noise.white > 0):
+        if output.noise.chance_of_no_change(whole, 1 / interval) > _NEGLIGIBLE:
+            message = f"the declared noise of '{output.name}' may be too small to change a reading within {whole:.4g} s"
+            hint = "dwell longer, or leave the output out: a reading that never changes has no Allan deviation"
+            found.append(Remark("physics-resolution", message, hint, "outputs"))
     return tuple(found)
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
     """Degrees of freedom of an Allan variance whatever the noise is; the fewest of the kinds that it may turn out to be."""
-    sizes, counts = np.unique(lengths, return_counts=True)
-    long_enough = sizes > 2 * factor
-    pairs = list(zip(sizes[long_enough].tolist(), counts[long_enough].tolist(), strict=True))
-    totals = [sum(n * degrees_of_freedom(alpha, 2, factor, int(size)) for size, n in pairs) for alpha in _EXPONENTS]
-    return float(min(totals))
+    return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 
 def _twice(tau: Quantity) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.estimators.allan.confidence import degrees_of_freedom, interval, noise_exponent
+from planrunner.estimators.allan.confidence import freedom_of_runs, interval, noise_exponent
 from planrunner.estimators.allan.phase import Phase
 
 Array = NDArray[np.float64]
@@ -59,19 +59,12 @@ def deviations(phase: Phase, kind: str, factors: Integers, probability: float) -
         own = noise_exponent(phase.runs, factor, alpha)
         carried = own is None
         alpha = own if own is not None else alpha if alpha is not None else 0
-        freedom = _freedom(alpha, order, factor, lengths, kind == "modified")
+        freedom = freedom_of_runs(alpha, order, factor, lengths, kind == "modified")
         scale = {"overlapping": 2.0, "modified": 2.0 * factor**2, "hadamard": 6.0}[kind] * float(factor) ** 2
         value = math.sqrt(total / (scale * terms))
         low, high = interval(value, freedom, probability)
         found.append(Deviation(kind, factor, factor * phase.interval, terms, value, alpha, carried, freedom, low, high))
     return found
-
-
-def _freedom(alpha: int, order: int, factor: int, lengths: Integers, modified: bool) -> float:
-    """Runs are independent of each other: their degrees of freedom add."""
-    sizes, counts = np.unique(lengths, return_counts=True)
-    each = (degrees_of_freedom(alpha, order, factor, int(size), modified) for size in sizes)
-    return float(sum(count * one for count, one in zip(counts.tolist(), each, strict=True)))
 
 
 def _sum_over_runs(runs: Sequence[Array], kind: str, factors: Integers) -> Array:
