@@ -37,7 +37,7 @@ from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.units import unit
 from planrunner.reporting.budgets import shown_unit
-from planrunner.reporting.templates import available
+from planrunner.reporting.sandbox import available
 
 # Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
 ILL_CONDITIONED = 30.0

@@ -6,8 +6,8 @@ module is imported when its name is used.
 
 from __future__ import annotations
 
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache, lru_cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
 from planrunner.plan.findings import InputError, Mark, closest
@@ -17,9 +17,15 @@ ESTIMATORS = "planrunner.estimators"
 TERMS = "planrunner.terms"
 
 
+@cache
+def _installed() -> EntryPoints:
+    """Those of all that is installed; to find them, the files of every distribution are read."""
+    return entry_points()
+
+
 @lru_cache(maxsize=8)
 def _table(group: str) -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in sorted(entry_points(group=group), key=lambda entry: entry.name)}
+    return {entry.name: entry for entry in sorted(_installed().select(group=group), key=lambda entry: entry.name)}
 
 
 def names(group: str) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from planrunner.execution.reaching import Patience, Reaching
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
     Clock,
+    Counting,
     FrameCounts,
     InstrumentError,
     OwnLimits,
@@ -118,6 +119,7 @@ class _Execution:
         self.activity = ""
         self.doing = "preparing the bench"
         self.streams = isinstance(bench.sensor, StreamsSamples)
+        self.counts = bench.sensor.counts if isinstance(bench.sensor, Counting) else None
         self.readable = {name: item for name, item in bench.instruments.items() if isinstance(item, Readable)}
         self.channels: Mapping[str, str] = {}
         self.meter: Meter | None = None
@@ -246,7 +248,7 @@ class _Execution:
             self.lookout.begin_segment()
             self.reaching.reach(segment)
             in_mode = self._in_mode(segment)
-            holding = Holding(self.bench, self.lookout, segment)
+            holding = Holding(self.bench, self.lookout, segment, self.counts)
             try:
                 self._dwell(segment, holding)
                 counts = holding.finish()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from planrunner.execution.lookout import Lookout
 from planrunner.execution.readings import DRIFT_OVER, frames_outside, outside, readings_of, unread
-from planrunner.instruments.interfaces import Counting, FrameCounts
+from planrunner.instruments.interfaces import FrameCounts
 from planrunner.plan.schedule import Segment, Watch
 
 
@@ -17,8 +18,10 @@ class LimitPassedError(Exception):
 class Holding:
     """One attempt at one segment, from the beginning of its dwell."""
 
-    def __init__(self, bench: Any, lookout: Lookout, segment: Segment):
-        self._clock, self._sensor, self._lookout = bench.clock, bench.sensor, lookout
+    def __init__(self, bench: Any, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None):
+        """counts: of the sensor's frames, where it counts them."""
+        self._clock, self._lookout = bench.clock, lookout
+        self._counts = counts
         self._watch = segment.watch or Watch()
         self._readings = readings_of(bench, segment, DRIFT_OVER)
         self._moves = segment.ramp_to is not None
@@ -55,7 +58,7 @@ class Holding:
         return counts
 
     def counts(self) -> FrameCounts | None:
-        return self._sensor.counts() if isinstance(self._sensor, Counting) else None
+        return None if self._counts is None else self._counts()
 
     def unjudged(self) -> list[str]:
         """In words, limited readings that were not seen during the dwell, on a bench that has readings."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import functools
-import hashlib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -185,6 +184,8 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
 
 def digest(text: str) -> str:
     """SHA-256 of a style as a page's content security policy names it."""
+    import hashlib
+
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
 
 

@@ -8,7 +8,6 @@ JSON, the page or the error comes back, and whatever happens to the child is a `
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,6 +44,8 @@ def _lay_out_apart(name: str, given: Mapping[str, Any], folder: Path) -> str:
         "seconds": MAX_SECONDS,
         "memory": MAX_MEMORY,
     }
+    import subprocess
+
     command = [sys.executable, "-m", "planrunner.reporting.template_process"]
     try:
         done = subprocess.run(

@@ -114,13 +114,19 @@ class FrameLayout:
         return Samples(frames.received, counter, latency, ordered, doubtful, doubts, refused)
 
     def _doubts(self, frames: Frames) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
-        doubtful, said = np.zeros(len(frames), bool), []
+        doubtful = np.zeros(len(frames), bool)
+        said: list[str] = []
+        read: dict[Field, NDArray[np.int64]] = {}  # words of several statuses may stand in one item
         for status in self.statuses:
-            bits = whole_numbers(frames, status.item)
-            bits = ~bits if status.set_is_good else bits
-            bits &= sum(1 << bit for bit in status.words)
-            doubtful |= bits != 0
+            if status.item not in read:
+                read[status.item] = whole_numbers(frames, status.item)
+            watched = sum(1 << bit for bit in status.words)
+            bits = read[status.item] & watched
+            if status.set_is_good:
+                bits ^= watched
             together = int(np.bitwise_or.reduce(bits)) if bits.size else 0
+            if together:
+                doubtful |= bits != 0
             said += [f"{status.name}: {word}" for bit, word in status.words.items() if together >> bit & 1]
         return doubtful, tuple(said)
 

@@ -103,17 +103,23 @@ class Framer:
             *self._positions,
             *framing.checksum.arguments,
         )
-        ends = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
-        times = np.array([piece.received for piece in pieces])
         received = np.empty(0)
         if starts.size:
-            received = times[np.searchsorted(ends, starts + lengths)] - self.byte_time * lengths
-            self.length = float(np.mean(lengths))
+            received = self._arrivals(pieces, starts + lengths) - self.byte_time * lengths
+            self.length = float(framing.longest if framing.rule == FIXED else np.mean(lengths))
         self._rest = joined[place:]
         self.good += int(starts.size)
         self.corrupt += corrupt
         self.skipped += skipped
         return Frames(data, starts, lengths, received)
+
+    def _arrivals(self, pieces: Sequence[Piece], ends: NDArray[np.int64]) -> NDArray[np.float64]:
+        """When the pieces came that end these frames."""
+        if len(pieces) == 1:
+            return np.full(ends.size, pieces[0].received)
+        behind = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])
+        times: NDArray[np.float64] = np.array([piece.received for piece in pieces])[np.searchsorted(behind, ends)]
+        return times
 
 
 @lru_cache(maxsize=32)

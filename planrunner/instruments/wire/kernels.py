@@ -182,22 +182,16 @@ def _line_holds(data, place, length, together, kind, width, tables, initial, ref
 
 
 @compiled()
-def _holds(data, place, length, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
+def _holds(data, place, length, check, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
     covered_from, padding, size, little = check
     if kind == NONE:
         return True
     covered = length - size - covered_from
     if covered < 0:
         return False
-    if positions.shape[0] > 0:
-        crc, first = np.uint32(base), np.uintp(place + covered_from)
-        for item in range(positions.shape[0]):
-            crc ^= positions[np.uintp(item), data[first + np.uintp(item)]]
-        found = np.int64(crc)
-    else:
-        found = np.int64(
-            value(data, place + covered_from, covered, padding, kind, width, tables, initial, reflected, final)
-        )
+    found = np.int64(
+        value(data, place + covered_from, covered, padding, kind, width, tables, initial, reflected, final)
+    )
     for item in range(size):
         shift = 8 * item if little else 8 * (size - 1 - item)
         if np.int64(data[place + length - size + item]) != (found >> shift) & 0xFF:
@@ -210,6 +204,8 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
     """Starts and lengths of the good frames, where the rest begins, where in it the next frame is expected (-1: unknown), corrupt frames
     and skipped bytes. positions, base: of a CRC over frames that are all alike (`Checksum.by_position`), else (0, 256) and 0."""
     rule, longest, expected = shape
+    covered_from, _, size, little = check
+    covered = positions.shape[0]
     shortest = longest if rule == FIXED else 5
     starts = np.empty(data.size // shortest + 1, np.int64)
     lengths = np.empty(starts.size, np.int64)
@@ -234,10 +230,17 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
         if length > 0:
             if rule == LINE:
                 good = _line_holds(data, place, length, together, kind, width, tables, initial, reflected, final)
+            elif covered > 0:  # here and not in a function: handing arrays over takes longer than the check of a frame
+                crc, first = np.uint32(base), np.uintp(place + covered_from)
+                for item in range(covered):
+                    crc ^= positions[np.uintp(item), data[first + np.uintp(item)]]
+                stored, last = np.uint32(0), np.uintp(place + length - 1 if little else place + length - size)
+                for item in range(size):
+                    behind = np.uintp(item)
+                    stored = np.uint32((stored << 8) | data[last - behind if little else last + behind])
+                good = stored == crc
             else:
-                good = _holds(
-                    data, place, length, check, positions, base, kind, width, tables, initial, reflected, final
-                )
+                good = _holds(data, place, length, check, kind, width, tables, initial, reflected, final)
             if good:
                 starts[count], lengths[count] = place, length
                 count += 1
