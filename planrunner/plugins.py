@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
-from typing import Any
+from typing import Any, Protocol
 
 from planrunner.plan.findings import InputError, Mark, closest
 
@@ -17,8 +17,12 @@ ESTIMATORS = "planrunner.estimators"
 TERMS = "planrunner.terms"
 
 
+class _Selectable(Protocol):
+    def select(self, *, group: str) -> EntryPoints: ...
+
+
 @cache
-def _installed() -> EntryPoints:
+def _installed() -> _Selectable:
     """Those of all that is installed; to find them, the files of every distribution are read."""
     return entry_points()
 

@@ -21,6 +21,7 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.space import recording_bytes, require_space
 from planrunner.archive.storage import Durability
+from planrunner.archive.verifying import Examined, examine, open_run
 from planrunner.attendance import check_unattended
 from planrunner.bench.guarding import guarded_bench
 from planrunner.bench.model import locate, runs_on_virtual_clock
@@ -130,12 +131,13 @@ def resume(
     The folder is locked first, then the bench, and only then is anything connected: of two that resume a run, one is refused before it has
     looked at an instrument.
     """
-    folder = RunReader.open(run, to_reopen=True).folder  # no lock is left in what is no run folder
+    folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)
     try:
-        reader = RunReader.of(folder, to_reopen=True)
+        found = examine(folder, samples=True)  # once, under the lock; what was found is handed on
+        reader = RunReader.of(found, to_reopen=True)
         file = None if bench is None else _stand_in(reader, bench)
-        return _resume(reader, lock, stop, data_root, progress, operator, retake, file, trust_bench=trust_bench)
+        return _resume(found, reader, lock, stop, data_root, progress, operator, retake, file, trust_bench=trust_bench)
     finally:
         lock.release()
 
@@ -150,6 +152,7 @@ def _lock(run: GuardedFolder) -> FolderLock:
 
 
 def _resume(
+    found: Examined,
     reader: RunReader,
     lock: FolderLock,
     stop: StopRequest,
@@ -175,7 +178,7 @@ def _resume(
     reason = None if retake is None else retake.reason
 
     def reopen() -> RunWriter:
-        writer = RunWriter.reopen(reader.folder, reason=reason, lock=lock, bench=None if file is None else file.data)
+        writer = RunWriter.reopen(found, reason=reason, lock=lock, bench=None if file is None else file.data)
         try:
             writer.take_watchdog_report()
             for index in again:

@@ -36,7 +36,7 @@ from planrunner.archive.segment_file import (
     safe_name,
 )
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
-from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, examine, open_run
+from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
 from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.findings import InputError, Mark
@@ -146,7 +146,7 @@ class RunWriter:
     @classmethod
     def reopen(
         cls,
-        run: Path | GuardedFolder,
+        run: Path | Examined,
         *,
         reason: str | None = None,
         durability: Durability | None = None,
@@ -154,18 +154,19 @@ class RunWriter:
         lock: FolderLock | None = None,
         bench: bytes | None = None,
     ) -> RunWriter:
-        """Go on with a run that was cut short, by its path or as it was opened: repairs a torn last line, and settles the segment that was
-        in progress.
+        """Go on with a run that was cut short: repairs a torn last line, and settles the segment that was in progress.
+
+        run: its path, or what `examine` found of it and its samples under the lock that is given, so that nothing is verified twice.
 
         reason: why a finished, sealed run is opened again; without it, that is refused. lock: of the folder, where the caller holds it
         already; it is given away. bench: the bench file that is used instead of the folder's, which the journal then knows by its digest.
         Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
         """
-        folder = run if isinstance(run, GuardedFolder) else open_run(run)
+        folder = run.folder if isinstance(run, Examined) else open_run(run)
         file: FileIO | None = None
         try:
             lock = lock or FolderLock(folder)
-            examined = examine(folder, samples=True)
+            examined = run if isinstance(run, Examined) else examine(folder, samples=True)
             examined.require_whole(*MENDED)
             state, scan = examined.state, examined.scan
             assert state is not None and scan is not None

@@ -16,7 +16,7 @@ from planrunner.archive.journal_state import Acknowledged, JournalState, Rejecte
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
-from planrunner.archive.verifying import BENCH, MENDED, PLAN, examine, open_run
+from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
 from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.findings import Finding
@@ -51,16 +51,15 @@ class RunReader:
         Raises `InputError` when `path` is not a run folder and `IntegrityError` when it is not as it was written. A
         torn last line of a run that was killed is left out. to_reopen: what opening it again mends does not matter.
         """
-        return cls.of(open_run(path), to_reopen=to_reopen)
+        return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
     @classmethod
-    def of(cls, folder: GuardedFolder, *, to_reopen: bool = False) -> RunReader:
-        """A run folder that is open already, as it stands now; see `open`."""
-        found = examine(folder)
+    def of(cls, found: Examined, *, to_reopen: bool = False) -> RunReader:
+        """A run folder as it was looked over; see `open`."""
         found.require_whole(*(MENDED if to_reopen else ()))
         assert found.state is not None and found.scan is not None
         return cls(
-            folder,
+            found.folder,
             found.run,
             found.given[PLAN],
             found.given[BENCH],
