@@ -14,16 +14,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tests.directions import WORDS
+
 RATE = 50.0
 LATITUDE, GRAVITY, EARTH = np.radians(39.98), 9.80154, 15.041067 / 3600
-WORDS = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
-}
 POSITIONS = """up north west, up south east, down north east, down south west, north up east, north down west,
 south up west, south down east, east north up, west north down, east up south, west down south""".replace("\n", " ")
 TURNED = {"x": "up north west", "y": "north up east", "z": "north west up"}

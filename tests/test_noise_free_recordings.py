@@ -18,18 +18,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from planrunner.cli import DONE, main
+from tests.directions import WORDS
 
 PLANS = Path(__file__).parents[1] / "plans"
 EARTH = 15.041067 / 3600  # deg/s
 G = 9.80665
-WORDS = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
-}
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from planrunner.bench.model import BenchModels, models, read_bench, shipped_benches
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.kinematics import TableAxis
+from tests.directions import WORDS
 
 Plan = dict[str, Any]
 VIRTUAL = sorted(name for name in shipped_benches() if name.startswith("virtual"))
@@ -30,18 +31,10 @@ def known(bench: str) -> BenchModels:
 
 def _right_handed() -> list[dict[str, str]]:
     """The 24 orientations in words."""
-    vectors = {
-        "east": (1, 0, 0),
-        "west": (-1, 0, 0),
-        "north": (0, 1, 0),
-        "south": (0, -1, 0),
-        "up": (0, 0, 1),
-        "down": (0, 0, -1),
-    }
-    names = {vector: name for name, vector in vectors.items()}
+    names = {vector: name for name, vector in WORDS.items()}
     found = []
     for x, y in permutations(COMPASS, 2):
-        (a, b, c), (d, e, f) = vectors[x], vectors[y]
+        (a, b, c), (d, e, f) = WORDS[x], WORDS[y]
         if a * d + b * e + c * f == 0:
             z = (b * f - c * e, c * d - a * f, a * e - b * d)
             found.append({"x": x, "y": y, "z": names[z]})

@@ -15,18 +15,11 @@ from recorded import from_means
 from planrunner.archive.recording import RecordedSegment
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
+from tests.directions import WORDS
 
 LATITUDE, GRAVITY = math.radians(39.98), 9.80154
 SITE = Site(LATITUDE, GRAVITY)
 EARTH = math.radians(15.041067) / 3600
-WORDS = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
-}
 GYROS, ACCELS = ("gx", "gy", "gz"), ("ax", "ay", "az")
 DEG_H, MG, MRAD = math.radians(1) / 3600, 9.80665e-3, 1e-3
 

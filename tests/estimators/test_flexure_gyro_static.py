@@ -15,16 +15,9 @@ from planrunner.estimators.interface import DesignRequest, Estimate, EstimateReq
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Spin
+from tests.directions import WORDS
 
 SITE = Site(math.radians(39.98), 9.8015)
-WORDS = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
-}
 OPTIMAL = {
     "P1": "up north west",
     "P2": "down north east",

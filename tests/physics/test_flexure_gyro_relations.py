@@ -10,16 +10,9 @@ import pytest
 
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
+from tests.directions import WORDS
 
 LATITUDE = math.radians(39.98)
-WORDS = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
-}
 OPTIMAL = (
     "up north west",
     "down north east",
