@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -20,32 +21,34 @@ from planrunner.reporting.show_page import ShowContext, render_show
 BROWSER = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
 )
-OUTER = """<!DOCTYPE html><body><iframe style="width:{width}px;height:900px;border:0" srcdoc="{page}"></iframe><script>
+OUTER = """<!DOCTYPE html><body>{frames}<script>
 addEventListener("load", () => {{
-  const inner = document.querySelector("iframe");
-  const size = inner.contentDocument.documentElement.scrollWidth;
-  document.body.dataset.probe = inner.contentWindow.innerWidth + " " + size;
+  document.body.dataset.probe = [...document.querySelectorAll("iframe")].map((inner) =>
+    inner.contentWindow.innerWidth + " " + inner.contentDocument.documentElement.scrollWidth).join(",");
 }})</script>"""
+FRAME = '<iframe style="width:{width}px;height:900px;border:0" srcdoc="{page}"></iframe>'
 OPTIONS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--hide-scrollbars", "--dump-dom",
 )  # fmt: skip
 
 
-def widths(page: str, width: int, folder: Path) -> tuple[int, int]:
-    """(window, content) widths in px as the browser lays the page out in a frame, which may be narrower than a window."""
+def widths(pages: Mapping[str, str], width: int, folder: Path) -> dict[str, tuple[int, int]]:
+    """(window, content) widths in px of each page, as one browser lays them out in frames, which may be narrower than a window."""
     assert BROWSER is not None
     file = folder / "page.html"
-    file.write_text(OUTER.format(width=width, page=escape(page)), encoding="utf-8")
+    frames = "".join(FRAME.format(width=width, page=escape(page)) for page in pages.values())
+    file.write_text(OUTER.format(frames=frames), encoding="utf-8")
     command = [BROWSER, *OPTIONS, f"--user-data-dir={folder / 'profile'}", "--window-size=1000,1000", file.as_uri()]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=90)
     except (OSError, subprocess.TimeoutExpired) as error:
         pytest.skip(f"the browser does not start here: {type(error).__name__}")
-    found = re.search(r'data-probe="(\d+) (\d+)"', done.stdout)
+    found = re.search(r'data-probe="([\d ,]+)"', done.stdout)
     if found is None:
         pytest.skip("the browser gives no page here")
-    return int(found[1]), int(found[2])
+    probed = [tuple(map(int, one.split())) for one in found[1].split(",")]
+    return {name: (window, content) for name, (window, content) in zip(pages, probed, strict=True)}
 
 
 PAGES = {
@@ -60,14 +63,24 @@ PAGES = {
 }
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
+WIDE = "what sticks out"
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, int]]:
+    if BROWSER is None:
+        pytest.skip("no Chromium here")
+    pages = {name: make() for name, make in PAGES.items()}
+    pages[WIDE] = "<!DOCTYPE html><body><div style='width: 700px'>x</div></body>"
+    return widths(pages, 390, tmp_path_factory.mktemp("browser"))
+
+
 @pytest.mark.parametrize("name", PAGES)
-def test_nothing_sticks_out_at_a_phones_width(name: str, tmp_path: Path) -> None:
-    window, content = widths(PAGES[name](), 390, tmp_path)
+def test_nothing_sticks_out_at_a_phones_width(name: str, measured: dict[str, tuple[int, int]]) -> None:
+    window, content = measured[name]
     assert window == 390
     assert content <= window
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
-def test_the_probe_sees_what_sticks_out(tmp_path: Path) -> None:
-    assert widths("<!DOCTYPE html><body><div style='width: 700px'>x</div></body>", 390, tmp_path)[1] >= 700
+def test_the_probe_sees_what_sticks_out(measured: dict[str, tuple[int, int]]) -> None:
+    assert measured[WIDE][1] >= 700
