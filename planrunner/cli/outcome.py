@@ -85,7 +85,7 @@ def print_results(results: Results, headline: Headline) -> None:
     for estimate in results.estimates.values():
         console.print(terminal.coefficients_table(estimate, only=estimate.headline or None))
         for table in estimate.tables:
-            if table.title in estimate.settings.get("terminal_tables", ()):
+            if table.terminal:
                 console.print(terminal.data_table(table))
         for text in estimate.warnings:
             console.print(f"warning: {text}", style="yellow")

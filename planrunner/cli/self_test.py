@@ -33,10 +33,12 @@ def run(args: argparse.Namespace) -> int:
             }
         )
         return cli.DONE if passed else cli.LIMIT_FAILED
-    from planrunner.estimators.interface import Table
+    from planrunner.estimators.interface import Role, Table, TableColumn
     from planrunner.reporting import terminal
+    from planrunner.reporting.columns import alike
 
-    columns = ("case", "quantity", "known answer", "found", "relative difference", "allowed", "verdict")
+    figures = alike(Role.VALUE, "known answer", "found", "relative difference", "allowed")
+    columns = (*alike(Role.LABEL, "case", "quantity"), *figures, TableColumn("verdict"))
     cells = tuple(
         (
             row.case,

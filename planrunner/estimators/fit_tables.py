@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Table
+from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.uncertainty.decision import expanded_uncertainty
@@ -17,12 +17,13 @@ Array = NDArray[np.float64]
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
     """Means, residuals and each mean's uncertainty from its own segment. observed: what a row is, such as `position`."""
-    columns = [observed]
+    columns = [TableColumn(observed)]
     for name, unit in zip(observations.channels, observations.units, strict=True):
-        columns += [f"{name} mean [{unit}]", f"{name} residual [{unit}]", f"{name} u within [{unit}]"]
+        columns += [TableColumn(f"{name} {what}", Role.VALUE, unit) for what in ("mean", "residual")]
+        columns.append(TableColumn(f"{name} u within", Role.STANDARD_UNCERTAINTY, unit))
     rows = []
     for n, label in enumerate(observations.labels):
-        row: list[object] = [label]
+        row: list[Cell] = [label]
         for k, one in enumerate(fit.fits):
             own = observations.standard_error[n, k]
             row += [
@@ -39,17 +40,26 @@ def bases_shown(chosen: str, fits: Sequence[OutputsFit]) -> list[str]:
     return [chosen, *(other for other in BASES if other != chosen and all(fit.available(other) for fit in fits))]
 
 
+def spread_columns(basis: str) -> tuple[TableColumn, ...]:
+    """Standard uncertainty, degrees of freedom and expanded uncertainty by one basis."""
+    shown = basis.replace("_", " ")
+    return (
+        TableColumn(f"u ({shown})", Role.STANDARD_UNCERTAINTY),
+        TableColumn(f"dof ({shown})", Role.DEGREES_OF_FREEDOM),
+        TableColumn(f"U 95 % ({shown})", Role.EXPANDED_UNCERTAINTY),
+    )
+
+
 def basis_table(
     names: Sequence[str], units: Sequence[str], values: Array, spreads: Mapping[str, tuple[Array, Array]]
 ) -> Table:
     """Uncertainties (q,) by what the data show. spreads: basis → standard uncertainties and degrees of freedom, both (q,)."""
-    columns = ["coefficient", "unit", "value"]
+    columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]
     for basis in spreads:
-        shown = basis.replace("_", " ")
-        columns += [f"u ({shown})", f"dof ({shown})", f"U 95 % ({shown})"]
+        columns += spread_columns(basis)
     rows = []
     for q, name in enumerate(names):
-        row: list[object] = [name, units[q], float(values[q])]
+        row: list[Cell] = [name, units[q], float(values[q])]
         for spread, freedom in spreads.values():
             u, dof = float(spread[q]), float(freedom[q])
             row += [u, dof, expanded_uncertainty(u, dof)]

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import field
+from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -68,13 +69,56 @@ class Coefficient:
         return place + math.remainder(self.value - place, self.period) if math.isfinite(self.period) else self.value
 
 
+class Role(StrEnum):
+    """What the cells of a table's column are. Reports round, align and word cells by it, never by a title.
+
+    A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits where there is none; a `NUMBER` is set or
+    stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
+    """
+
+    LABEL = "label"
+    NUMBER = "number"
+    VALUE = "value"
+    STANDARD_UNCERTAINTY = "standard uncertainty"
+    EXPANDED_UNCERTAINTY = "expanded uncertainty"
+    DEGREES_OF_FREEDOM = "degrees of freedom"
+    COUNT = "count"
+    SHARE = "share"
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether values to the left are rounded by it."""
+        return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
+
+
 @dataclass(frozen=True, slots=True)
-class Table:
-    """A table for people: column titles with units, rows of text or numbers."""
+class TableColumn:
+    """unit: of all cells, shown beside the title; empty where there is none, or where each row has its own."""
 
     title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
+    role: Role = Role.LABEL
+    unit: str = ""
+
+    @property
+    def heading(self) -> str:
+        return f"{self.title} [{self.unit}]" if self.unit and self.unit != "1" else self.title
+
+
+Cell = str | float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table for people. rows: a cell a column. terminal: shown on the terminal as well as in reports."""
+
+    title: str
+    columns: tuple[TableColumn, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    terminal: bool = False
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        return tuple(column.heading for column in self.columns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planrunner.estimators.interface import Estimate, Table
+from planrunner.estimators.interface import Cell, Estimate, Role, Table, TableColumn
 from planrunner.plan.validate_spec import MonteCarloSpec
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.monte_carlo import (
@@ -29,10 +29,13 @@ from planrunner.uncertainty.monte_carlo import (
 )
 
 TITLE = "Intervals validated by Monte Carlo (JCGM 101)"
+_FIGURES = ("y − U", "y + U", "low", "high", "shortest low", "shortest high", "s", "d low", "d high", "δ")
 COLUMNS = (
-    "coefficient", "unit", "y − U", "y + U", "low", "high", "shortest low", "shortest high", "s", "d low", "d high", "δ",
-    "validated",
-)  # fmt: skip
+    TableColumn("coefficient"),
+    TableColumn("unit"),
+    *(TableColumn(title, Role.VALUE) for title in _FIGURES),
+    TableColumn("validated"),
+)
 _SHARE = 5.0  # the tolerance of validation over that at which draws end (JCGM 101:2008, 8.2)
 
 
@@ -60,7 +63,7 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
     found = propagate(
         lambda rng, n: draws(rng, n)[rows], tolerances / _SHARE, seed=asked.seed, most=asked.draws, heavy=heavy
     )
-    cells: list[tuple[object, ...]] = []
+    cells: list[tuple[Cell, ...]] = []
     verdicts: dict[str, list[str]] = {"yes": [], "no": [], "undecided": []}
     for item, interval, tolerance, spread in zip(shown, found.intervals, tolerances, found.spread, strict=True):
         expanded = expanded_uncertainty(item.standard_uncertainty, item.degrees_of_freedom)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignRequest,
@@ -26,7 +27,9 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Plot,
+    Role,
     Table,
+    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.root_of_square import root_of
@@ -343,23 +346,28 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
 
 
 def _values(one: Repeats, groups: Sequence[str]) -> Table:
-    columns = ["from", *(["group"] if groups else []), f"{one.name} [{one.unit}]", f"own u [{one.unit}]"]
+    columns = (
+        TableColumn("from"),
+        *((TableColumn("group"),) if groups else ()),
+        TableColumn(one.name, Role.VALUE, one.unit),
+        TableColumn("own u", Role.STANDARD_UNCERTAINTY, one.unit),
+    )
     rows = []
     for label, value, own, number in zip(one.labels, one.value, one.own, one.group, strict=True):
         known = float(own) if np.isfinite(own) else None
         rows.append((label, *([groups[number]] if groups else []), float(value), known))
-    return Table(f"Repeats of {one.name}", tuple(columns), tuple(rows))
+    return Table(f"Repeats of {one.name}", columns, tuple(rows))
 
 
 def _variances(one: Repeats, split: Variance) -> Table:
     columns = (
-        "scatter",
-        f"s [{one.unit}]",
-        "degrees of freedom",
-        f"lower 95 % [{one.unit}]",
-        f"upper 95 % [{one.unit}]",
+        TableColumn("scatter"),
+        TableColumn("s", Role.VALUE, one.unit),
+        TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM),
+        TableColumn("lower 95 %", Role.VALUE, one.unit),
+        TableColumn("upper 95 %", Role.VALUE, one.unit),
     )
-    rows: list[tuple[object, ...]] = [
+    rows: list[tuple[Cell, ...]] = [
         (
             "repeatability",
             math.sqrt(split.within),

@@ -14,7 +14,8 @@ import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.dataclass import dataclass
-from planrunner.estimators.interface import Coefficient, Estimate, Plot, Table
+from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
+from planrunner.estimators.interface import Coefficient, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.instruments.models import Origin
 from planrunner.plan.findings import InputError, Mark
@@ -22,7 +23,8 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 
 __all__ = ["FORMAT", "Origin", "Results", "segment_statistics"]
 
-FORMAT = 1
+FORMAT = 2
+"""2: a table's columns name their title, unit and role; 1, which had titles alone, is still read."""
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
@@ -60,7 +62,7 @@ class Results:
     @classmethod
     def from_json(cls, data: Mapping[str, Any], file: str = "results.json") -> Results:
         """The results that `to_json` wrote. Raises `InputError` for another format."""
-        if not isinstance(data, Mapping) or data.get("planrunner_results") != FORMAT:
+        if not isinstance(data, Mapping) or data.get("planrunner_results") not in range(1, FORMAT + 1):
             message = "this file holds no results of a format that this version reads"
             raise InputError.at(
                 Mark(file), "results-format", message, "open it with the version that wrote it, or estimate again"
@@ -119,7 +121,7 @@ def _estimate_to(estimate: Estimate) -> dict[str, Any]:
         "covariance": np.asarray(estimate.covariance, dtype=float).tolist(),
         "headline": list(estimate.headline),
         "settings": dict(estimate.settings),
-        "tables": [{"title": table.title, "columns": table.columns, "rows": table.rows} for table in estimate.tables],
+        "tables": [_table_to(table) for table in estimate.tables],
         "plots": [{item.name: getattr(plot, item.name) for item in fields(plot)} for plot in estimate.plots],
         "notes": list(estimate.notes),
         "warnings": list(estimate.warnings),
@@ -134,11 +136,22 @@ def _budget_to(budget: Budget) -> dict[str, Any]:
     return plain | {"lines": [{item.name: getattr(line, item.name) for item in fields(line)} for line in budget.lines]}
 
 
+def _table_to(table: Table) -> dict[str, Any]:
+    columns = [{item.name: getattr(one, item.name) for item in fields(one)} for one in table.columns]
+    return {item.name: getattr(table, item.name) for item in fields(table)} | {"columns": columns}
+
+
+def _table_from(data: Mapping[str, Any], settings: Mapping[str, Any]) -> Table:
+    rows = tuple(map(tuple, data["rows"]))
+    if "terminal" not in data:
+        return earlier_table(data["title"], data["columns"], rows, settings)
+    columns = tuple(TableColumn(one["title"], Role(one["role"]), one["unit"]) for one in data["columns"])
+    return Table(data["title"], columns, rows, data["terminal"])
+
+
 def _estimate_from(data: Mapping[str, Any]) -> Estimate:
     rest: dict[str, Any] = {key: tuple(data[key]) for key in ("headline", "notes", "warnings", "segments")}
-    tables = tuple(
-        Table(item["title"], tuple(item["columns"]), tuple(map(tuple, item["rows"]))) for item in data["tables"]
-    )
+    tables = tuple(_table_from(item, data["settings"]) for item in data["tables"])
     plots = tuple(
         Plot(
             item["title"],
@@ -157,7 +170,7 @@ def _estimate_from(data: Mapping[str, Any]) -> Estimate:
         estimator=data["estimator"],
         coefficients=tuple(Coefficient(**item) for item in data["coefficients"]),
         covariance=np.array(data["covariance"], dtype=float),
-        settings=data["settings"],
+        settings={name: value for name, value in data["settings"].items() if name != TERMINAL_TABLES},
         tables=tables,
         plots=plots,
         extra=data["extra"],

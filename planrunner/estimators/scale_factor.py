@@ -16,13 +16,16 @@ from planrunner.estimators.basis_judgement import judge, planned_basis, require_
 from planrunner.estimators.flicker import drift_span, flicker_effects
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignRequest,
     Estimate,
     EstimateRequest,
     EstimationError,
+    Role,
     Table,
+    TableColumn,
 )
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe
@@ -278,10 +281,10 @@ def _metrics(
 
 
 def _table(observations: Observations, rates: Sequence[float], fit: OutputsFit, rate: Unit) -> Table:
-    columns = ["segment", f"rate [{rate.text}]"]
+    columns = [TableColumn("segment"), TableColumn("rate", Role.NUMBER, rate.text)]
     for name, its_unit in zip(observations.channels, observations.units, strict=True):
-        columns += [f"{name} mean [{its_unit}]", f"{name} residual [{its_unit}]"]
-    rows = []
+        columns += [TableColumn(f"{name} {what}", Role.VALUE, its_unit) for what in ("mean", "residual")]
+    rows: list[tuple[Cell, ...]] = []
     for n, label in enumerate(observations.labels):
         values = [
             v for k in range(len(fit.fits)) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))

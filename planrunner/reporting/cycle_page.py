@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from planrunner.design.cycles import FoundCycle, StudiedCycle
-from planrunner.estimators.interface import Plot, Table
+from planrunner.estimators.interface import Plot, Role, Table, TableColumn
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.reporting import words
+from planrunner.reporting.columns import alike
 from planrunner.reporting.study_page import StudyPage
 
 POINTS = 1500  # of a course, as drawn
@@ -72,9 +73,14 @@ def tables(context: CycleContext) -> list[Table]:
 
 def _left(context: CycleContext) -> Table:
     columns = (
-        "Cycle", "Moves", "Period", "Stops leave", "Turns leave", "Not modulated", "Mean angle [°]", "Cable from … to [°]",
-        "Schuler drive",
-    )  # fmt: skip
+        TableColumn("Cycle"),
+        TableColumn("Moves", Role.COUNT),
+        *alike(Role.LABEL, "Period", "Stops leave", "Turns leave"),
+        TableColumn("Not modulated", Role.SHARE),
+        TableColumn("Mean angle", Role.VALUE, "°"),
+        TableColumn("Cable from … to", unit="°"),
+        TableColumn("Schuler drive", Role.VALUE),
+    )
     rows = []
     for name, one in context.cycles.items():
         stops, turns = one.cycle.integral()
@@ -91,7 +97,7 @@ def _left(context: CycleContext) -> Table:
 
 def _moves(context: CycleContext) -> Table:
     rows = [(TITLES[name], ", ".join(one.moves)) for name, one in context.cycles.items()]
-    return Table("Moves", ("Cycle", "Moves"), tuple(rows))
+    return Table("Moves", alike(Role.LABEL, "Cycle", "Moves"), tuple(rows))
 
 
 def _rounds(context: CycleContext) -> Table:
@@ -100,7 +106,8 @@ def _rounds(context: CycleContext) -> Table:
         for name, found in context.searches.items()
         for one in found.rounds
     ]
-    columns = ("Search", "Moves", "Cycles tried", "leave nothing", "of these wind up", "Tried")
+    counts = alike(Role.COUNT, "Moves", "Cycles tried", "leave nothing", "of these wind up")
+    columns = (TableColumn("Search"), *counts, TableColumn("Tried"))
     return Table("What was searched", columns, tuple(rows))
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.design.efficiency import Efficiency, Merit
-from planrunner.estimators.interface import Coefficient, Table
+from planrunner.estimators.interface import Coefficient, Role, Table, TableColumn
 from planrunner.reporting import words
+from planrunner.reporting.columns import alike
 from planrunner.reporting.orientations import orientation_svg
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, table_view
@@ -107,7 +108,8 @@ def tables(context: DesignContext) -> list[Table]:
 
 
 def _criteria(context: DesignContext) -> Table:
-    columns = ("Positions", "Rank", "Determinant", "Trace of M⁻¹", "Worst variance", "Mean variance", "Plan takes")
+    figures = alike(Role.VALUE, "Determinant", "Trace of M⁻¹", "Worst variance", "Mean variance")
+    columns = (*alike(Role.LABEL, "Positions", "Rank"), *figures, TableColumn("Plan takes"))
     p = len(context.terms)
     rows: list[tuple[str, ...]] = [
         (TITLES[name], f"{one.merit.rank} of {p}", *_figures(one.merit), words.duration(one.seconds))
@@ -125,7 +127,7 @@ def _figures(merit: Merit) -> tuple[str, ...]:
 
 
 def _efficiencies(context: DesignContext) -> Table:
-    columns = ("Positions", "Measured against", "D", "A", "G", "I")
+    columns = (*alike(Role.LABEL, "Positions", "Measured against"), *alike(Role.SHARE, "D", "A", "G", "I"))
     rows = []
     for name, one in context.sets.items():
         against = (
@@ -148,12 +150,12 @@ def _percent(share: float) -> str:
 def _positions(context: DesignContext) -> Table:
     before, after = context.sets["planned"], context.sets[context.chosen]
     title = f"Positions: {TITLES[context.chosen]}"
-    columns = ["Label", "As planned", TITLES[context.chosen].capitalize()]
+    titles = ["Label", "As planned", TITLES[context.chosen].capitalize()]
     cells: list[Sequence[str]] = [before.labels, before.texts, after.texts]
     if context.dwells:
-        columns.append("Dwell")
+        titles.append("Dwell")
         cells.append([words.duration(seconds) for seconds in context.dwells])
-    return Table(title, tuple(columns), tuple(zip(*cells, strict=True)))
+    return Table(title, alike(Role.LABEL, *titles), tuple(zip(*cells, strict=True)))
 
 
 def _uncertainties(context: DesignContext) -> list[Table]:
@@ -165,7 +167,8 @@ def _uncertainties(context: DesignContext) -> list[Table]:
         (item.name, *(f"{values[index].standard_uncertainty:.3g}" for values in shown.values()), item.unit)
         for index, item in enumerate(first)
     ]
-    columns = ("Coefficient", *(TITLES[name] for name in shown), "Unit")
+    sets = alike(Role.STANDARD_UNCERTAINTY, *(TITLES[name] for name in shown))
+    columns = (TableColumn("Coefficient"), *sets, TableColumn("Unit"))
     return [Table("Standard uncertainties to expect, with the dwells of the plan", columns, tuple(rows))]
 
 
@@ -177,7 +180,7 @@ def _ratios(context: DesignContext) -> list[Table]:
         (name, *(words.number(one.ratios[name], 4) if name in one.ratios else "–" for one in context.sets.values()))
         for name in names
     ]
-    columns = ("Ratio", *(TITLES[name] for name in context.sets))
+    columns = (TableColumn("Ratio"), *alike(Role.VALUE, *(TITLES[name] for name in context.sets)))
     return [Table("Residual sums of squares to expect, against the set of this estimate", columns, tuple(rows))]
 
 

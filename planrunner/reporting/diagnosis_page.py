@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planrunner.estimators.interface import Table
+from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.estimators.results import Origin
+from planrunner.reporting.columns import alike
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
 
@@ -175,7 +176,8 @@ def _gap(found: Data) -> Table:
         )
         for name, one in found["gap"].items()
     )
-    return Table("Gap by channel", ("Channel", "gap", "of noise alone", "times noise", "Unit"), rows)
+    figures = alike(Role.VALUE, "gap", "of noise alone", "times noise")
+    return Table("Gap by channel", (TableColumn("Channel"), *figures, TableColumn("Unit")), rows)
 
 
 def _where(found: Data) -> Table:
@@ -190,7 +192,15 @@ def _where(found: Data) -> Table:
         for one in found["where"][:MOST_PLACES]
         if one["p"] < CONSPICUOUS
     )
-    return Table(WHERE, ("Channel", "factor", "level", "share of the gap", "p"), rows)
+    return Table(
+        WHERE,
+        (
+            *alike(Role.LABEL, "Channel", "factor", "level"),
+            *alike(Role.SHARE, "share of the gap"),
+            *alike(Role.VALUE, "p"),
+        ),
+        rows,
+    )
 
 
 def _hypotheses(found: Data) -> Table:
@@ -198,7 +208,11 @@ def _hypotheses(found: Data) -> Table:
         (name.replace("+", " + "), f"{p:.3f}", "yes" if name in found["ambiguity_set"] else "")
         for name, p in ranked(found)
     )
-    return Table("Which effect", ("Hypothesis", "probability", "in the 95 % set"), rows)
+    return Table(
+        "Which effect",
+        (*alike(Role.LABEL, "Hypothesis"), *alike(Role.VALUE, "probability"), *alike(Role.LABEL, "in the 95 % set")),
+        rows,
+    )
 
 
 def ranked(found: Data) -> list[tuple[str, float]]:
@@ -218,13 +232,22 @@ def _parameters(found: Data) -> Table:
     left = len(found["parameters"]) - len(rows)
     if left > 0:
         rows = (*rows, (f"and {left} more, in the diagnosis as JSON", "", "", "", ""))
-    return Table("Fitted parameters of the effect", ("Effect", "parameter", "value", "u", "Unit"), rows)
+    return Table(
+        "Fitted parameters of the effect",
+        (
+            *alike(Role.LABEL, "Effect", "parameter"),
+            *alike(Role.VALUE, "value"),
+            *alike(Role.STANDARD_UNCERTAINTY, "u"),
+            *alike(Role.LABEL, "Unit"),
+        ),
+        rows,
+    )
 
 
 def _absorbed(found: Data) -> Table:
     rows = tuple((one["effect"], _percent(one["kept_share"])) for one in found["absorbed"])
     title = "Taken up by the fitted nominal parameters"
-    return Table(title, ("Effect", "share of its energy that is left"), rows)
+    return Table(title, (*alike(Role.LABEL, "Effect"), *alike(Role.SHARE, "share of its energy that is left")), rows)
 
 
 # -- words -----------------------------------------------------------------------------------------------------------

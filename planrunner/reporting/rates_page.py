@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Coefficient, Plot, Table
+from planrunner.estimators.interface import Coefficient, Plot, Role, Table, TableColumn
 from planrunner.reporting import words
+from planrunner.reporting.columns import alike
 from planrunner.reporting.study_page import StudyPage
 
 TITLES = {"planned": "as planned", "best": "best found"}
@@ -82,7 +83,11 @@ def tables(context: RatesContext) -> list[Table]:
     return [
         Table(
             "What the rates tell",
-            ("Rates", "Of the best found", "Of the best use of their time", "Plan takes"),
+            (
+                *alike(Role.LABEL, "Rates"),
+                *alike(Role.SHARE, "Of the best found", "Of the best use of their time"),
+                *alike(Role.LABEL, "Plan takes"),
+            ),
             compared,
         ),
         _rates(context),
@@ -92,11 +97,13 @@ def tables(context: RatesContext) -> list[Table]:
 
 def _rates(context: RatesContext) -> Table:
     planned, best = context.sets["planned"], context.sets["best"]
+    recorded = TableColumn("recorded for")
+    columns = (TableColumn("As planned", Role.NUMBER), recorded, TableColumn("Best found", Role.NUMBER), recorded)
     rows = [
         (_degrees(a), words.duration(x), _degrees(b), words.duration(y))
         for a, x, b, y in zip(planned.rates, planned.dwells, best.rates, best.dwells, strict=True)
     ]
-    return Table("Rates [°/s]", ("As planned", "recorded for", "Best found", "recorded for"), tuple(rows))
+    return Table("Rates [°/s]", columns, tuple(rows))
 
 
 def _pairs(context: RatesContext) -> dict[str, tuple[Coefficient, Coefficient]]:
@@ -116,7 +123,11 @@ def _uncertainties(context: RatesContext) -> list[Table]:
         for name, (before, now) in _pairs(context).items()
         if not _alike(before, now)
     ]
-    columns = ("Coefficient", "as planned", "best found", "Unit")
+    columns = (
+        TableColumn("Coefficient"),
+        *alike(Role.STANDARD_UNCERTAINTY, "as planned", "best found"),
+        TableColumn("Unit"),
+    )
     return [Table("Standard uncertainties to expect, where they change", columns, tuple(rows))] if rows else []
 
 

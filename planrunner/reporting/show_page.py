@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from planrunner.estimators.interface import Coefficient, Design, Table
+from planrunner.estimators.interface import Coefficient, Design, Role, Table, TableColumn
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words
+from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.orientations import orientation_svg
 from planrunner.reporting.templates import render
 from planrunner.reporting.timeline import spans
@@ -21,7 +22,8 @@ from planrunner.reporting.view import coefficient_row, named, table_view
 
 MAX_PICTURES = 200
 MAX_BARS = 5000
-_IDLE = ("T [", "Temperature", "Soak", "Settle", "Wait")  # left out when nothing is in them
+_IDLE = ("–", "0")
+"""Cells that say nothing; a column of nothing else is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,31 +185,34 @@ def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
     brief: for a terminal's width: soaking and settling in one column, no end, no orientation when there is only one.
     """
     segments = schedule.segments
-    faces = [words.orientation(item) for item in segments]
-    waits = [words.number(item.soak + item.settle) for item in segments]
-    ends = [words.clock(span.end) if span.segment.dwell is not None else "–" for span in spans(schedule)]
-    wide = [
-        ("Soak [s]", [words.number(item.soak) for item in segments]),
-        ("Settle [s]", [words.number(item.settle) for item in segments]),
-    ]
-    columns: list[tuple[str, list[str]]] = [
-        ("#", [str(item.index + 1) for item in segments]),
-        ("Start" if brief else "Start [h:mm:ss]", [words.clock(item.start) for item in segments]),
-        ("Segment", [item.label for item in segments]),
-        *([] if brief and len(set(faces)) == 1 else [("Orientation", faces)]),
+    ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}
+    turned = len(set(map(words.orientation, segments))) > 1
+    columns: list[Shown[Segment]] = [
+        Shown(TableColumn("#", Role.COUNT), lambda item: str(item.index + 1)),
+        Shown(TableColumn("Start", Role.NUMBER, "" if brief else "h:mm:ss"), lambda item: words.clock(item.start)),
+        Shown(TableColumn("Segment"), lambda item: item.label),
+        *([Shown(TableColumn("Orientation"), words.orientation)] if turned or not brief else []),
         *_motion_columns(segments, brief),
-        ("T [°C]" if brief else "Temperature [°C]", [words.temperature(item) for item in segments]),
-        ("Reach [s]", [words.number(round(item.transition, 1)) for item in segments]),
-        *([("Wait [s]", waits)] if brief else wide),
-        ("Dwell", [words.duration(item.dwell) for item in segments]),
-        *([] if brief else [("End [h:mm:ss]", ends)]),
+        Shown(TableColumn("T" if brief else "Temperature", Role.NUMBER, "°C"), words.temperature, ("–",)),
+        Shown(TableColumn("Reach", Role.NUMBER, "s"), lambda item: words.number(round(item.transition, 1))),
+        *(_WAIT if brief else _SOAK_AND_SETTLE),
+        Shown(TableColumn("Dwell"), lambda item: words.duration(item.dwell)),
     ]
-    kept = [item for item in columns if not (item[0].startswith(_IDLE) and set(item[1]) <= {"–", "0"})]
-    rows = tuple(zip(*(cells for _, cells in kept), strict=True)) if segments else ()
-    return Table("Segments in order", tuple(title for title, _ in kept), rows)
+    if not brief:
+        columns.append(Shown(TableColumn("End", Role.NUMBER, "h:mm:ss"), lambda item: ends.get(item.index, "–")))
+    return table_of("Segments in order", columns, segments)
 
 
-def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[tuple[str, list[str]]]:
+_WAIT: tuple[Shown[Segment], ...] = (
+    Shown(TableColumn("Wait", Role.NUMBER, "s"), lambda item: words.number(item.soak + item.settle), _IDLE),
+)
+_SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
+    Shown(TableColumn("Soak", Role.NUMBER, "s"), lambda item: words.number(item.soak), _IDLE),
+    Shown(TableColumn("Settle", Role.NUMBER, "s"), lambda item: words.number(item.settle), _IDLE),
+)
+
+
+def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[Shown[Segment]]:
     """Nothing at rest; a rate in numbers when all motions are rates about one direction; else the motion in words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
@@ -215,6 +220,6 @@ def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[tuple[str,
     abouts = {item.about if isinstance(item, Spin) else None for item in moving}
     about = abouts.pop()
     if not abouts and about is not None:
-        title = "Rate [°/s]" if brief else f"Rate about {words.direction(about)} [°/s]"
-        return [(title, [words.rate(item) for item in segments])]
-    return [("Motion", [words.motion(item.motion) for item in segments])]
+        title = "Rate" if brief else f"Rate about {words.direction(about)}"
+        return [Shown(TableColumn(title, Role.NUMBER, "°/s"), words.rate)]
+    return [Shown(TableColumn("Motion"), lambda item: words.motion(item.motion))]

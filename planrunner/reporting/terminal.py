@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TextIO
 
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Table
@@ -107,7 +107,7 @@ def schedule_table(schedule: Schedule, title: str = "Timeline") -> RenderableTyp
 
     table = timeline_table(schedule, brief=True)
     facts = _plain([(text.lower(), value) for text, value in named(totals(schedule))])
-    return Group(data_table(Table(title, table.columns, table.rows)), facts)
+    return Group(data_table(replace(table, title=title)), facts)
 
 
 def _plain(facts: Iterable[tuple[str, str]]) -> RichTable:

@@ -23,20 +23,19 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
     certificate                       as `certificate.certificate_view` gives it
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
-In tables a column titled `u …` or `U …` holds uncertainties and is shown in two digits; numbers to the left of it are
-rounded by it.
+Cells of a table are rounded and aligned by the roles of its columns (`planrunner.estimators.interface.Role`): an uncertainty is shown in
+two digits, and values to the left of it are rounded by it.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeGuard
 
-from planrunner.estimators.interface import Coefficient, Estimate, Table
+from planrunner.estimators.interface import Cell, Coefficient, Estimate, Role, Table
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.results import Origin
 from planrunner.reporting import words
@@ -52,12 +51,6 @@ __all__ = ["coefficient_row", "limit_row", "report_view", "table_view"]
 
 MAX_ROWS = 2000
 STRONG = 0.3  # correlations from here on are named in words
-FOR_THE_TERMINAL = "terminal_tables"  # a setting that only says which tables the terminal shows
-_NUMERIC = re.compile(
-    r"[-+−–]?(?:[0-9][0-9., ]*|∞|inf|nan)?(?:[eE][-+]?[0-9]+)?(?:\s*[%×±].*)?(?:\([^()]*\))?(?:[eE][-+]?[0-9]+)?"
-)
-_UNCERTAIN = re.compile(r"(?:^|\s)[uU](?:\s|\(|$)|^±")
-_FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)
 _PROPER = {"id": "ID", "utc": "UTC"}
 
 
@@ -113,7 +106,7 @@ def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[st
         "estimator": estimate.estimator,
         "coefficients": [rows[place] for place in first],
         "others": [rows[place] for place in rest],
-        "settings": named({name: value for name, value in estimate.settings.items() if name != FOR_THE_TERMINAL}),
+        "settings": named(estimate.settings),
         "tables": [table_view(table) for table in estimate.tables],
         "plots": [
             {"title": plot.title, "svg": Picture(partial(plot_svg, plot, f"{key}-p{number + 1}"))}
@@ -175,15 +168,12 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
 
 def table_view(table: Table) -> dict[str, Any]:
     """A table as text, with which columns hold numbers; at most MAX_ROWS rows, and says so when there are more."""
-    guides = [_uncertainty_column(table.columns, index) for index in range(len(table.columns))]
+    roles = [column.role for column in table.columns]
+    guides = [_guide(roles, index) for index in range(len(roles))]
     rows = [
-        [_table_cell(row, index, guides, table.columns[index]) for index in range(len(row))]
-        for row in table.rows[:MAX_ROWS]
+        [_table_cell(row, index, guides, role) for index, role in enumerate(roles)] for row in table.rows[:MAX_ROWS]
     ]
-    columns = [
-        {"title": title, "numeric": bool(rows) and all(_is_numeric(row[index]) for row in rows)}
-        for index, title in enumerate(table.columns)
-    ]
+    columns = [{"title": column.heading, "numeric": column.role is not Role.LABEL} for column in table.columns]
     hidden = len(table.rows) - len(rows)
     return {
         "title": table.title,
@@ -193,27 +183,26 @@ def table_view(table: Table) -> dict[str, Any]:
     }
 
 
-def _uncertainty_column(titles: Sequence[str], index: int) -> int | None:
-    """The column that rounds the numbers of column `index`: itself, or the next to the right that holds u."""
-    if _is_freedom(titles[index]):
+def _guide(roles: Sequence[Role], index: int) -> int | None:
+    """The column that rounds the numbers of column `index`: itself, or the next to the right that holds an uncertainty."""
+    if not (roles[index] is Role.VALUE or roles[index].uncertain):
         return None
-    return next((place for place in range(index, len(titles)) if _UNCERTAIN.search(titles[place])), None)
+    return next((place for place in range(index, len(roles)) if roles[place].uncertain), None)
 
 
-def _is_freedom(title: str) -> bool:
-    return bool(_FREEDOM.search(title)) and not _UNCERTAIN.search(title)
-
-
-def _table_cell(row: Sequence[Any], index: int, guides: Sequence[int | None], title: str) -> str:
+def _table_cell(row: Sequence[Cell], index: int, guides: Sequence[int | None], role: Role) -> str:
     value, guide = row[index], guides[index]
-    if _is_freedom(title) and isinstance(value, float):
+    if role is Role.DEGREES_OF_FREEDOM and isinstance(value, float):
         return freedom(value)
-    if guide is None or not _measured(value) or not _measured(row[guide]) or not row[guide] > 0:
+    if role is Role.SHARE and isinstance(value, float):
+        return f"{words.number(100 * value, 3)} %"
+    if guide is None or not _measured(value):
         return cell(value)
-    return format_pair(value, row[guide])[1 if guide == index else 0]
+    width = row[guide]
+    return format_pair(value, width)[1 if guide == index else 0] if _measured(width) and width > 0 else cell(value)
 
 
-def _measured(value: Any) -> bool:
+def _measured(value: Cell) -> TypeGuard[float]:
     return isinstance(value, float) and math.isfinite(value)
 
 
@@ -228,10 +217,6 @@ def cell(value: Any) -> str:
     if isinstance(value, float):
         return words.number(float(value), 5)
     return str(value)
-
-
-def _is_numeric(text: str) -> bool:
-    return bool(_NUMERIC.fullmatch(text.strip()))
 
 
 def setting(value: Any) -> str:

@@ -9,6 +9,7 @@ from planrunner.plan.orientation import in_words
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
+AT_REST = "rest"
 _WORD_OF = {
     (0.0, 0.0, 1.0): "up",
     (0.0, 0.0, -1.0): "down",
@@ -93,7 +94,7 @@ def motion(what: Motion) -> str:
     """A motion in words."""
     match what:
         case Rest():
-            return "rest"
+            return AT_REST
         case Spin(rate=value, about=about):
             return f"{number(round(math.degrees(value), 9))}°/s about {direction(about)}"
         case Rock():

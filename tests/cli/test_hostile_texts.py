@@ -11,7 +11,7 @@ import pytest
 
 from planrunner.cli import main
 from planrunner.cli.printing import print_findings, print_json
-from planrunner.estimators.interface import Table
+from planrunner.estimators.interface import Table, TableColumn
 from planrunner.plan.findings import Finding, Mark
 from planrunner.reporting import terminal
 from planrunner.reporting.printable import beneath, printable, printable_streams
@@ -62,7 +62,7 @@ def test_tables_and_texts_have_our_colours_and_no_other(monkeypatch: pytest.Monk
     out = Terminal()
     console = terminal.console(width=200, file=out)
     console.print(HOSTILE, style="bold")
-    console.print(terminal.data_table(Table(HOSTILE, (HOSTILE,), ((HOSTILE,),))))
+    console.print(terminal.data_table(Table(HOSTILE, (TableColumn(HOSTILE),), ((HOSTILE,),))))
     text = out.getvalue()
     assert text.count(r"\x1b[2J") == 4  # rich itself drops some of the others
     assert "\x1b[1m" in text

@@ -24,6 +24,7 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Role,
     UnfitDataError,
 )
 from planrunner.estimators.limits import hold
@@ -231,6 +232,36 @@ def test_other_formats_are_refused() -> None:
         Results.from_json({"planrunner_results": 99})
     with pytest.raises(InputError, match="incomplete or changed"):
         Results.from_json({"planrunner_results": 1, "estimates": [{}]})
+
+
+def test_results_of_format_1_open_with_the_roles_that_their_titles_meant() -> None:
+    import jsonschema
+
+    data = results().to_json()
+    data["planrunner_results"] = 1
+    estimate = data["estimates"][0]
+    columns = ["name", "K [V]", "u [V]", "dof", "± U", "rate", "verdict"]
+    rows = [["a", 1.5, 0.25, "inf", 0.5, "12.5 ± 0.1", "yes"], ["b", 2.5, None, 3.0, 0.5, "–", True]]
+    estimate["tables"] = [{"title": "Fit", "columns": columns, "rows": rows}]
+    estimate["settings"] = {"basis": "residual", "terminal_tables": ["Fit"]}
+    validator = jsonschema.Draft202012Validator(SCHEMA)
+    validator.validate(data)
+    opened = Results.from_json(json.loads(json.dumps(data)))
+    (again,) = [one for one in opened.estimates.values() if one.name == estimate["name"]]
+    (table,) = again.tables
+    assert [column.title for column in table.columns] == columns
+    assert [column.role for column in table.columns] == [
+        Role.LABEL,
+        Role.VALUE,
+        Role.STANDARD_UNCERTAINTY,
+        Role.DEGREES_OF_FREEDOM,
+        Role.EXPANDED_UNCERTAINTY,
+        Role.VALUE,
+        Role.LABEL,
+    ]
+    assert table.terminal
+    assert dict(again.settings) == {"basis": "residual"}
+    validator.validate(opened.to_json())
 
 
 def test_same_recording_gives_the_same_bytes() -> None:

@@ -69,7 +69,7 @@ def test_perfect_coefficients_leave_the_verification_noise() -> None:
     assert found["RSS_drift"].unit == "(deg/h)^2"
     assert found["ratio_traditional_to_drift"].value == pytest.approx(1.0, rel=1e-6)
     table = next(table for table in found.tables if table.title == "Residuals after compensation")
-    assert table.columns == (
+    assert table.headings == (
         "position",
         "drift ω_Y [deg/h]",
         "drift ω_X [deg/h]",

@@ -183,7 +183,7 @@ def test_both_bases_are_reported_and_excess_scatter_is_warned_of() -> None:
     quiet = estimate(np.random.default_rng(3).normal(0, 0.01, (8, 2)), error=0.01)
     assert not quiet.warnings
     table = next(table for table in quiet.tables if table.title == "Uncertainties of the data, on either basis")
-    assert [column for column in table.columns if column.startswith("u (")] == ["u (residual)", "u (within segment)"]
+    assert [column for column in table.headings if column.startswith("u (")] == ["u (residual)", "u (within segment)"]
     loud = estimate(np.random.default_rng(3).normal(0, 0.5, (8, 2)), error=0.01, uncertainty="within_segment")
     assert any("within-segment uncertainties are too small" in warning for warning in loud.warnings)
 

@@ -99,7 +99,7 @@ def test_the_headline_by_hand():
     assert "not more than 70 % on z" in text
     assert "on every axis (x); 75 %" in sentence([better])
     row = comparison([better]).rows[0]
-    assert row[:2] == ("x", 4) and row[-1] == "75 %"
+    assert row[:2] == ("x", 4) and row[-1] == 0.75
 
 
 def test_states_are_told_apart_by_their_orientation():

@@ -263,7 +263,7 @@ def test_a_dead_zone_shows_in_the_response() -> None:
 def test_comparison_with_one_mounting_an_axis() -> None:
     found = estimate(series(TRIAD, GYROS, error=1e-5), TRIAD, inputs(TRIAD, 20.0), remounting=parse_quantity("1 h"))
     table = next(one for one in found.tables if "one mounting an axis" in one.title)
-    row = dict(zip(table.columns, table.rows[0], strict=True))
+    row = dict(zip(table.headings, table.rows[0], strict=True))
     u = 20 / 3600 * DEG
     assert row["tilted: angle [ppm]"] == pytest.approx(math.tan(THETA * DEG) * u * 1e6, rel=1e-4)
     assert row["alone: lean [ppm]"] == pytest.approx(math.sqrt(2) * u**2 * 1e6, rel=1e-9)

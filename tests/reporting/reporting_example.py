@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.archive.recording import Statistics
-from planrunner.estimators.interface import Coefficient, Design, Estimate, Plot, Table
+from planrunner.estimators.interface import Coefficient, Design, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
 from planrunner.plan.orientation import DIRECTIONS, in_words
@@ -113,7 +113,12 @@ def estimate(name: str = "drift", scale: float = 1.0) -> Estimate:
     labels = tuple(POSITIONS)[:8]
     other = Table(
         "Standard uncertainties by either basis",
-        ("Coefficient", "Unit", "u from the residuals (2 d.o.f.)", "u from the noise within segments"),
+        (
+            TableColumn("Coefficient"),
+            TableColumn("Unit"),
+            TableColumn("u from the residuals (2 d.o.f.)", Role.STANDARD_UNCERTAINTY),
+            TableColumn("u from the noise within segments", Role.STANDARD_UNCERTAINTY),
+        ),
         tuple((row[0], row[2], float(f"{row[3] * scale:.2g}"), float(f"{row[3] * scale * 0.37:.2g}")) for row in NAMES),
     )
     residuals = Plot(
@@ -197,11 +202,11 @@ def comparison() -> Estimate:
     table = Table(
         "Residual sum of squares over the verification positions",
         (
-            "Coefficients from",
-            "Output",
-            "Residual sum of squares [(deg/h)²]",
-            "Expected by design",
-            "Ratio to the first",
+            TableColumn("Coefficients from"),
+            TableColumn("Output"),
+            TableColumn("Residual sum of squares", Role.VALUE, "(deg/h)²"),
+            TableColumn("Expected by design", Role.VALUE),
+            TableColumn("Ratio to the first", Role.VALUE),
         ),
         (
             ("drift", "X", 0.000412, 0.000507, 1.0),

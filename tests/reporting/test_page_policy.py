@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from test_page_width import BROWSER, OPTIONS, PAGES
 
-from planrunner.estimators.interface import Plot, Table
+from planrunner.estimators.interface import Plot, Table, TableColumn
 from planrunner.reporting.plots import plot_svg
 from planrunner.reporting.study_page import StudyPage
 
@@ -21,7 +21,7 @@ STUDY = StudyPage(
     "Design of rates",
     "Study </style><script>alert(1)</script>",
     {"fact": "value"},
-    (Table("T", ("a",), (("b",),)),),
+    (Table("T", (TableColumn("a"),), (("b",),)),),
     (Plot("P", "x", "y", (1.0, 2.0), {"s": (1.0, 2.0)}),),
     ("note",),
     "footer",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import reporting_example as example
 
-from planrunner.estimators.interface import Coefficient, Estimate, Table
+from planrunner.estimators.interface import Coefficient, Estimate, Role, Table, TableColumn
 from planrunner.reporting.budgets import budget_views
 from planrunner.reporting.context import ReportContext
 from planrunner.reporting.report import render_report
@@ -126,8 +126,8 @@ def hostile_context() -> ReportContext:
         original.plots[0], title=bad, x_title=bad, y_title=bad, x=(bad,), series={bad: (1.0,)}, uncertainties={}
     )
     estimate = Estimate(
-        bad, bad, coefficients, np.eye(2), settings={bad: bad}, tables=(Table(bad, (bad,), ((bad,),)),), plots=(plot,),
-        notes=(bad,), warnings=(bad,), segments=(bad,),
+        bad, bad, coefficients, np.eye(2), settings={bad: bad},
+        tables=(Table(bad, (TableColumn(bad, unit=bad),), ((bad,),)),), plots=(plot,), notes=(bad,), warnings=(bad,), segments=(bad,),
     )  # fmt: skip
     limit = replace(example.context().limits[0], quantity=bad, requirement=bad, reason=bad, unit=bad)
     segment = example.context().segments[0]
@@ -188,12 +188,40 @@ def test_expanded_uncertainty_uses_students_factor() -> None:
 def test_numbers_in_tables_are_rounded_by_the_uncertainty_to_their_right() -> None:
     table = Table(
         "t",
-        ("name", "value", "u (residual)", "dof (residual)", "U 95 % (residual)", "ratio"),
-        (("a", 1.23456789, 0.0123456, 2.0, 0.0531, 2.3571234), ("b", 0.0, 0.0, math.inf, 0.0, 1.0)),
+        (
+            TableColumn("name"),
+            TableColumn("rate", Role.NUMBER, "deg/s"),
+            TableColumn("value", Role.VALUE, "V"),
+            TableColumn("spread", Role.STANDARD_UNCERTAINTY),
+            TableColumn("freedom", Role.DEGREES_OF_FREEDOM),
+            TableColumn("interval", Role.EXPANDED_UNCERTAINTY),
+            TableColumn("ratio", Role.VALUE),
+            TableColumn("smaller", Role.SHARE),
+        ),
+        (
+            ("a", 12.3456, 1.23456789, 0.0123456, 2.0, 0.0531, 2.3571234, 0.9254),
+            ("b", 0.0, 0.0, 0.0, math.inf, 0.0, 1.0, None),
+        ),
     )
     view = table_view(table)
-    assert view["rows"] == [["a", "1.235", "0.012", "2", "0.053", "2.3571"], ["b", "0", "0", "∞", "0", "1"]]
-    assert [column["numeric"] for column in view["columns"]] == [False, True, True, True, True, True]
+    assert view["rows"] == [
+        ["a", "12.346", "1.235", "0.012", "2", "0.053", "2.3571", "92.5 %"],
+        ["b", "0", "0", "0", "∞", "0", "1", "–"],
+    ]
+    assert [column["title"] for column in view["columns"]][:3] == ["name", "rate [deg/s]", "value [V]"]
+    assert [column["numeric"] for column in view["columns"]] == [False, *[True] * 7]
+
+
+def test_no_title_changes_how_a_column_is_shown() -> None:
+    """Each role with titles that read like every other role: the cells stay."""
+    titles = ("value", "u", "U 95 %", "± U", "dof", "degrees of freedom", "share", "unit", "")
+    for role in Role:
+        columns = [
+            (TableColumn(title, role), TableColumn("right of it", Role.STANDARD_UNCERTAINTY)) for title in titles
+        ]
+        shown = [table_view(Table("t", pair, ((1.23456789, 0.0123),))) for pair in columns]
+        assert all(one["rows"] == shown[0]["rows"] for one in shown)
+        assert all(one["columns"][0]["numeric"] == shown[0]["columns"][0]["numeric"] for one in shown)
 
 
 def test_empty_report_is_a_page_too() -> None:

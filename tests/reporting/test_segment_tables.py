@@ -34,10 +34,10 @@ def test_channels_stand_in_tables_of_six(channels: int, tables: int) -> None:
         assert found == [whole]
     shown: dict[str, tuple[object, ...]] = {}
     for table in found:
-        assert table.columns[:2] == ("#", "Segment") and [row[1] for row in table.rows] == LABELS
-        assert sum(title.endswith("[mg]") for title in table.columns) <= 6
-        shown |= {title: tuple(row[k] for row in table.rows) for k, title in enumerate(table.columns)}
-    assert shown == {title: tuple(row[k] for row in whole.rows) for k, title in enumerate(whole.columns)}
+        assert table.headings[:2] == ("#", "Segment") and [row[1] for row in table.rows] == LABELS
+        assert sum(title.endswith("[mg]") for title in table.headings) <= 6
+        shown |= {title: tuple(row[k] for row in table.rows) for k, title in enumerate(table.headings)}
+    assert shown == {title: tuple(row[k] for row in whole.rows) for k, title in enumerate(whole.headings)}
     assert shown[f"c{channels - 1} [mg]"] == (f"{10 * channels - 10}.000(10)", f"{10 * channels - 9}.000(10)")
     assert shown["Remarks"] == ("", "again")
 

@@ -47,10 +47,10 @@ def test_every_orientation_is_pictured_once() -> None:
 
 
 def test_idle_columns_are_left_out() -> None:
-    assert "Rate about up [°/s]" in timeline_table(example.thermal_schedule()).columns
-    assert not [title for title in timeline_table(example.schedule()).columns if title.startswith(("Rate", "Motion"))]
+    assert "Rate about up [°/s]" in timeline_table(example.thermal_schedule()).headings
+    assert not [title for title in timeline_table(example.schedule()).headings if title.startswith(("Rate", "Motion"))]
     bare = Schedule((Segment(0, "only", None, "unknown", Rest(), None),), 0.0)
-    assert timeline_table(bare).columns == (
+    assert timeline_table(bare).headings == (
         "#",
         "Start [h:mm:ss]",
         "Segment",

@@ -10,7 +10,7 @@ import pytest
 import reporting_example as example
 from rich.console import RenderableType
 
-from planrunner.estimators.interface import Table
+from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.reporting import terminal
 from planrunner.reporting.report import render_report
 from planrunner.reporting.sandbox import markdown
@@ -54,7 +54,7 @@ def test_plain_text_without_a_terminal() -> None:
 
 
 def test_text_from_files_drives_neither_the_terminal_nor_rich() -> None:
-    table = Table("[bold]title[/bold]", ("[red]column[/red]",), (("\x1b[2J\x07[link=x]cell[/link]",),))
+    table = Table("[bold]title[/bold]", (TableColumn("[red]column[/red]"),), (("\x1b[2J\x07[link=x]cell[/link]",),))
     text = printed(terminal.data_table(table))
     assert "[bold]title[/bold]" in text
     assert "[red]column[/red]" in text
@@ -78,7 +78,8 @@ def test_every_row_of_a_summary_table_has_as_many_cells_as_its_header() -> None:
 
 def test_times_of_the_timeline_are_those_of_the_schedule() -> None:
     table = timeline_table(example.schedule())
-    start, end = table.columns.index("Start [h:mm:ss]"), table.columns.index("End [h:mm:ss]")
+    headings = table.headings
+    start, end = headings.index("Start [h:mm:ss]"), headings.index("End [h:mm:ss]")
     # First position: 1500 s to reach, 600 s soak, 30 s settle = 35 min 30 s; then 120 s.
     assert (table.rows[0][start], table.rows[0][end]) == ("0:35:30", "0:37:30")
     # Every further position: 11.2 s move, 30 s settle, 120 s dwell: 18 × 161.2 s = 2901.6 s later the last one ends.
@@ -88,8 +89,8 @@ def test_times_of_the_timeline_are_those_of_the_schedule() -> None:
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
 def test_no_number_is_cut_however_narrow_the_terminal(width: int) -> None:
     numbers = tuple(f"{place}.{'123456789' * 2}{place}" for place in range(9))
-    titles = tuple(f"column {place} [deg/h]" for place in range(9))
-    table = Table("Wide", ("name", *titles), (("first", *numbers), ("a name of several words", *numbers)))
+    columns = tuple(TableColumn(f"column {place}", Role.VALUE, "deg/h") for place in range(9))
+    table = Table("Wide", (TableColumn("name"), *columns), (("first", *numbers), ("a name of several words", *numbers)))
     text = printed(terminal.data_table(table), width=width)
     words = text.split()
     assert all(words.count(number) == 2 for number in numbers)

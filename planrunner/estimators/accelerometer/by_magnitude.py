@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.still_detection import detection_limits, longest_span, still_spans
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
+from planrunner.estimators.fit_tables import basis_table
 from planrunner.estimators.flicker import flicker_effects
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignRequest,
@@ -26,7 +28,9 @@ from planrunner.estimators.interface import (
     EstimationError,
     Plot,
     Remark,
+    Role,
     Table,
+    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.observation_effects import Effect
@@ -35,7 +39,6 @@ from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.selection import Detection
 from planrunner.plan.units import DIMENSIONS, unit
-from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -277,28 +280,22 @@ def _detection(request: EstimateRequest) -> dict[str, str]:
 
 def _bases_table(values: Array, scale: Array, fit: OutputsFit) -> Table:
     """values: (9,), in the results' units; scale: (9,), to them."""
-    columns: list[str] = ["coefficient", "unit", "value"]
-    parts: list[tuple[Array, Array]] = []
-    for basis in BASES:
-        if fit.available(basis):
-            shown = basis.replace("_", " ")
-            columns += [f"u ({shown})", f"dof ({shown})", f"U 95 % ({shown})"]
-            freedom = fit.degrees_of_freedom(np.diag(scale), basis)
-            parts.append((np.sqrt(np.diag(fit.covariance(basis))) * scale, freedom))
-    rows = []
-    for k, name in enumerate(NAMES):
-        row: list[object] = [name, _UNITS[k], float(values[k])]
-        for spreads, freedoms in parts:
-            u, dof = float(spreads[k]), float(freedoms[k])
-            row += [u, dof, expanded_uncertainty(u, dof)]
-        rows.append(tuple(row))
-    return Table("Uncertainties of the data, on either basis", tuple(columns), tuple(rows))
+    spreads = {
+        basis: (np.sqrt(np.diag(fit.covariance(basis))) * scale, fit.degrees_of_freedom(np.diag(scale), basis))
+        for basis in BASES
+        if fit.available(basis)
+    }
+    return basis_table(NAMES, _UNITS, values, spreads)
 
 
 def _pose_table(poses: Observations, residuals: Array) -> Table:
-    columns = ("pose", "start [s]", "end [s]", "x [m/s^2]", "y [m/s^2]", "z [m/s^2]", "residual of |f| [m/s^2]")
+    columns = (
+        TableColumn("pose"),
+        *(TableColumn(title, Role.NUMBER, "s") for title in ("start", "end")),
+        *(TableColumn(title, Role.VALUE, "m/s^2") for title in ("x", "y", "z", "residual of |f|")),
+    )
     readings = poses.mean * _factors(poses)
-    rows = [
+    rows: list[tuple[Cell, ...]] = [
         (label, float(poses.start[n]), float(poses.end[n]), *map(float, readings[n]), float(residuals[n]))
         for n, label in enumerate(poses.labels)
     ]

@@ -16,11 +16,14 @@ from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.error_model import error_model
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Estimate,
     EstimateRequest,
     EstimationError,
+    Role,
     Table,
+    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.observation_effects import functionals_of
@@ -164,10 +167,10 @@ def _units(observations: Observations) -> list[Unit]:
 
 
 def _table(observations: Observations, fit: OutputsFit) -> Table:
-    columns = ["position"]
+    columns = [TableColumn("position")]
     for name, text in zip(observations.channels, observations.units, strict=True):
-        columns += [f"{name} mean [{text}]", f"{name} residual [{text}]"]
-    rows = []
+        columns += [TableColumn(f"{name} {what}", Role.VALUE, text) for what in ("mean", "residual")]
+    rows: list[tuple[Cell, ...]] = []
     for n, label in enumerate(observations.labels):
         values = [v for k in range(3) for v in (float(observations.mean[n, k]), float(fit.fits[k].residuals[n]))]
         rows.append((label, *values))

@@ -32,7 +32,9 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Plot,
+    Role,
     Table,
+    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.root_of_square import root_of
@@ -286,13 +288,13 @@ def _judge(result: _Result, fit: NoiseFit) -> float:
 
 def _table(name: str, unit: str, kind: str, rows: Sequence[Deviation], probability: float) -> Table:
     columns = (
-        "τ [s]",
-        f"{kind} deviation [{unit}]",
-        f"lower {100 * probability:g} % [{unit}]",
-        f"upper {100 * probability:g} % [{unit}]",
-        "degrees of freedom",
-        "noise",
-        "differences",
+        TableColumn("τ", Role.NUMBER, "s"),
+        TableColumn(f"{kind} deviation", Role.VALUE, unit),
+        TableColumn(f"lower {100 * probability:g} %", Role.VALUE, unit),
+        TableColumn(f"upper {100 * probability:g} %", Role.VALUE, unit),
+        TableColumn("degrees of freedom", Role.DEGREES_OF_FREEDOM),
+        TableColumn("noise"),
+        TableColumn("differences", Role.COUNT),
     )
     cells = tuple(
         (

@@ -27,6 +27,7 @@ from planrunner.estimators.flexure_gyro.compensation_prediction import (
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import static_matrix
 from planrunner.estimators.flicker import flicker_effects, mean_covariance
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignBlock,
@@ -35,7 +36,9 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Plot,
+    Role,
     Table,
+    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.observation_effects import explained
@@ -204,7 +207,8 @@ def _assemble(
         covariance.append(spread**2)
         expected = prediction.expected[name] / prediction.expected[first]
         rows.append((f"{name} over {first}", measured, expected, middle, low, high))
-    ratio_columns = ("sets", "measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
+    titles = ("measured", "ratio of expected sums", "median expected", "5 % expected", "95 % expected")
+    ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
         f"The measured ratio of {pair} lies outside its expected 5 to 95 %, as chance makes one experiment in ten do."
@@ -220,10 +224,9 @@ def _assemble(
             "reference": first,
             "trials": request.parameters.trials,
             "seed": request.parameters.seed,
-            "terminal_tables": [_SUMS],
         },
         (
-            Table(_SUMS, ratio_columns, tuple(rows)),
+            Table(_SUMS, ratio_columns, tuple(rows), terminal=True),
             _residual_table(labels, residuals),
         ),
         (_residual_plot(labels, residuals),),
@@ -239,10 +242,15 @@ def _assemble(
 
 
 def _residual_table(labels: Sequence[str], residuals: Mapping[str, Array]) -> Table:
-    columns = ["position", *(f"{name} {axis} [deg/h]" for name in residuals for axis in AXES)]
-    rows = [(label, *(float(v) for values in residuals.values() for v in values[k])) for k, label in enumerate(labels)]
+    columns = (
+        TableColumn("position"),
+        *(TableColumn(f"{name} {axis}", Role.VALUE, "deg/h") for name in residuals for axis in AXES),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (label, *(float(v) for values in residuals.values() for v in values[k])) for k, label in enumerate(labels)
+    ]
     sums = (float(np.sum(values[:, a] ** 2)) for values in residuals.values() for a in range(len(AXES)))
-    return Table("Residuals after compensation", tuple(columns), (*rows, ("sum of squares [(deg/h)²]", *sums)))
+    return Table("Residuals after compensation", columns, (*rows, ("sum of squares [(deg/h)²]", *sums)))
 
 
 def _residual_plot(labels: Sequence[str], residuals: Mapping[str, Array]) -> Plot:

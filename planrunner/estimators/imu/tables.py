@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.imu.coefficients import AXES, Framed, Response
-from planrunner.estimators.interface import Table
+from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
@@ -36,12 +36,13 @@ def matrices(one: Response) -> tuple[Table, ...]:
     letter, per = _WORDS[one.kind]
     forces = one.places("accel") if one.kind == "gyro" else {}
     bias = "bias" in one.model.names
-    columns = ["output", "unit", *(f"{letter}_{axis} [per {per}]" for axis in AXES)]
-    columns += ["b"] if bias else []
-    columns += [f"G {AXES[k]} [per g]" for k in forces]
+    columns = [TableColumn("output"), TableColumn("unit")]
+    columns += [TableColumn(f"{letter}_{axis}", Role.VALUE, f"per {per}") for axis in AXES]
+    columns += [TableColumn("b", Role.VALUE)] if bias else []
+    columns += [TableColumn(f"G {AXES[k]}", Role.VALUE, "per g") for k in forces]
     rows = []
     for axis in range(3):
-        row: list[object] = [AXES[axis], one.units[axis].text]
+        row: list[Cell] = [AXES[axis], one.units[axis].text]
         row += [float(one.values[axis, sensed[k]] * unit(per).factor) for k in range(3)]
         row += [float(one.values[axis, one.model.names.index("bias")])] if bias else []
         row += [float(one.values[axis, place] * unit("g").factor) for place in forces.values()]
@@ -49,9 +50,14 @@ def matrices(one: Response) -> tuple[Table, ...]:
     found = [Table(f"Matrix S·M of the {one.kind} triad", tuple(columns), tuple(rows))]
     if (inverse := inverse_matrix(one)) is not None:
         units = [own.text for own in one.units]
-        heads = (letter, *(f"output {axis} [{per} per {text}]" for axis, text in zip(AXES, units, strict=True)))
-        cells = tuple((axis, *map(float, row)) for axis, row in zip(AXES, inverse, strict=True))
-        found.append(Table(f"Inverse (S·M)⁻¹ of the {one.kind} triad", heads, cells))
+        outputs = (
+            TableColumn(f"output {axis}", Role.VALUE, f"{per} per {text}")
+            for axis, text in zip(AXES, units, strict=True)
+        )
+        cells: tuple[tuple[Cell, ...], ...] = tuple(
+            (axis, *map(float, row)) for axis, row in zip(AXES, inverse, strict=True)
+        )
+        found.append(Table(f"Inverse (S·M)⁻¹ of the {one.kind} triad", (TableColumn(letter), *outputs), cells))
     return tuple(found)
 
 

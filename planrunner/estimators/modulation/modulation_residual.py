@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignRequest,
@@ -22,7 +23,9 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     Plot,
     Remark,
+    Role,
     Table,
+    TableColumn,
     UnfitDataError,
 )
 from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, periodic_part
@@ -207,13 +210,13 @@ def _figures(navigations: Sequence[Navigation]) -> Table:
         for item in navigations
     )  # fmt: skip
     columns = (
-        "Navigation",
-        "Cycle",
-        "radial at the end [m]",
-        "largest radial [m]",
-        "rms radial [m]",
-        "rms velocity [m/s]",
-        "CEP rate [nmi/h]",
+        TableColumn("Navigation"),
+        TableColumn("Cycle"),
+        TableColumn("radial at the end", Role.VALUE, "m"),
+        TableColumn("largest radial", Role.VALUE, "m"),
+        TableColumn("rms radial", Role.VALUE, "m"),
+        TableColumn("rms velocity", Role.VALUE, "m/s"),
+        TableColumn("CEP rate", Role.VALUE, "nmi/h"),
     )
     return Table("Navigation errors with and without rotation", columns, rows)
 
@@ -224,10 +227,16 @@ def _cycles(
     """What each cycle leaves, and the part of the error that repeats with it, predicted and measured."""
     declared = request.parameters.declared
     columns = (
-        "Navigation", "stops leave [s]", "turns leave [s]", "not modulated", "velocity [m/s]", "predicted velocity [m/s]",
-        "position [m]", "predicted position [m]",
-    )  # fmt: skip
-    rows = []
+        TableColumn("Navigation"),
+        TableColumn("stops leave", Role.VALUE, "s"),
+        TableColumn("turns leave", Role.VALUE, "s"),
+        TableColumn("not modulated", Role.SHARE),
+        TableColumn("velocity", Role.VALUE, "m/s"),
+        TableColumn("predicted velocity", Role.VALUE, "m/s"),
+        TableColumn("position", Role.VALUE, "m"),
+        TableColumn("predicted position", Role.VALUE, "m"),
+    )
+    rows: list[tuple[Cell, ...]] = []
     for item in turned:
         assert item.cycle is not None
         stops, turns = item.cycle.integral()
@@ -252,7 +261,7 @@ def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> l
     declared = request.parameters.declared
     if declared is None:
         return []
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for item in navigations:
         if item.attitude is None:
             continue
@@ -264,7 +273,8 @@ def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> l
         ]
         rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
         rows.append((item.name, item.rms, *rms))
-    columns = ("Navigation", "rms radial [m]", "predicted [m]", "of this, horizontal errors alone [m]")
+    titles = ("rms radial", "predicted", "of this, horizontal errors alone")
+    columns = (TableColumn("Navigation"), *(TableColumn(title, Role.VALUE, "m") for title in titles))
     return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
 
 

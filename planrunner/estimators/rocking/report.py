@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
-from planrunner.estimators.interface import EstimateRequest, Plot, Table
+from planrunner.estimators.interface import EstimateRequest, Plot, Role, Table, TableColumn
 from planrunner.estimators.rocking.checks import ARCSEC
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, Runs, azimuth_uncertainty, resolution
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
@@ -16,6 +17,12 @@ from planrunner.plan.units import STANDARD_GRAVITY
 CLAIMED = 0.70
 STATED_STABILITY = 1e-5 * STANDARD_GRAVITY  # m/s^2, for the figures that are commonly quoted
 COMMON_TIMES = (540.0, 900.0)  # s
+
+
+_BY_METHOD = (
+    TableColumn("by accelerometers", Role.VALUE, "deg/h"),
+    TableColumn("by gimbal angles", Role.VALUE, "deg/h"),
+)
 
 
 def comparison(pairings: Sequence[Pairings]) -> Table:
@@ -29,16 +36,16 @@ def comparison(pairings: Sequence[Pairings]) -> Table:
                 _figure(ours),
                 _figure(theirs),
                 f"{theirs / ours:.1f}" if ours > 0 and math.isfinite(theirs) else "",
-                f"{100 * pairs.smaller:.0f} %",
+                float(pairs.smaller),
             )
         )
     columns = (
-        "axis",
-        "pairs",
-        "standard deviation by accelerometers, deg/h",
-        "by gimbal angles, deg/h",
-        "ratio",
-        "drifts by accelerometers that are smaller",
+        TableColumn("axis"),
+        TableColumn("pairs", Role.COUNT),
+        TableColumn("standard deviation by accelerometers", Role.VALUE, "deg/h"),
+        TableColumn("by gimbal angles", Role.VALUE, "deg/h"),
+        TableColumn("ratio", Role.VALUE),
+        TableColumn("drifts by accelerometers that are smaller", Role.SHARE),
     )
     return Table("Two methods over random pairings of a static and a dynamic run", columns, tuple(rows))
 
@@ -71,7 +78,7 @@ def quadruple_table(states: Sequence[StateDrifts]) -> Table:
             for place, axis in enumerate(state.level):
                 row = [quadruple.name, AXES[axis], _figure(values[place])]
                 rows.append((*row, _figure(values[place + 2])) if encoders else tuple(row))
-    columns = ("quadruple", "axis", "by accelerometers, deg/h", *(("by gimbal angles, deg/h",) if encoders else ()))
+    columns = (TableColumn("quadruple"), TableColumn("axis"), *_BY_METHOD[: 2 if encoders else 1])
     return Table("Rocking drift of each quadruple", columns, tuple(rows))
 
 
@@ -87,7 +94,7 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
                 if encoders:
                     shown.append(", ".join(f"{name} {_figure(v)}" for name, v in zip(names, values[2:], strict=True)))
                 rows.append((run.label, *shown))
-    columns = ("run", "by accelerometers, deg/h", *(("by gimbal angles, deg/h",) if encoders else ()))
+    columns = (TableColumn("run"), *(replace(one, role=Role.LABEL) for one in _BY_METHOD[: 2 if encoders else 1]))
     return Table("Drift of each run relative to inertial space", columns, tuple(rows))
 
 
@@ -102,7 +109,12 @@ def before_rocking_table(runs: Runs, conditions: Conditions) -> list[Table]:
         for place, axis in enumerate(reduced.run.state.level):
             figures = [_figure(float(drift[place]) * DEG_PER_HOUR) for drift in (before, whole)]
             rows.append((reduced.run.label, AXES[axis], *figures))
-    columns = ("run", "axis", "before the rocking, deg/h", "from t0 to t1, deg/h")
+    columns = (
+        TableColumn("run"),
+        TableColumn("axis"),
+        TableColumn("before the rocking", Role.VALUE, "deg/h"),
+        TableColumn("from t0 to t1", Role.VALUE, "deg/h"),
+    )
     return [Table("Static drift before the rocking, by accelerometers", columns, tuple(rows))] if rows else []
 
 
@@ -130,7 +142,9 @@ def method_error(request: EstimateRequest, seconds: float) -> Table:
         size = azimuth.standard_uncertainty
         rows.append((f"Earth rate through {size / ARCSEC:.3g} arcsec of azimuth, as stated", _figure(level * size)))
     rows.append(("Earth rate through 6.9 arcsec of attitude", _figure(whole * 6.9 * ARCSEC)))
-    return Table("Method error of one run", ("from", "deg/h"), tuple(rows))
+    return Table(
+        "Method error of one run", (TableColumn("from"), TableColumn("size", Role.VALUE, "deg/h")), tuple(rows)
+    )
 
 
 def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Table
+from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Role, Table, TableColumn
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.estimators.strapdown.strapdown_navigation import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.uncertainty import DEGREE, NAMES, PERIODS, RATE, SCHULER_PERIOD, Spread, influences
@@ -112,13 +112,13 @@ def _table(points: Array, uncertainty: Array) -> Table:
             (time[k] / HOUR, east, north, math.hypot(east, north), float(uncertainty[k]), velocity_east, velocity_north)
         )
     columns = (
-        "time [h]",
-        "east [m]",
-        "north [m]",
-        "radial [m]",
-        "uncertainty of radial [m]",
-        "east velocity [m/s]",
-        "north velocity [m/s]",
+        TableColumn("time", Role.NUMBER, "h"),
+        TableColumn("east", Role.VALUE, "m"),
+        TableColumn("north", Role.VALUE, "m"),
+        TableColumn("radial", Role.VALUE, "m"),
+        TableColumn("uncertainty of radial", Role.STANDARD_UNCERTAINTY, "m"),
+        TableColumn("east velocity", Role.VALUE, "m/s"),
+        TableColumn("north velocity", Role.VALUE, "m/s"),
     )
     return Table("Navigation errors over time", columns, tuple(tuple(map(float, row)) for row in rows))
 
@@ -137,7 +137,13 @@ def _constants(request: EstimateRequest, found: Navigated) -> tuple[Table, ...]:
             (*parameters.gyros, *parameters.accelerometers), alignment.constant, uncertainties, scales, strict=True
         )
     )
-    return (Table("Constant errors found in alignment", ("sensor", "error", "standard uncertainty", "unit"), rows),)
+    columns = (
+        TableColumn("sensor"),
+        TableColumn("error", Role.VALUE),
+        TableColumn("standard uncertainty", Role.STANDARD_UNCERTAINTY),
+        TableColumn("unit"),
+    )
+    return (Table("Constant errors found in alignment", columns, rows),)
 
 
 def _plots(points: Array) -> tuple[Plot, ...]:

@@ -20,7 +20,9 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     Plot,
+    Role,
     Table,
+    TableColumn,
 )
 from planrunner.estimators.temperature.curve import FORMS, RULES, CurveFit, fit_curve, groups_of
 from planrunner.estimators.temperature.planning import remarks
@@ -266,7 +268,13 @@ def _tables(one: Modelled) -> list[Table]:
     name, text, points, fit = one.points.name, one.points.unit, one.points, one.fit
     found = []
     if fit.errors:
-        titles = ("order", f"held-out mean square [({text})²]", "u of the mean square", f"root of it [{text}]", "")
+        titles = (
+            TableColumn("order", Role.COUNT),
+            TableColumn("held-out mean square", Role.VALUE, f"({text})²"),
+            TableColumn("u of the mean square", Role.STANDARD_UNCERTAINTY, f"({text})²"),
+            TableColumn("root of it", Role.VALUE, text),
+            TableColumn(""),
+        )
         rows = tuple(
             (
                 item.order,
@@ -279,7 +287,13 @@ def _tables(one: Modelled) -> list[Table]:
         )
         found.append(Table(f"Held-out error of {name}", titles, rows))
     fitted, _ = fit.predict(points.temperature)
-    columns = ("from", "temperature [degC]", f"{name} [{text}]", f"u [{text}]", f"residual [{text}]")
+    columns = (
+        TableColumn("from"),
+        TableColumn("temperature", Role.NUMBER, "degC"),
+        TableColumn(name, Role.VALUE, text),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
+        TableColumn("residual", Role.VALUE, text),
+    )
     rows_ = zip(points.labels, points.temperature, points.value, points.uncertainty, points.value - fitted, strict=True)
     cells = tuple(
         (label, float(t), float(y), float(u) if np.isfinite(u) else None, float(r)) for label, t, y, u, r in rows_
@@ -288,7 +302,12 @@ def _tables(one: Modelled) -> list[Table]:
     grid = np.linspace(points.temperature.min(), points.temperature.max(), _SHOWN)
     values, u = fit.predict(grid)
     wide = [expanded_uncertainty(float(own), fit.degrees_of_freedom) for own in u]
-    heads = ("temperature [degC]", f"curve [{text}]", f"u [{text}]", f"U 95 % [{text}]")
+    heads = (
+        TableColumn("temperature", Role.NUMBER, "degC"),
+        TableColumn("curve", Role.VALUE, text),
+        TableColumn("u", Role.STANDARD_UNCERTAINTY, text),
+        TableColumn("U 95 %", Role.EXPANDED_UNCERTAINTY, text),
+    )
     found.append(
         Table(f"Curve of {name}", heads, tuple(zip(grid.tolist(), values.tolist(), u.tolist(), wide, strict=True)))
     )

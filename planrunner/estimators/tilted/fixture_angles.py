@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from planrunner.estimators.basis_judgement import judge, planned_basis, require_
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
+    Cell,
     Coefficient,
     Design,
     DesignBlock,
@@ -31,7 +31,9 @@ from planrunner.estimators.interface import (
     EstimationError,
     Plot,
     Remark,
+    Role,
     Table,
+    TableColumn,
 )
 from planrunner.estimators.observations import observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
@@ -291,7 +293,7 @@ def _padded(found: Sequence[AxisAngles]) -> tuple[Influence, ...]:
 
 
 def _table(axes: MountedAxes, found: Sequence[AxisAngles]) -> Table:
-    rows: list[tuple[Any, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     for k, axis in enumerate(found):
         angle = axis.coefficients[1]
         off = (angle.value * _DEGREE - axes.angles[k]) / _ARCSEC
@@ -305,5 +307,11 @@ def _table(axes: MountedAxes, found: Sequence[AxisAngles]) -> Table:
                 angle.standard_uncertainty * _DEGREE / _ARCSEC,
             )
         )
-    columns = ("axis", "angle stated", "angle found", "found less stated [arcsec]", "u(angle), data alone [arcsec]")
+    columns = (
+        TableColumn("axis"),
+        TableColumn("angle stated"),
+        TableColumn("angle found"),
+        TableColumn("found less stated", Role.VALUE, "arcsec"),
+        TableColumn("u(angle), data alone", Role.STANDARD_UNCERTAINTY, "arcsec"),
+    )
     return Table("Angles of the fixture, found and stated", columns, tuple(rows))

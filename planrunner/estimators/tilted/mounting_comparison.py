@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Table
+from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.schedule import Segment
 
@@ -34,7 +34,7 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
 
     Alone, the axis may lean by `angle` about either of two directions: 1 − cos δ has the mean angle² and the standard deviation angle².
     """
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for k, name in enumerate(axes.names):
         cosine, tangent = abs(np.cos(axes.angles[k])), abs(np.tan(axes.angles[k]))
         tilted, alone = tangent * angle[k], np.sqrt(2) * angle[k] ** 2
@@ -48,14 +48,14 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
         )
         rows.append((name, f"{np.degrees(axes.angles[k]):.4f}", *(float(cell * 1e6) for cell in cells)))
     columns = (
-        "axis",
-        "angle [deg]",
-        "tilted: noise [ppm]",
-        "tilted: angle [ppm]",
-        "tilted: both [ppm]",
-        "alone: noise [ppm]",
-        "alone: lean [ppm]",
-        "alone: both [ppm]",
+        TableColumn("axis"),
+        TableColumn("angle", Role.NUMBER, "deg"),
+        TableColumn("tilted: noise", Role.VALUE, "ppm"),
+        TableColumn("tilted: angle", Role.VALUE, "ppm"),
+        TableColumn("tilted: both", Role.VALUE, "ppm"),
+        TableColumn("alone: noise", Role.VALUE, "ppm"),
+        TableColumn("alone: lean", Role.VALUE, "ppm"),
+        TableColumn("alone: both", Role.VALUE, "ppm"),
     )
     return Table("Standard uncertainty of K in one tilted mounting and in one mounting an axis", columns, tuple(rows))
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Estimate, Plot, Table
+from planrunner.estimators.interface import Cell, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
 from planrunner.estimators.tilted.influences import Situation
@@ -67,19 +67,19 @@ def _per_axis(situation: Situation, units: Units, spread: Array) -> Table:
     slope, factor = slope_unit(*units[0])
     own = units[0][1].text
     columns = (
-        "axis",
-        "temperature",
-        f"K [{slope}]",
-        f"K' [{slope}]",
-        "u(K), data alone",
-        f"F0 [{own}]",
-        "nonlinearity [ppm]",
-        "asymmetry [ppm]",
-        "repeatability [ppm]",
-        f"zero drift [{own}]",
-        "repeats",
+        TableColumn("axis"),
+        TableColumn("temperature"),
+        TableColumn("K", Role.VALUE, slope),
+        TableColumn("K'", Role.VALUE, slope),
+        TableColumn("u(K), data alone", Role.STANDARD_UNCERTAINTY, slope),
+        TableColumn("F0", Role.VALUE, own),
+        TableColumn("nonlinearity", Role.VALUE, "ppm"),
+        TableColumn("asymmetry", Role.VALUE, "ppm"),
+        TableColumn("repeatability", Role.VALUE, "ppm"),
+        TableColumn("zero drift", Role.VALUE, own),
+        TableColumn("repeats", Role.COUNT),
     )
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for axis, name in enumerate(axes.names):
         cosine = float(axes.directions[axis] @ _along(situation))
         for k, group in enumerate(situation.groups):
@@ -89,30 +89,38 @@ def _per_axis(situation: Situation, units: Units, spread: Array) -> Table:
             repeatability = float(found.repeatability[k, axis] * 1e6)
             drift = float(group.drift[:, axis].mean())
             own_spread = float(spread[k, axis] * factor)
-            shown = (name, _celsius(group), value, value * cosine, own_spread, *figures)
-            rows.append((*shown, repeatability, drift, len(group.names)))
+            shown = (value, value * cosine, own_spread, *figures)
+            rows.append((name, _celsius(group), *shown, repeatability, drift, len(group.names)))
     return Table("Scale factor of each axis at each temperature", columns, tuple(rows))
 
 
 def _per_repeat(situation: Situation) -> Table:
     names, found = situation.conditions.axes.names, situation.found
-    rows = [
+    rows: list[tuple[Cell, ...]] = [
         (group.label or "–", name, *(float(value) for value in (repeat[:, K] / mean[:, K] - 1) * 1e6))
         for group, repeats, mean in zip(situation.groups, found.repeats, found.means, strict=True)
         for name, repeat in zip(group.names, repeats, strict=True)
     ]
-    columns = ("temperature", "series", *(f"{name} [ppm]" for name in names))
+    columns = (
+        TableColumn("temperature"),
+        TableColumn("series"),
+        *(TableColumn(name, Role.VALUE, "ppm") for name in names),
+    )
     return Table("Scale factor in each repeat, from the mean at its temperature", columns, tuple(rows))
 
 
 def _residuals(situation: Situation, units: Units) -> Table:
     rate = units[0][0]
     names = situation.conditions.axes.names
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for group, residuals in zip(situation.groups, situation.found.residuals, strict=True):
         for own, one in zip(group.rates, residuals / group.full_scale * 1e6, strict=True):
             rows.append((group.label or "–", f"{own / rate.factor:+g}", *(float(value) for value in one)))
-    columns = ("temperature", f"rate [{rate.text}]", *(f"{name} [ppm]" for name in names))
+    columns = (
+        TableColumn("temperature"),
+        TableColumn("rate", Role.NUMBER, rate.text),
+        *(TableColumn(name, Role.VALUE, "ppm") for name in names),
+    )
     return Table("Residuals, means over the repeats, in ppm of the largest output", columns, tuple(rows))
 
 
@@ -122,7 +130,7 @@ def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)
     repeats = math.sqrt(len(group.names))
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for axis, name in enumerate(axes.names):
         cosine = abs(float(np.cos(axes.angles[axis])))
         own = noise.rates[situation.reference][[high, low], axis].max() * repeats
@@ -142,11 +150,11 @@ def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
         )
     text = units[0][0].text
     columns = (
-        "axis",
-        f"lowest rate that it sees [{text}]",
-        "change of output over that expected",
-        "at least half (IEEE Std 528)",
-        "smallest change told from noise [deg/h]",
+        TableColumn("axis"),
+        TableColumn("lowest rate that it sees", Role.VALUE, text),
+        TableColumn("change of output over that expected", Role.VALUE),
+        TableColumn("at least half (IEEE Std 528)"),
+        TableColumn("smallest change distinguished from noise", Role.VALUE, "deg/h"),
     )
     return Table("Threshold and resolution at the lowest rate", columns, tuple(rows))
 

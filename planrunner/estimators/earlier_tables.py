@@ -1,0 +1,45 @@
+"""Tables of results in format 1, whose columns had titles alone: the roles that their titles and cells meant.
+
+Nothing else reads a title. Results that are written now name the roles.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+
+TERMINAL_TABLES = "terminal_tables"
+"""The setting of an estimate that named the tables for the terminal by their titles."""
+_UNCERTAIN = re.compile(r"(?:^|\s)u(?:\s|\(|$)")
+_EXPANDED = re.compile(r"(?:^|\s)U(?:\s|\(|$)|^±")
+_FREEDOM = re.compile(r"\b(?:dof|d\.o\.f\.?)\b|degrees of freedom", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[-+−–]?(?:[0-9][0-9., ]*|∞|inf|nan)?(?:[eE][-+]?[0-9]+)?(?:\s*[%×±].*)?(?:\([^()]*\))?(?:[eE][-+]?[0-9]+)?"
+)
+
+
+def earlier_table(
+    title: str, titles: Sequence[str], rows: tuple[tuple[Cell, ...], ...], settings: Mapping[str, Any]
+) -> Table:
+    """A table of format 1 with the roles that its titles meant. settings: of its estimate."""
+    columns = tuple(TableColumn(name, _role(name, [row[k] for row in rows])) for k, name in enumerate(titles))
+    return Table(title, columns, rows, title in settings.get(TERMINAL_TABLES, ()))
+
+
+def _role(title: str, cells: Sequence[Cell]) -> Role:
+    if _EXPANDED.search(title):
+        return Role.EXPANDED_UNCERTAINTY
+    if _UNCERTAIN.search(title):
+        return Role.STANDARD_UNCERTAINTY
+    if _FREEDOM.search(title):
+        return Role.DEGREES_OF_FREEDOM
+    return Role.VALUE if cells and all(map(_numeric, cells)) else Role.LABEL
+
+
+def _numeric(cell: Cell) -> bool:
+    return cell is None or (
+        _NUMBER.fullmatch(cell.strip()) is not None if isinstance(cell, str) else not isinstance(cell, bool)
+    )

@@ -1,0 +1,34 @@
+"""A table made of declared columns: each column states its heading, its role, and the cell that a row shows in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Generic, TypeVar
+
+from planrunner.dataclass import dataclass
+from planrunner.estimators.interface import Cell, Role, Table, TableColumn
+
+Row = TypeVar("Row")
+
+
+@dataclass(frozen=True, slots=True)
+class Shown(Generic[Row]):
+    """One column of a table. cell: what a row shows. idle: cells that say nothing; a column of nothing else is left out."""
+
+    column: TableColumn
+    cell: Callable[[Row], Cell]
+    idle: tuple[Cell, ...] = ()
+
+
+def table_of(title: str, columns: Iterable[Shown[Row]], rows: Sequence[Row]) -> Table:
+    """The table of all rows, without its idle columns; empty without rows."""
+    if not rows:
+        return Table(title, (), ())
+    filled = [(item, [item.cell(row) for row in rows]) for item in columns]
+    kept = [(item.column, cells) for item, cells in filled if not item.idle or not set(cells) <= set(item.idle)]
+    return Table(title, tuple(column for column, _ in kept), tuple(zip(*(cells for _, cells in kept), strict=True)))
+
+
+def alike(role: Role, *titles: str, unit: str = "") -> tuple[TableColumn, ...]:
+    """Columns of one role and unit."""
+    return tuple(TableColumn(title, role, unit) for title in titles)
