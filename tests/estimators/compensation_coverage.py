@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 from coverage_experiment import ARCSEC, BATCHES, DWELL, GYRO, PAUSE, flicker_in_segments
-from recorded import from_means, segment, sensor
+from recorded import figure, from_means, segment, sensor
 from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
@@ -98,7 +98,8 @@ def coverage(world: World, runs: int, seed: int) -> dict[str, float]:
         }
         parameters = CompensationResidualParameters(trials=TRIALS, seed=run)
         request = EstimateRequest("r", segments["verify"], parameters, SITE, model, uses, setup=setup)
-        _, measured, _, _, low, high = CompensationResidual().estimate(request).tables[0].rows[0]
+        row = CompensationResidual().estimate(request).tables[0].rows[0]
+        measured, low, high = (figure(row[k]) for k in (1, 4, 5))
         counts["below" if measured < low else "above" if measured > high else "within"] += 1
     return {name: count / runs for name, count in counts.items()}
 

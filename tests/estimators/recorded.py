@@ -12,6 +12,7 @@ import pytest
 
 from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.archive.statistics import statistics_of
+from planrunner.estimators.interface import Cell
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.plan.schedule import Motion, Rest, Segment
@@ -25,6 +26,12 @@ def real(*parts: str) -> Path:
     if not path.is_file():
         pytest.skip(f"the real recording {'/'.join(parts)} is not beneath {DATA} (set PLANRUNNER_DATA)")
     return path
+
+
+def figure(cell: Cell) -> float:
+    """A table's cell that holds a number, or a number as text."""
+    assert cell is not None
+    return float(cell)
 
 
 def segment(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from recorded import from_means, segment, sensor
+from recorded import figure, from_means, segment, sensor
 from scipy.integrate import solve_ivp
 
 from planrunner.checking import check_plan
@@ -247,7 +247,7 @@ def test_declared_errors_are_predicted_beside_what_is_measured() -> None:
     found = ModulationResidual().estimate(request(navigated("still", 0.5), navigated("turned", 0.1), **declared))
     tables = {table.title: table for table in found.tables}
     (row,) = next(table for title, table in tables.items() if "Residual" in title).rows
-    assert row[5] > 0 and row[7] > 0
+    assert figure(row[5]) > 0 and figure(row[7]) > 0
     names = [row[0] for row in next(table for title, table in tables.items() if "predicted" in title).rows]
     assert names == ["still", "turned"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded import from_means, segment, sensor
+from recorded import figure, from_means, segment, sensor
 from scipy import integrate, stats
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude, pulses
 from test_stated_inputs_move_coefficients import SETUP
@@ -96,8 +96,8 @@ def test_a_plan_asks_for_it_and_the_estimate_says_what_came_out() -> None:
     assert [row[0] for row in table.rows] == list(drift.headline)
     assert {row[-1] for row in table.rows} == {"yes"}
     for row in table.rows:
-        item = drift[row[0]]
-        assert row[4] == pytest.approx(item.value - 2.7764 * item.standard_uncertainty, abs=row[11])
+        item = drift[str(row[0])]
+        assert row[4] == pytest.approx(item.value - 2.7764 * item.standard_uncertainty, abs=figure(row[11]))
 
     assert drift.settings["validate"] == "monte_carlo"
     assert again.estimates["drift"].tables == drift.tables

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import from_means, sensor
+from recorded import figure, from_means, sensor
 from tilted_recording import (
     DEG,
     EARTH,
@@ -96,8 +96,8 @@ def test_part_of_a_turn_at_the_lowest_rate() -> None:
     recorded = series(NORTH, ONE, dwell=lambda rate: 10.0 if abs(rate) == 1 else whole_turns(rate))
     found = estimate(recorded, NORTH, earth_rate="ignored")
     table = next(one for one in found.tables if one.title.startswith("Residuals"))
-    low = np.array([row[2] for row in table.rows if float(row[1]) in (1.0, -1.0)])
-    high = np.array([row[2] for row in table.rows if abs(float(row[1])) > 1])
+    low = np.array([row[2] for row in table.rows if figure(row[1]) in (1.0, -1.0)])
+    high = np.array([row[2] for row in table.rows if abs(figure(row[1])) > 1])
     kept = math.sin(10 * DEG) / (10 * DEG)  # mean cosine over the ten degrees
     assert low.mean() - high.mean() == pytest.approx(LEVEL / 3600 / (300 * seen) * 1e6 * kept, rel=1e-3)
     # An axis that begins towards east or west sees the sine, which has the sign of the rotation: the worst for K.
@@ -263,7 +263,7 @@ def test_a_dead_zone_shows_in_the_response() -> None:
 def test_comparison_with_one_mounting_an_axis() -> None:
     found = estimate(series(TRIAD, GYROS, error=1e-5), TRIAD, inputs(TRIAD, 20.0), remounting=parse_quantity("1 h"))
     table = next(one for one in found.tables if "one mounting an axis" in one.title)
-    row = dict(zip(table.headings, table.rows[0], strict=True))
+    row = dict(zip(table.headings[1:], map(figure, table.rows[0][1:]), strict=True))
     u = 20 / 3600 * DEG
     assert row["tilted: angle [ppm]"] == pytest.approx(math.tan(THETA * DEG) * u * 1e6, rel=1e-4)
     assert row["alone: lean [ppm]"] == pytest.approx(math.sqrt(2) * u**2 * 1e6, rel=1e-9)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from recorded import from_means, from_samples, real, segment, sensor
+from recorded import figure, from_means, from_samples, real, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.checking import check_plan
@@ -156,7 +156,8 @@ def test_truth_within_the_stated_uncertainty(form: str) -> None:
         squares.append(
             [((c.value - e) / c.standard_uncertainty) ** 2 for c, e in zip(found.coefficients, expected, strict=True)]
         )
-        curve = next(table for table in found.tables if table.title.startswith("Curve")).rows[3]
+        table = next(table for table in found.tables if table.title.startswith("Curve"))
+        curve = [figure(cell) for cell in table.rows[3]]
         exact_between = truth(curve[0] - 25) if truth else natural_spline(knots, np.array([curve[0]]))[0] @ at_knots
         between.append(((curve[1] - exact_between) / curve[2]) ** 2)
     freedom = 11 - len(squares[0])
