@@ -39,7 +39,18 @@ def distinct(count: int, folder: Path) -> list[Path]:
     return paths
 
 
-OPTIONAL = "fqdn idna isoduration jsonpointer rfc3339_validator rfc3986_validator rfc3987 rfc3987_syntax uri_template webcolors".split()
+OPTIONAL = [
+    "fqdn",
+    "idna",
+    "isoduration",
+    "jsonpointer",
+    "rfc3339_validator",
+    "rfc3986_validator",
+    "rfc3987",
+    "rfc3987_syntax",
+    "uri_template",
+    "webcolors",
+]
 BARE = f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL!r})); import yaml, jsonschema"
 """jsonschema also imports these where other programs have installed them; planrunner has no need of them, and one takes seconds."""
 
