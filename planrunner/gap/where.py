@@ -9,6 +9,7 @@ bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -19,11 +20,14 @@ from numpy.typing import NDArray
 from planrunner.gap.candidates import Weighing
 from planrunner.gap.evidence import log_mean_exp
 from planrunner.gap.noise_levels import excess_by_channel
+from planrunner.plan.directions import word_of
 
 Array = NDArray[np.float64]
 REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
+_NEAR = math.sqrt(2 - 2 * 0.999)
+"""An axis is named by a direction with a word where the cosine between both is more than 0.999."""
 _LIVES = {
     "temperature": "temperature",
     "time": "time",
@@ -181,11 +185,7 @@ def _up(attitude: Array) -> str:
 
 
 def _words(attitude: Array) -> str:
-    names = {0: ("east", "west"), 1: ("north", "south"), 2: ("up", "down")}
-    words = []
-    for letter, row in zip("xyz", attitude, strict=True):
-        axis = int(np.argmax(np.abs(row)))
-        if abs(row[axis]) < 0.999:
-            return "oblique " + " ".join(f"{value:.2f}" for value in attitude[2])
-        words.append(f"{letter} {names[axis][0 if row[axis] > 0 else 1]}")
-    return ", ".join(words)
+    words = [word_of(row, _NEAR) for row in attitude]
+    if None in words:
+        return "oblique " + " ".join(f"{value:.2f}" for value in attitude[2])
+    return ", ".join(f"{letter} {word}" for letter, word in zip("xyz", words, strict=True))

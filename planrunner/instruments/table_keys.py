@@ -7,9 +7,9 @@ import math
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import TableAxis, Unreachable, check_geometry
 from planrunner.plan import source
+from planrunner.plan.directions import DIRECTIONS
 from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
-from planrunner.plan.orientation import DIRECTIONS
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 
@@ -33,10 +33,9 @@ class AxisSpec(Record):
     highest: Quantity | None = key(QuantityOf("angle"), "Upper joint limit.", "100 deg", default=None)
 
     def axis(self) -> TableAxis:
-        east, north, up = DIRECTIONS[self.direction]
         return TableAxis(
             self.name,
-            (float(east), float(north), float(up)),
+            DIRECTIONS[self.direction],
             self.max_rate.value,
             self.max_acceleration.value,
             -math.inf if self.lowest is None else self.lowest.value,

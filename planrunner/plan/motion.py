@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import Any
 
 from planrunner.plan import model
+from planrunner.plan.directions import DIRECTIONS
 from planrunner.plan.findings import Findings, Mark, closest
-from planrunner.plan.orientation import DIRECTIONS
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Spin
 
@@ -65,12 +65,7 @@ def _stated_motion(
         return None
     sign = -1.0 if motion.sense == "clockwise" else 1.0
     if motion.rate is not None:
-        about = DIRECTIONS[motion.about]
-        return (
-            Spin(sign * motion.rate.value, (float(about[0]), float(about[1]), float(about[2])))
-            if motion.rate.value
-            else Rest()
-        )
+        return Spin(sign * motion.rate.value, DIRECTIONS[motion.about]) if motion.rate.value else Rest()
     if motion.rock is not None:
         return _rock(motion, motion.rock, dwell, log)
     return _cycle(motion, sign, log)

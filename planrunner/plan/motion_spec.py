@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from planrunner.plan.directions import DIRECTIONS
 from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity
 
@@ -39,7 +40,7 @@ class Motion(Record):
         default=None,
     )
     about: str = key(
-        Choice(("up", "down", "north", "south", "east", "west")),
+        Choice(tuple(DIRECTIONS)),
         "Site direction the table spins about.",
         "up",
         default="up",

@@ -17,22 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
+from planrunner.plan.directions import DIRECTIONS, Direction, perpendicular, word_of
 from planrunner.plan.findings import Findings, closest
 from planrunner.plan.quantity import PLAIN, QuantityError, anchored, parse_quantity
 from planrunner.plan.source import Mapping, Node, Scalar, Sequence
 
 Matrix = NDArray[np.float64]
 
-DIRECTIONS: dict[str, tuple[int, int, int]] = {
-    "east": (1, 0, 0),
-    "west": (-1, 0, 0),
-    "north": (0, 1, 0),
-    "south": (0, -1, 0),
-    "up": (0, 0, 1),
-    "down": (0, 0, -1),
-}
 AXES = ("x", "y", "z")
-_WORD: dict[tuple[int, ...], str] = {vector: word for word, vector in DIRECTIONS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +43,22 @@ UNKNOWN = Orientation("unknown", None)
 
 
 def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
-    """`x up, y north, z west` for a cardinal attitude, else the axes' directions as numbers."""
-    parts = []
-    for axis, row in zip(AXES, attitude, strict=True):
-        rounded = tuple(int(v) for v in np.rint(row))
-        if rounded in _WORD and np.abs(row - rounded).max() < tolerance:
-            parts.append(f"{axis} {_WORD[rounded]}")
-        else:
-            parts.append(f"{axis} ({row[0]:+.3f} E, {row[1]:+.3f} N, {row[2]:+.3f} U)")
-    return ", ".join(parts)
+    """`x up, y north, z west`; an axis along no direction that has a word as numbers."""
+    return ", ".join(f"{axis} {_pointing(row, tolerance)}" for axis, row in zip(AXES, attitude, strict=True))
+
+
+def as_mapping(attitude: Matrix) -> str | None:
+    """As a plan says it, `{x: up, y: north, z: west}`; None where an axis points along no direction that has a word."""
+    words = [word_of(row) for row in attitude]
+    return (
+        None
+        if None in words
+        else "{" + ", ".join(f"{axis}: {word}" for axis, word in zip(AXES, words, strict=True)) + "}"
+    )
+
+
+def _pointing(row: Matrix | Direction, tolerance: float = 1e-9) -> str:
+    return word_of(row, tolerance) or f"({row[0]:+.3f} E, {row[1]:+.3f} N, {row[2]:+.3f} U)"
 
 
 def rotation(axis: int, angle: float) -> Matrix:
@@ -167,7 +166,7 @@ _TURNED = ("from", "rotate")
 
 
 def _read_words(node: Mapping, log: Findings) -> Orientation | None:
-    given: dict[str, tuple[int, int, int]] = {}
+    given: dict[str, Direction] = {}
     before = log.raised
     for key, item in node.entries:
         word = item.value if isinstance(item, Scalar) else None
@@ -192,29 +191,31 @@ def _read_words(node: Mapping, log: Findings) -> Orientation | None:
         )
         return None
     for first, second in combinations(given, 2):
-        if np.dot(given[first], given[second]) != 0:
-            same = given[first] == given[second]
-            what = "point the same way" if same else "are opposite each other"
-            message = f"{first} and {second} {what} ({first} {_WORD[given[first]]}, {second} {_WORD[given[second]]})"
+        if not perpendicular(given[first], given[second]):
+            opposite = tuple(-value for value in given[second])
+            what = {given[second]: "point the same way", opposite: "are opposite each other"}
+            shown = what.get(given[first], "do not stand at right angles")
+            words = ", ".join(f"{axis} {_pointing(given[axis])}" for axis in (first, second))
+            message = f"{first} and {second} {shown} ({words})"
             at = next(item.mark for key, item in node.entries if key.text == second)
             log.error("meaning-orientation", at, message, "the three axes stand at right angles to each other")
             return None
     return _right_handed(given, node, log)
 
 
-def _right_handed(given: dict[str, tuple[int, int, int]], node: Mapping, log: Findings) -> Orientation | None:
+def _right_handed(given: dict[str, Direction], node: Mapping, log: Findings) -> Orientation | None:
     matrix, text, handed = _completed(tuple(given.items()))
     if not handed:
         axes = np.array(matrix)
-        third = _WORD[tuple(int(v) for v in np.rint(np.cross(axes[0], axes[1])))]
-        message = f"left-handed axes ({text}): x × y points {third}, not {_WORD[tuple(int(v) for v in axes[2])]}"
+        third = _pointing(np.cross(axes[0], axes[1]))
+        message = f"left-handed axes ({text}): x × y points {third}, not {_pointing(axes[2])}"
         log.error("meaning-left-handed", node.mark, message, "right-handed are " + " or ".join(_repairs(axes)))
         return None
     return Orientation(text, matrix)
 
 
 @lru_cache(maxsize=256)
-def _completed(given: tuple[tuple[str, tuple[int, int, int]], ...]) -> tuple[tuple[tuple[float, ...], ...], str, bool]:
+def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[float, ...], ...], str, bool]:
     """The three axes that two or three at right angles make, in words, and whether they are right-handed."""
     known = dict(given)
     rows = [np.array(known[axis], dtype=float) if axis in known else None for axis in AXES]
@@ -236,7 +237,7 @@ def _repairs(matrix: Matrix) -> list[str]:
         flipped = matrix.copy()
         flipped[i] = -flipped[i]
         repairs.append(flipped)
-    return ["{" + in_words(m).replace("x ", "x: ").replace("y ", "y: ").replace("z ", "z: ") + "}" for m in repairs]
+    return [text for text in map(as_mapping, repairs) if text is not None]
 
 
 _TURN = re.compile(rf"([xyz]) ({PLAIN})")

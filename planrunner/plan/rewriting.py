@@ -15,7 +15,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from planrunner.plan.orientation import AXES, DIRECTIONS, in_words, rotation
+from planrunner.plan.directions import CARDINAL
+from planrunner.plan.orientation import AXES, as_mapping, rotation
 
 Matrix = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ class RewriteError(ValueError):
 def cardinal_orientations() -> tuple[Matrix, ...]:
     """The 24 right-handed attitudes whose axes lie along the site's axes, rows in East-North-Up."""
     found = []
-    for first, second in itertools.permutations(DIRECTIONS.values(), 2):
+    for first, second in itertools.permutations(CARDINAL.values(), 2):
         if np.dot(first, second) == 0:
             attitude = np.array([first, second, np.cross(first, second)], dtype=float)
             attitude.setflags(write=False)
@@ -47,7 +48,8 @@ def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
         for axis, angle in zip(AXES, _turns(start, attitude), strict=True)
         if round(angle, decimals) != 0
     ]
-    words = "{" + ", ".join(part.replace(" ", ": ") for part in in_words(start).split(", ")) + "}"
+    words = as_mapping(start)
+    assert words is not None  # cardinal
     return f"{{from: {words}, rotate: [{', '.join(turns)}]}}" if turns else words
 
 

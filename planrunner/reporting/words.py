@@ -5,19 +5,12 @@ from __future__ import annotations
 import math
 import re
 
+from planrunner.plan.directions import word_of
 from planrunner.plan.orientation import in_words
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
 AT_REST = "rest"
-_WORD_OF = {
-    (0.0, 0.0, 1.0): "up",
-    (0.0, 0.0, -1.0): "down",
-    (1.0, 0.0, 0.0): "east",
-    (-1.0, 0.0, 0.0): "west",
-    (0.0, 1.0, 0.0): "north",
-    (0.0, -1.0, 0.0): "south",
-}
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -87,7 +80,7 @@ def rate(segment: Segment) -> str:
 def direction(about: tuple[float, float, float]) -> str:
     """A site direction (East-North-Up) in words."""
     east, north, up = (round(component, 9) + 0.0 for component in about)
-    return _WORD_OF.get((east, north, up), f"({east:g} E, {north:g} N, {up:g} U)")
+    return word_of(about) or f"({east:g} E, {north:g} N, {up:g} U)"
 
 
 def motion(what: Motion) -> str:

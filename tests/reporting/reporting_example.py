@@ -11,7 +11,8 @@ from planrunner.archive.recording import Statistics
 from planrunner.estimators.interface import Coefficient, Design, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.physics.earth import Site
-from planrunner.plan.orientation import DIRECTIONS, in_words
+from planrunner.plan.directions import DIRECTIONS
+from planrunner.plan.orientation import in_words
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.reporting.context import ReportContext, SegmentSummary
 from planrunner.uncertainty.influences import Budget, BudgetLine

@@ -1,0 +1,37 @@
+"""The words for directions of the site, in East-North-Up. A new word is declared here, and nowhere else.
+
+Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis follow from `DIRECTIONS`. Designs and proposals search
+among `CARDINAL` alone, so that a new word does not change what they choose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+Direction = tuple[float, float, float]
+
+CARDINAL: dict[str, Direction] = {
+    "east": (1.0, 0.0, 0.0),
+    "west": (-1.0, 0.0, 0.0),
+    "north": (0.0, 1.0, 0.0),
+    "south": (0.0, -1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+    "down": (0.0, 0.0, -1.0),
+}
+"""The directions along the site's axes; attitudes along them are the 24 cardinal ones of a design."""
+DIRECTIONS: dict[str, Direction] = {**CARDINAL}
+"""Every word that a plan or a bench file may use, with its unit vector."""
+RIGHT_ANGLE = 1e-9
+"""Directions whose scalar product is smaller stand at right angles."""
+
+
+def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:
+    """The word for a unit vector, None where no word's vector is as near. within: length of the difference."""
+    given = tuple(direction)
+    word, vector = min(DIRECTIONS.items(), key=lambda item: math.dist(item[1], given))
+    return word if math.dist(vector, given) < within else None
+
+
+def perpendicular(first: Direction, second: Direction) -> bool:
+    return abs(sum(a * b for a, b in zip(first, second, strict=True))) < RIGHT_ANGLE
