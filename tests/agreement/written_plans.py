@@ -45,10 +45,12 @@ CARDINAL = _right_handed()
 UPRIGHT = {"x": "east", "y": "north", "z": "up"}
 
 
+@cache
 def amount(unit: str, *values: float) -> st.SearchStrategy[str]:
     return st.sampled_from(values).map(lambda value: f"{value:g} {unit}")
 
 
+@cache
 def between(unit: str, low: float, high: float, digits: int = 3) -> st.SearchStrategy[str]:
     """A quantity drawn evenly over the decades between two, or over a thousand steps where they have two signs."""
     if low > 0:

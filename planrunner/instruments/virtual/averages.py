@@ -9,6 +9,7 @@ quadrature is exact: turned about one axis, the mean rates add up to the joint's
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +21,7 @@ from planrunner.instruments.virtual.world import Components, World
 # Largest phase [rad] within an interval for one and for two points; the error of p points over the phase h is about
 # h²/24, h⁴/4320 and h⁶/2016000 of the amplitude: below 1e-12 each.
 _ONE_POINT, _TWO_POINTS, _THREE_POINTS = 4e-6, 8e-3, 0.1
+_TOGETHER = 2**14  # times that are worked at once: a short dwell costs as many calls as a long one
 _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end counts as there
 
 
@@ -52,8 +54,11 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
         means[:, whole:last] += np.array([*sum(_moment(world, begin + (whole + last) / 2 / rate), ())])[:, None]
         return
     edges = np.arange(whole, last, dtype=float)
-    for point, weight in _points(stretch.pace / rate):
-        _add_moments(means[:, whole:last], world, begin + (edges + point) / rate, weight)
+    points = _points(stretch.pace / rate)
+    together = max(1, _TOGETHER // edges.size)
+    for start in range(0, len(points), together):
+        some = points[start : start + together]
+        _add_moments(means[:, whole:last], world, [begin + (edges + point) / rate for point, _ in some], some)
 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
@@ -62,15 +67,21 @@ def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: 
     if width <= 0.0:
         return
     index = math.floor(low)
-    for point, weight in _points(pace * width / rate):
-        time = np.array([begin + (low + point * width) / rate])
-        _add_moments(means[:, index : index + 1], world, time, weight * width)
+    points = [(point, weight * width) for point, weight in _points(pace * width / rate)]
+    times = [np.array([begin + (low + point * width) / rate]) for point, _ in points]
+    _add_moments(means[:, index : index + 1], world, times, points)
 
 
-def _add_moments(means: np.ndarray, world: World, times: np.ndarray, weight: float) -> None:
-    rates, forces = world.stimulus(times)
+def _add_moments(
+    means: np.ndarray, world: World, times: Sequence[np.ndarray], points: Sequence[tuple[float, float]]
+) -> None:
+    """Add to the means (6, n) what is felt at `times`, (n,) for each of the quadrature points, by their weights."""
+    rates, forces = world.stimulus(np.concatenate(times))
     for mean, felt in zip(means, (*rates, *forces), strict=True):
-        mean += weight * felt
+        for (_, weight), moments in zip(
+            points, np.broadcast_to(felt, mean.size * len(points)).reshape(len(points), -1), strict=True
+        ):
+            mean += weight * moments
 
 
 def _moment(world: World, time: float) -> tuple[Components, Components]:
