@@ -41,8 +41,8 @@ class AddedEffectsParameters(Record):
 
     effects: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=r"[A-Za-z][A-Za-z0-9_]{0,59}"), pattern=NAME),
-        "Effects by name, each with its parameters in their units; what is not said of an effect has its natural size. "
-        "`planrunner simulate --help` tells how to list them.",
+        "Effects by name, each with its parameters in their units; a parameter that is not given has its natural "
+        "size. `planrunner simulate --help` explains how to list them.",
         {"gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
     )
 

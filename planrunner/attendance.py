@@ -16,7 +16,8 @@ def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
         if segment.prompts and (mark := segment.marks["prompt"]) not in seen:
             seen.add(mark)
             message = (
-                f"the operator is asked before '{segment.label}' ({segment.prompts[0]}), and nobody is there to answer"
+                f"the operator is asked before '{segment.label}' ({segment.prompts[0]}), and no operator is present "
+                "to answer"
             )
             hint = "run it in a terminal without --unattended, or leave the prompt out"
             log.error("run-unattended", mark, message, hint)

@@ -135,7 +135,9 @@ def obstacles(reader: RunReader, sound: Sound, results: Results, shown: Certific
         log.error("report-certificate-incomplete", mark, message, "finish it with planrunner resume")
     for name, why in results.failures.items():
         message = f"'{name}' could not be made: {why}"
-        log.error("report-certificate-incomplete", mark, message, "take it out of the plan and run again, or mend it")
+        log.error(
+            "report-certificate-incomplete", mark, message, "remove it from the plan or correct it, and run again"
+        )
     return list(log)
 
 

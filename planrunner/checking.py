@@ -312,7 +312,7 @@ def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findin
         terms = ", ".join(judged.unidentifiable)
         where = f"rank {judged.rank} of {judged.columns}, {outputs}"
         message = f"'{name}' cannot identify {terms} on the planned segments ({where}){_because(judged)}"
-        log.error("physics-rank", mark, message, "add segments that tell these terms apart, or leave the terms out")
+        log.error("physics-rank", mark, message, "add segments that separate these terms, or leave the terms out")
     elif judged.condition > ILL_CONDITIONED:
         where = f"condition {judged.condition:.3g}, {outputs}"
         message = f"'{name}' is ill-conditioned on the planned segments ({where}){_because(judged)}"

@@ -48,7 +48,9 @@ def _try_estimates(sound: Sound, player: RecordingPlayer) -> None:
         recording = played(player, sound.schedule.segments)
     except InstrumentError as error:
         mark = Mark(player.parameters.file)
-        sound.findings.error("recording-unfit", mark, str(error), "correct the file, or what the bench file says of it")
+        sound.findings.error(
+            "recording-unfit", mark, str(error), "correct the file, or its description in the bench file"
+        )
         return
     results = analyse(estimates, (), recording, sound.models.site, sound.sensor, sound.setup)
     for name, message in results.failures.items():

@@ -125,7 +125,8 @@ class _Designer:
         self.fixed = self.sight.fixed.T @ self.sight.fixed if len(self.sight.fixed) else None
         if self.fixed is None and self.count < self.terms:
             raise EstimationError(
-                f"'{self.sight.name}' has {self.terms} terms and {self.count} positions: add positions to the plan first"
+                f"'{self.sight.name}' has {self.terms} terms and {self.count} positions: add positions to the plan "
+                "first"
             )
 
     def _find(self) -> tuple[tuple[Place, ...], Sight]:
@@ -179,7 +180,7 @@ class _Designer:
         how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
         if self.options.orientations not in found:
             raise EstimationError(
-                f"no {self.count} cardinal orientations tell all terms apart "
+                f"no {self.count} cardinal orientations separate all terms "
                 f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
             )
         best, limits = self._references(region, cardinal_rows, settings, found)
@@ -196,7 +197,8 @@ class _Designer:
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
             raise EstimationError(
-                f"no positions within this table's reach tell {blind} apart (rank {seen.rank} of {self.terms} over all of it): "
+                f"no positions within this table's reach tell {blind} apart (rank {seen.rank} of {self.terms} over "
+                "all of it): "
                 f"{rank.explain(seen.null, self.sight.terms)}; use a table with more axes or leave terms out"
             )
 
@@ -344,11 +346,12 @@ class _Designer:
         available = (self.options.time - spent) / each
         if available < 10 * self.count:
             raise EstimationError(
-                f"moving, settling and the other segments take {spent:.0f} s, which leaves too little of {self.options.time:.0f} s"
+                f"moving, settling and the other segments take {spent:.0f} s, which leaves too little of "
+                f"{self.options.time:.0f} s"
             )
         rows = self.sight.rows(np.array(chosen.attitudes))
         if not chosen.merit.sound:
-            raise EstimationError("dwells cannot make up for positions that do not tell all terms apart")
+            raise EstimationError("longer dwells cannot help if the positions do not separate all terms")
         shares = optimal.allocate(rows, self._weighting(self.options.criterion), fixed=self._per_observation())
         equal = self._merit(rows)
         allotted = merit(rows, self.region_rows, shares * self.count, self.sight.fixed)

@@ -277,7 +277,8 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
             found: RecordingParameters = entry.parameters
             return found
     message = (
-        f"the bench '{bench.name}' has no sensor with `driver: recording`, so it does not say what a file's columns are"
+        f"the bench '{bench.name}' has no sensor with `driver: recording`, so it does not assign the columns of a "
+        "file to channels"
     )
     hint = "name a bench that maps the recording's columns with --bench"
     raise InputError.at(Mark(plan), "recording-no-mapping", message, hint)

@@ -78,18 +78,20 @@ def words(found: Proposal, planned: bool) -> str:
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:
         said = (
-            f"{len(found.segments)} segments in {_duration(found.seconds)} would tell {rivals} apart: the true one is expected to have "
+            f"{len(found.segments)} segments in {_duration(found.seconds)} would separate {rivals}: the true one is "
+            "expected to have "
             f"P = {found.probability:.2f} among them, now {found.now:.2f}."
         )
         hours, reached = found.repeating
         said += f" Repeating the recorded segments takes {_duration(hours)} for P = {reached:.2f}."
     else:
-        said = f"No segment that this bench can do tells {rivals} apart."
+        said = f"No segment that this bench can execute separates {rivals}."
     if found.sensor:
         return f"{said} {found.sensor[0].upper()}{found.sensor[1:]} would."
     if not planned:
         return (
-            f"{said} Nor would an autocollimator, a level, accelerometers or a second triad of gyros beside the sensor."
+            f"{said} Nor would an autocollimator, a level, accelerometers or a second triad of gyros next to the "
+            "sensor."
         )
     return said
 
@@ -191,7 +193,7 @@ def _stated(text: str) -> list[StatedSegment]:
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:
         message = f"no plan can be proposed that could be run: {log.errors[0].message}"
-        hint = "the diagnosis stands; look at title, sensor and bench of the plan that was run, which a proposed one takes over"
+        hint = "the diagnosis is valid; check title, sensor and bench of the plan that was run, which a proposed plan inherits"
         raise InputError.at(Mark("<proposal>"), "gap-next-unsound", message, hint)
     return stated
 

@@ -111,5 +111,7 @@ def _amount(size: int) -> str:
 def _unreadable(error: Exception) -> RefusedFileError:
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
     return RefusedFileError(
-        "unreadable", f"the file cannot be read: {reason}", "check its permissions and that no other program holds it"
+        "unreadable",
+        f"the file cannot be read: {reason}",
+        "check its permissions, and that no other program has locked it",
     )

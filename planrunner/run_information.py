@@ -68,5 +68,5 @@ def _check(names: Collection[str], hint: str, given: Mapping[str, tuple[str, Mar
         elif len(value) > 500 or re.search(r"[\x00-\x1f\x7f]", value):
             log.error("run-info-value", mark, f"'{name}' must be one line of at most 500 characters", "shorten it")
         elif hidden := MISLEADING.search(value):
-            message = f"'{name}' holds the character U+{ord(hidden[0]):04X}, which is not seen and changes how the others read"
-            log.error("run-info-value", mark, message, "type it anew, without that character")
+            message = f"'{name}' holds the character U+{ord(hidden[0]):04X}, which is invisible and changes the reading order of the others"
+            log.error("run-info-value", mark, message, "type it again without that character")

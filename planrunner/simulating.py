@@ -87,7 +87,7 @@ def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
         hint = "use a bench whose sensor is a virtual_imu with outputs such as gyro_x and accel_x"
         raise InputError.at(Mark(sound.file), "simulate-sensor", message, hint)
     if any(driver_of(entry) is AddedEffects for entry in sound.bench.instruments.values()):
-        message = f"the bench '{sound.bench.name}' holds added effects already"
+        message = f"the bench '{sound.bench.name}' already has added effects"
         raise InputError.at(Mark(sound.file), "simulate-twice", message, "add to them in the bench file")
     observed = scheduled(sound.schedule.segments, sound.models.site, channels, sound.sensor.sample_rate)
     found: dict[str, Addition] = {}

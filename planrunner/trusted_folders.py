@@ -99,7 +99,7 @@ def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
     room = ctypes.create_unicode_buffer(260)
     shell = ctypes.windll.shell32  # type: ignore[attr-defined,unused-ignore]
     if shell.SHGetFolderPathW(None, number, None, 0, room) != 0 or not room.value:
-        raise OSError(f"the system does not say where its folder {number:#x} is")
+        raise OSError(f"the system does not give the path of its folder {number:#x} is")
     return Path(room.value)
 
 

@@ -129,7 +129,7 @@ def test_a_recording_without_rates_and_forces_is_refused(tmp_path):
 
 def test_one_segment_is_refused(tmp_path):
     laboratory(tmp_path, listed()[:1])
-    assert "error[gap-one-segment]: the recording holds only the segment 'P1'" in refused(tmp_path)
+    assert "error[gap-one-segment]: the recording contains only the segment 'P1'" in refused(tmp_path)
 
 
 def test_missing_numbers_are_left_out_and_remarked(tmp_path):
@@ -190,7 +190,7 @@ def test_a_channel_stuck_in_some_segments_is_remarked(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, gyro_x_deg_per_s=lambda values: np.clip(values, -30, 30))
     (said,) = look(tmp_path)
-    assert "warning[gap-saturated]: 'gyro_x' stands at one value throughout 'Rx+60', 'Rx-60'" in said
+    assert "warning[gap-saturated]: 'gyro_x' has the same value throughout 'Rx+60', 'Rx-60'" in said
 
 
 def test_means_in_place_of_samples_are_refused(tmp_path):
@@ -292,7 +292,7 @@ def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
 def test_too_few_segments_to_hold_any_out_are_remarked(tmp_path):
     laboratory(tmp_path, listed()[:3])
     said = look(tmp_path)
-    assert any("warning[gap-no-held-out]: 3 segments leave nothing to hold out beside" in text for text in said)
+    assert any("warning[gap-no-held-out]: 3 segments are too few to hold any out with" in text for text in said)
 
 
 def test_a_nominal_model_that_does_not_fit_at_all_is_refused(tmp_path):
@@ -349,7 +349,7 @@ def test_an_unknown_nominal_term_is_refused(tmp_path, capsys):
 def test_a_plan_alone_and_a_run_with_a_recording_are_wrong_arguments(tmp_path, capsys):
     laboratory(tmp_path)
     assert main(["diagnose", str(tmp_path / "plan.yaml")]) == WRONG_INPUT
-    assert "error[gap-arguments]: a plan alone holds nothing to diagnose" in capsys.readouterr().err
+    assert "error[gap-arguments]: a plan alone contains nothing to diagnose" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path), "--recording", "r.parquet"]) == WRONG_INPUT
     assert "--recording cannot be given for a run folder" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path)]) == WRONG_INPUT

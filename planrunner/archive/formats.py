@@ -99,7 +99,7 @@ def event_fault(event: Mapping[str, Any]) -> str | None:
     if fault is None:
         return None
     place, _, what = fault.partition(": ")
-    return f"is not as its schema says: {place.strip('/')}{': ' if place else ''}{what}"
+    return f"does not match its schema: {place.strip('/')}{': ' if place else ''}{what}"
 
 
 @lru_cache(maxsize=1)

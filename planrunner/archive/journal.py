@@ -84,8 +84,8 @@ class Journal:
         line = text.encode("utf-8", "backslashreplace")  # a lone surrogate becomes its JSON escape
         if len(line) >= MOST_LINE or size + len(line) >= MOST_BYTES or count >= MOST_EVENTS:
             raise OSError(
-                f"the journal takes lines of {MOST_LINE} bytes, {MOST_BYTES} bytes and {MOST_EVENTS} events at most: make the rest a "
-                "run of its own"
+                f"the journal takes lines of {MOST_LINE} bytes, {MOST_BYTES} bytes and {MOST_EVENTS} events at most: "
+                "record the rest in another run"
             )
         try:
             self._storage.write(self._file, line + b"\n")

@@ -160,7 +160,8 @@ class SegmentWriter:
         if count:
             if not (block.time[0] > self._last_time and (count == 1 or bool(np.all(np.diff(block.time) > 0)))):
                 raise InstrumentError(
-                    f"the sensor's time does not increase after {self._last_time:.6f} s: look at its clock, or at the recording"
+                    f"the sensor's time does not increase after {self._last_time:.6f} s: look at its clock, or at "
+                    "the recording"
                 )
             self._last_time = float(block.time[-1])
 
@@ -369,7 +370,7 @@ class SegmentData:
         if about.num_rows != part.rows or sum(group.num_rows for group in groups) != part.rows:
             raise self._foreign(f"it holds {about.num_rows} rows, the journal counts {part.rows}")
         if not 1 <= columns <= MOST_COLUMNS or len(set(schema.names)) != columns or "time" not in schema.names:
-            raise self._foreign("its columns are not time and channels, each of a name of its own")
+            raise self._foreign("its columns must be time and channels, with different names")
         if any(field.type != pa.float64() for field in schema) or about.num_columns != columns:
             raise self._foreign("not every column is of 64-bit floats")
         if part.rows > max(1, PART_BYTES // (8 * columns)):

@@ -182,7 +182,7 @@ def _read_analyses(found: Examined, standing: Recorded) -> None:
     found.analyses = tuple(read)
     known = set(map(str, numbers))
     for number in (number for number in range(1, len(numbers) + 1) if str(number) not in known):
-        found.error("run-analysis-chain", f"{path / str(number)}: this analysis is missing; later ones stand")
+        found.error("run-analysis-chain", f"{path / str(number)}: this analysis is missing, but later ones exist")
     for name, entry in entries.items():
         if name.isdecimal() and entry.kind != "folder":
             found.error("run-changed", f"{path / name}: it is {entry.what}, where a folder belongs")
@@ -251,7 +251,7 @@ def _check_seal(found: Examined, standing: Recorded) -> None:
         message = f"{again or ''}not sealed: its data may still grow, and what was taken away at its end does not show{torn or ''}"
         found.findings.warning("run-not-sealed", Mark(str(path)), message, "finish it with `planrunner resume`")
     elif found.scan.torn:
-        message = f"{path / JOURNAL}: behind the sealed events stand {found.scan.torn} bytes that are no event"
+        message = f"{path / JOURNAL}: behind the sealed events stand {found.scan.torn} bytes that do not form an event"
         found.error(
             "run-journal-torn", message, "take a segment again with `planrunner resume --retake`, which cuts them off"
         )
@@ -281,11 +281,13 @@ def _check_chain(found: Examined) -> None:
             if follows and analysis.digests["previous"] != (FIRST if before is None else before.digest):
                 found.error(
                     "run-analysis-chain",
-                    f"{path}: it does not carry the digest of the analysis before it: one of the two was changed or exchanged",
+                    f"{path}: it does not carry the digest of the analysis before it: one of the two was changed or "
+                    "exchanged",
                 )
             if found.scan.heads.get(basis.events) != basis.head:
                 message = (
-                    f"{path}: the analysis was made from another journal, or the journal was cut: it counted {basis.events} events, "
+                    f"{path}: the analysis was made from another journal, or the journal was cut: it counted "
+                    f"{basis.events} events, "
                     f"there are {found.scan.count}"
                 )
                 found.error("run-analysis-chain", message)

@@ -21,7 +21,9 @@ SOON = timedelta(days=30)  # from here on `check` reminds of a calibration that 
 class Calibration(Record):
     """Where figures come from and how long they hold."""
 
-    certificate: str = key(Text(LINE, "a certificate"), "Certificate or report that says so.", "RT-0042 / 2026-117")
+    certificate: str = key(
+        Text(LINE, "a certificate"), "Certificate or report that gives the figures.", "RT-0042 / 2026-117"
+    )
     date: str = key(
         Text(_DATE, "a date", "write for example 2026-03-01"), "Day of the calibration or survey.", "2026-03-01"
     )

@@ -51,7 +51,7 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
     }
     for name, entry in bench.instruments.items():
         if entry.calibration is None and stated.get(driver_of(entry).role):
-            message = f"'{name}' states uncertainties without a calibration, so budgets cannot say where they come from"
+            message = f"'{name}' states uncertainties without a calibration, so budgets cannot name their source"
             hint = "add calibration: {certificate: …, date: …}"
             log.note("bench-no-calibration", entry.origin.mark, message, hint)
 
@@ -64,7 +64,8 @@ def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
         return
     if 0 < u < TYPICAL_DEVIATION:
         message = (
-            f"latitude is stated to ± {u / ARCSEC:.3g} arcsec, but not whether it is astronomic or geodetic: they differ by the "
+            f"latitude is stated to ± {u / ARCSEC:.3g} arcsec, but not whether it is astronomic or geodetic: they "
+            "differ by the "
             f"deviation of the vertical, some {TYPICAL_DEVIATION / ARCSEC:.0f} arcsec, in mountains up to 60"
         )
         hint = "write `latitude_kind: astronomic`, or `latitude_kind: geodetic` and `deviation_of_vertical: {north: …}`, or widen the ±"

@@ -14,7 +14,7 @@ class Laboratory(Record):
     address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")
     location: str | None = key(
         Text(LINE, "a place"),
-        "Where the bench stands, if not at that address: another site, a customer's, a mobile facility.",
+        "Location of the bench, if not at that address: another site, a customer's site, a mobile facility.",
         "Building 7, basement",
         default=None,
     )
@@ -33,7 +33,7 @@ class Laboratory(Record):
     )
     authorised: tuple[str, ...] = key(
         ListOf(Text(LINE, "a name or role"), single=True),
-        "Who may authorise certificates; without it, whoever `issued_by` names.",
+        "Persons who may authorise certificates; by default any person that `issued_by` names.",
         ["head of laboratory", "deputy head of laboratory"],
         default_factory=tuple,
     )

@@ -56,14 +56,15 @@ class DeviationOfVertical(Record):
 
 
 class SiteSpec(Record):
-    """Where the bench stands."""
+    """Site of the bench."""
 
     latitude: Quantity = key(
-        QuantityOf("angle", uncertain=True), "Latitude, north positive; `latitude_kind` says which.", "39.98 deg"
+        QuantityOf("angle", uncertain=True), "Latitude, north positive; `latitude_kind` gives its kind.", "39.98 deg"
     )
     latitude_kind: str | None = key(
         Choice(("astronomic", "geodetic")),
-        "Which latitude that is: of the plumb line, as stars or gyros show it, or of the ellipsoid, as satellites and maps give it; "
+        "Which latitude that is: of the plumb line, as stars or gyros show it, or of the ellipsoid, as satellites "
+        "and maps give it; "
         "taken for both without it.",
         "geodetic",
         default=None,
@@ -121,7 +122,7 @@ def geodetic_latitude(site: SiteSpec) -> float:
 
 
 class AmbientSpec(Record):
-    """The room that the bench stands in."""
+    """The room of the bench."""
 
     temperature: Quantity | None = key(
         QuantityOf("temperature"), "Air temperature of the room.", "23 degC", default=None
@@ -178,7 +179,8 @@ class Bench(Record):
     description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", default="")
     clock: str | None = key(
         Choice(("virtual", "wall")),
-        "virtual: time is simulated and runs as fast as it can; wall: real time. Without it, virtual where the sensor plays back a "
+        "virtual: time is simulated and runs as fast as it can; wall: real time. Without it, virtual where the "
+        "sensor plays back a "
         "recording, else wall.",
         "virtual",
         default=None,
@@ -191,17 +193,17 @@ class Bench(Record):
     )
     simulation: Simulation | None = key(
         RecordOf(Simulation),
-        "What stands behind the bench's addresses under `planrunner simulate-bench`, whose clock a run then takes; a bench with real "
-        "instruments has none.",
+        "Simulated instruments at the addresses of this bench, for `planrunner simulate-bench`; a run then uses the "
+        "clock of the simulation. A bench with real instruments does not have this key.",
         {"bench": "virtual", "control": "127.0.0.1:9870"},
         default=None,
     )
     site: SiteSpec = key(
-        RecordOf(SiteSpec), "Where the bench stands.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
+        RecordOf(SiteSpec), "Site of the bench.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
     )
     seed: int = key(Number(0, 2**63 - 1, integer=True), "Seed of all that a simulated bench draws.", 20, default=0)
     ambient: AmbientSpec | None = key(
-        RecordOf(AmbientSpec), "The room that the bench stands in.", {"temperature": "23 degC"}, default=None
+        RecordOf(AmbientSpec), "The room of the bench.", {"temperature": "23 degC"}, default=None
     )
     instruments: dict[str, InstrumentEntry] = key(
         MapOf(INSTRUMENT, pattern=NAME),
@@ -216,7 +218,7 @@ class Bench(Record):
     )
     protection: Protection = key(
         PROTECTION,
-        "Limits of the bench, which its instruments hold by themselves where they can; plans may not ask beyond them.",
+        "Limits of the bench. Instruments that support such limits enforce them; plans may not exceed them.",
         {"rate": "320 deg/s", "hottest": "75 degC"},
         default_factory=Protection,
     )

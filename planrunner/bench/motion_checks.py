@@ -109,7 +109,8 @@ def _check_sampled(motion: Rock, sampled: float | None, mark: Mark, log: Finding
     alias = abs(motion.frequency - sampled * round(motion.frequency / sampled))
     what = f"as a motion of {alias:.4g} Hz" if alias > 1e-9 * sampled else "as a constant"
     message = (
-        f"rocking at {motion.frequency:g} Hz, sampled at {sampled:g} Hz, appears in the recording {what}: half the sample rate is "
+        f"rocking at {motion.frequency:g} Hz, sampled at {sampled:g} Hz, appears in the recording {what}: half the "
+        "sample rate is "
         f"{sampled / 2:g} Hz"
     )
     log.warning("physics-nyquist", mark, message, "rock more slowly, or sample faster")
@@ -133,7 +134,7 @@ def _spin(
     if state.roughly is not None and course.joint > state.roughly:
         # Where an axis points follows from the joints that carry it.
         carrier, axis = table.axes[state.roughly].name, table.axes[course.joint].name
-        message = f"the {axis} axis lies along that direction only if the {carrier} axis stands where the motion before it was to end"
+        message = f"the {axis} axis is along that direction only if the {carrier} axis is at the planned end of the previous motion"
         log.error("physics-rate-axis", mark, message, "give the segment an orientation, which the table takes first")
         return 0.0, state
     seconds = None if hold.dwell is None else hold.settle + hold.dwell

@@ -25,17 +25,19 @@ class Simulation(Record):
 
     bench: str = key(
         Text(),
-        "Virtual bench whose table, chamber and sensor stand behind this bench's addresses: a shipped name, or a file beside this one.",
+        "Virtual bench whose table, chamber and sensor are served at the addresses of this bench: a shipped name, or "
+        "a file in the same folder.",
         "virtual",
     )
     control: str = key(
         Text(LOOPBACK, "an address on loopback", "such as 127.0.0.1:9870"),
-        "Where the simulated bench tells its clock and takes faults.",
+        "Address at which the simulated bench reports its clock and accepts faults.",
         "127.0.0.1:9870",
     )
     framing: str = key(
         Choice(("words", "ascii")),
-        "How a simulated ACUTROL marks its replies over TCP: error code and length as two words, or as eight characters.",
+        "How a simulated ACUTROL marks its replies over TCP: error code and length as two words, or as eight "
+        "characters.",
         "ascii",
         default="words",
     )

@@ -29,8 +29,8 @@ ENDING = 120.0
 EVERY = 1.0
 """Seconds between two signs of life."""
 _GONE = (
-    "the watchdog process has ended, or made the bench safe after a silence: look whether the computer stood still or somebody ended it, "
-    "then resume the run"
+    "the watchdog process has ended, or made the bench safe after a silence: check whether the computer hung or "
+    "another user ended the process, then resume the run"
 )
 
 

@@ -37,10 +37,11 @@ COMMANDS = {
     "pause": "let a run wait, with its bench safe, before its next segment",
     "estimate": "estimate again from a recording, as a new analysis",
     "report": "write the reports of an analysis again",
-    "diagnose": "find what a recording holds beyond its simulation: where, which effect, how far the gap shrinks, what to measure next",
+    "diagnose": "find where a recording differs from its simulation, which effect explains it, how far the gap "
+    "shrinks, and what to measure next",
     "new": "list the shipped plans, or copy one to start from",
     "bench": "list benches and installed drivers, or ask whether the instruments of a bench answer",
-    "simulate-bench": "put simulated instruments behind a bench's addresses, and tell them to misbehave",
+    "simulate-bench": "serve simulated instruments at the addresses of a bench, and inject faults",
     "export": "export coefficients to CSV, MATLAB, YAML or a C header",
     "self-test": "check this installation against reference data with known answers",
 }

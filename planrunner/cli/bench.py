@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing.add_argument("--json", action="store_true", help="print them as JSON")
     pinging = actions.add_parser("ping", help="ask every instrument of a bench who it is; nothing moves")
     pinging.add_argument("bench", help="bench file, or the name of a shipped bench")
-    pinging.add_argument("--data", type=Path, metavar="DIR", help="folder that recordings lie beneath")
+    pinging.add_argument("--data", type=Path, metavar="DIR", help="folder that contains the recordings")
     pinging.add_argument("--json", action="store_true", help="print what they answer as JSON")
 
 

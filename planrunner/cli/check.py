@@ -19,12 +19,12 @@ from planrunner.reporting.words import duration
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plans", nargs="+", metavar="PLAN", help="plan files")
-    parser.add_argument("--bench", metavar="BENCH", help="hold the plans against this bench: a shipped name or a file")
+    parser.add_argument("--bench", metavar="BENCH", help="check the plans with this bench: a shipped name or a file")
     parser.add_argument(
         "--data",
         metavar="DIR",
         type=Path,
-        help="folder that recordings to play back lie beneath: look the recording over and try the estimates on it",
+        help="folder that contains the recordings to play back: look the recording over and try the estimates on it",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
@@ -72,7 +72,8 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
     for name, design in checked.designs.items():
         for judged in checked.judged[name]:
             lines.append(
-                f"  {name}, output {judged.output}: rank {judged.rank} of {judged.columns}, condition {judged.condition:.3g}"
+                f"  {name}, output {judged.output}: rank {judged.rank} of {judged.columns}, condition "
+                f"{judged.condition:.3g}"
             )
         if design.predicted:
             lines.append(f"  {name}: standard uncertainties to expect")

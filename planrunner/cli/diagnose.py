@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type=Path,
         default=[],
-        help="a later run of the same sensor, such as of a proposed plan, weighed together with it; several may be given",
+        help="a later run of the same sensor, such as of a proposed plan, weighed together with it; several may be "
+        "given",
     )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
@@ -40,13 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--next",
         metavar="FILE",
         type=Path,
-        help="write the plan that would settle what is left (default: beside the page, where there is one)",
+        help="write the plan that would resolve the remaining ambiguity (default: next to the page, if there is one)",
     )
     parser.add_argument(
         "--nominal",
         metavar="TERM",
         nargs="+",
-        help="what the simulation fits (default: as the plan says, or all); what is left out is a candidate like any effect",
+        help="terms that the simulation fits (default: those in the plan, or all); a term that is left out is a "
+        "candidate like any effect",
     )
     parser.add_argument(
         "--jobs",
@@ -112,14 +114,16 @@ def _recorded(args: argparse.Namespace) -> Recorded:
     if subject.is_dir():
         given = [f"--{name}" for name in ("bench", "recording", "segments") if getattr(args, name) is not None]
         if given:
-            message = f"{' and '.join(given)} cannot be given for a run folder, which holds its plan, bench and samples"
+            message = (
+                f"{' and '.join(given)} cannot be given for a run folder, which contains its plan, bench and samples"
+            )
             raise InputError.at(
                 Mark(str(subject)), "gap-arguments", message, "give the run folder alone, or a plan instead"
             )
         return recorded_run(subject)
     if args.recording is None:
         hint = "add --recording FILE, or give a run folder instead of the plan"
-        raise InputError.at(Mark(str(subject)), "gap-arguments", "a plan alone holds nothing to diagnose", hint)
+        raise InputError.at(Mark(str(subject)), "gap-arguments", "a plan alone contains nothing to diagnose", hint)
     return recorded_file(subject, args.bench, args.recording, args.segments)
 
 

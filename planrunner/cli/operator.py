@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 def add_attendance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--unattended", action="store_true", help="nobody is there: refuse a plan that asks the operator for something"
+        "--unattended", action="store_true", help="no operator is present: refuse a plan with operator prompts"
     )
 
 

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help="what a certificate says and the run did not record",
+        help="details for a certificate that the run did not record",
     )
     parser.add_argument("--info", metavar="FILE", type=Path, help="the same as a YAML file of name: value")
     parser.add_argument("--before", metavar="RUN", type=Path, help="run folder of the same item before its adjustment")

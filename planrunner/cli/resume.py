@@ -18,7 +18,7 @@ from planrunner.plan.findings import COMMAND_LINE, InputError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
-    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that recordings to play back lie beneath")
+    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
     parser.add_argument(
         "--retake",
         metavar="LABEL",

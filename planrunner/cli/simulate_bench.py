@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ready",
         metavar="FILE",
         type=Path,
-        help="write addresses and the token for --inject, --clear and --stop as JSON here when everything listens; with one of these: "
+        help="write addresses and the token for --inject, --clear and --stop as JSON here when everything listens; "
+        "with one of these: "
         "read the token here",
     )
     parser.add_argument("--seed", type=_seed, help="seed of all that is simulated (default: the virtual bench's own)")
@@ -92,7 +93,7 @@ def _token(ready: Path | None, control: str) -> str:
     """What proves to a running simulated bench that it is told by somebody who may: from its readiness file. Raises `InputError`."""
     start = "start the simulated bench with `--ready FILE`, and name the same file here"
     if ready is None:
-        message = "a running simulated bench is told nothing without the token of its readiness file"
+        message = "a running simulated bench accepts commands only with the token of its readiness file"
         raise InputError.at(COMMAND_LINE, "simulation-token", message, start)
     try:
         note = json.loads(read_regular(ready, _LONGEST_NOTE))

@@ -48,7 +48,7 @@ def choose(
         if reached < least:
             best, least = found, reached
     if best is None:
-        raise ValueError("no choice tells all terms apart")
+        raise ValueError("no choice separates all terms")
     return tuple(sorted((*kept, *best)))
 
 
@@ -81,7 +81,7 @@ def shares(
     count = len(bundles)
     part = np.full(count, 1.0 / count)
     if not math.isfinite(loss(fixed + np.tensordot(part, bundles, 1), criterion)):
-        raise ValueError("the candidates cannot tell all terms apart")
+        raise ValueError("the candidates cannot separate all terms")
     excess = math.inf
     for _ in range(most_steps):
         inverse = np.linalg.inv(fixed + np.tensordot(part, bundles, 1))

@@ -80,7 +80,7 @@ def solve(
     always = np.zeros((p, p)) if fixed is None else fixed
     plain = least == 0.0 and fixed is None
     if np.linalg.matrix_rank(information(rows) + always) < p:
-        raise ValueError("the candidates cannot tell all terms apart")
+        raise ValueError("the candidates cannot separate all terms")
     if not 0.0 <= least * count < 1.0:
         raise ValueError("the least shares add up to all that there is")
     free = np.full(count, 1.0 / count) if start is None else np.maximum(start, 1e-6 / count)

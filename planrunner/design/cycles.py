@@ -140,7 +140,7 @@ def free_order(
     """
     angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
     if len(angles) < 2:
-        raise CycleError("there is one position only: add positions that lie opposite each other")
+        raise CycleError("there is one position only: add positions opposite each other")
     if abs(sum(np.exp(1j * np.array(angles)))) > NOTHING * len(angles):
         shown = ", ".join(f"{math.degrees(angle):g}" for angle in angles)
         raise CycleError(f"the positions {shown} deg do not balance: add positions opposite to them")

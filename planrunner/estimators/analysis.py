@@ -66,7 +66,8 @@ def analyse(
             failures[name] = "; ".join(finding.message for finding in error.findings)
         except Exception as error:  # an estimator may come from anywhere
             failures[name] = (
-                f"the estimator '{spec.estimator}' failed unexpectedly ({type(error).__name__}: {error}); tell its author"
+                f"the estimator '{spec.estimator}' failed unexpectedly ({type(error).__name__}: {error}); report "
+                "this to its author"
             )
     verdicts: list[LimitVerdict] = []
     for limit in limits:

@@ -45,7 +45,8 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     if basis == "residual":
         raise EstimationError(f"{name}: {no_residual(fit.coefficients.shape[1])}; {MORE_SEGMENTS}")
     raise UnfitDataError(
-        f"{name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to take "
+        f"{name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise "
+        "to take "
         "an uncertainty from; write `uncertainty: residual` or give the output's resolution in the bench file"
     )
 
@@ -81,7 +82,8 @@ def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
     count, label = min(short, key=lambda one: one[0])
     others = f", and {len(short) - 1} more are as short" if len(short) > 1 else ""
     message = (
-        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is judged from the scatter of "
+        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is judged "
+        "from the scatter of "
         f"{BATCHES} batches of samples"
     )
     return (Remark("physics-few-samples", message, f"dwell for {BATCHES} samples at least, or sample faster"),)
@@ -104,7 +106,8 @@ def unlike_outputs(fit: OutputsFit) -> str:
     if 2 * fdtrc(fit.freedom, fit.freedom, ratio) >= SIGNIFICANCE:
         return ""
     return (
-        f"The residuals of {fit.outputs[high]} exceed its noise by more than those of {fit.outputs[low]} do (variance ratio {ratio:.3g}): "
+        f"The residuals of {fit.outputs[high]} exceed its noise by more than those of {fit.outputs[low]} do "
+        f"(variance ratio {ratio:.3g}): "
         "write `pool_outputs: false` so that each output's uncertainty rests on its own residuals."
     )
 
@@ -122,14 +125,15 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
             warnings.append(different)
     else:
         notes.append(
-            "Uncertainties rest on the noise within the segments and on what is stated; whatever else changes from segment to segment is "
+            "Uncertainties rest on the noise within the segments and on what is stated; whatever else changes from "
+            "segment to segment is "
             "not in them."
         )
     notes += _weights(fit, channels or fit.outputs)
     for found in compare(fit):
         text = (
-            f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the segments and what "
-            "is stated beside it"
+            f"{found.output}: residual variance is {found.ratio:.3g} times that expected from the noise within the "
+            "segments and the declared inputs"
         )
         if found.exceeds:
             consequence = (
@@ -146,13 +150,12 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
             notes.append(
-                f"{output}: {width:.3g} (standard deviation, in the output's unit) is added between segments to their own noise for the "
+                f"{output}: {width:.3g} (standard deviation, in the output's unit) is added between segments to "
+                "their own noise for the "
                 "weights, because that noise does not explain the residuals."
             )
         elif noise.weighting == "individual" and not np.ptp(own):
-            notes.append(
-                f"{output}: the noise differs between segments, but all have the same weight, as the plan says."
-            )
+            notes.append(f"{output}: the noise differs between segments, but the plan gives all the same weight.")
         elif noise.weighting == "individual":
             notes.append(f"{output}: the noise differs between segments, so each is weighted by its own.")
     return notes, warnings
@@ -163,11 +166,12 @@ def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[str]:
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)
-        notes.append(f"Weighted beside the noise: {', '.join(names)}.")
+        notes.append(f"Weighted in addition to the noise: {', '.join(names)}.")
     flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
     silent = [name for name in channels if f"bias instability {name}" not in flickering]
     if silent:
         notes.append(
-            f"No bias instability is declared for {', '.join(silent)}: the intervals hold for noise that is white from segment to segment."
+            f"No bias instability is declared for {', '.join(silent)}: the intervals are valid only if the noise is "
+            "white from segment to segment."
         )
     return notes

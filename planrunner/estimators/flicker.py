@@ -30,7 +30,8 @@ def drift_span() -> Quantity:
     """The key of estimators that report constants."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
-        "Span over which constants are meant to hold: with a declared bias instability, their uncertainty is that of the average "
+        "Time span for which constants are reported: with a declared bias instability, their uncertainty is that of "
+        "the average "
         "over this span around the test, or over the test where that is longer.",
         "24 h",
         default=SPAN,

@@ -45,7 +45,8 @@ def beyond_full_scale(request: DesignRequest, outputs: Sequence[str], shares: Ar
         most = int(np.nan_to_num(shown).argmax())
         if shown[most] > model.full_scale * (1 + _ROUNDING):
             message = (
-                f"'{name}' would show {shown[most]:.4g} {model.unit} in '{request.segments[most].label}', beyond its full scale of "
+                f"'{name}' would show {shown[most]:.4g} {model.unit} in '{request.segments[most].label}', beyond its "
+                "full scale of "
                 f"{model.full_scale:.4g} {model.unit}"
             )
             hint = f"turn at {math.degrees(model.full_scale / shown[most] * abs(rates[most])):.4g} deg/s at most"
@@ -68,7 +69,8 @@ def not_turned(request: DesignRequest, outputs: Sequence[str], shares: Array) ->
     nearest = max(sensing, key=lambda k: float(felt[k]))
     off = math.degrees(math.acos(min(1.0, float(felt[nearest]))))
     message = (
-        f"'{outputs[nearest]}' does not feel the planned rates: its input axis stands {off:.3g} deg from the rotation axis, so that the "
+        f"'{outputs[nearest]}' does not respond to the planned rates: its input axis is {off:.3g} deg from the "
+        "rotation axis, so that the "
         "slope is its misalignment, not its scale factor"
     )
     turned = _nearest_axis(request, moving[0])

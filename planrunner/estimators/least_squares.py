@@ -79,7 +79,7 @@ def fit(
     left, singular, rows = np.linalg.svd(triangle[:p, :p])
     if singular[-1] <= rank.TOLERANCE * singular[0]:
         null = rows[int(np.sum(singular > rank.TOLERANCE * singular[0])) :]
-        raise EstimationError(f"the segments cannot tell all terms: {rank.explain(null, names)}")
+        raise EstimationError(f"the segments cannot separate all terms: {rank.explain(null, names)}")
     solution = rows.T @ ((left.T @ triangle[:p, p]) / singular)
     inverse = rows.T / singular
     cofactor = (inverse @ inverse.T) / np.outer(scale, scale)

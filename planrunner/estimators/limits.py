@@ -95,7 +95,7 @@ def _global(
 def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficient:
     name, _, wanted = quantity.partition(".")
     if name not in estimates:
-        raise EstimationError(f"'{name}' gave no result to hold it against")
+        raise EstimationError(f"'{name}' gave no result to compare with the limit")
     try:
         return estimates[name][wanted]
     except KeyError:
@@ -127,9 +127,7 @@ def _in_unit(bound: Quantity, coefficient: Coefficient) -> float:
     try:
         own = unit(coefficient.unit)
     except UnknownUnitError:
-        raise EstimationError(
-            f"its unit '{coefficient.unit}' is not known, so no limit can be held against it"
-        ) from None
+        raise EstimationError(f"its unit '{coefficient.unit}' is not known, so no limit can be applied") from None
     if own.dimension != bound.unit.dimension:
         raise EstimationError(
             f"the limit is in {bound.unit.text}, the coefficient in {coefficient.unit}: write it in {coefficient.unit}"

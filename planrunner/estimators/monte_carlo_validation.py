@@ -103,21 +103,24 @@ def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_ord
 def _words(
     draws: int, stabilised: bool, first_order: bool, verdicts: Mapping[str, Sequence[str]]
 ) -> tuple[list[str], list[str]]:
-    notes = [f"{draws} Monte Carlo draws hold the intervals at 95 % against the stated distributions."]
+    notes = [f"{draws} Monte Carlo draws compare the intervals at 95 % with the declared distributions."]
     if not stabilised:
         notes.append(
-            "The draws had not stabilised to a fifth of the tolerance δ when the most that were asked for had been made."
+            "The draws had not stabilised to a fifth of the tolerance δ when the most that were asked for had been "
+            "made."
         )
     if first_order:
         notes.append("They go through this estimate's own sensitivities, so they do not test whether these are enough.")
     if undecided := ", ".join(verdicts["undecided"]):
         notes.append(
-            f"So many draws cannot decide on {undecided}: their ends scatter by more than is left to δ. Ask for more `draws`."
+            f"So many draws cannot decide on {undecided}: their ends scatter by more than is left to δ. Ask for more "
+            "`draws`."
         )
     warnings = []
     if names := ", ".join(verdicts["no"]):
         warnings.append(
-            f"Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. The table gives both; "
+            f"Monte Carlo does not validate the stated interval of {names}: its ends differ by more than δ. The "
+            "table gives both; "
             "the interval by Monte Carlo is the better one."
         )
     return notes, warnings

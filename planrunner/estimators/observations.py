@@ -76,7 +76,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
             )
         if statistics.count == 0:
             raise UnfitDataError(
-                f"segment '{recorded.label}' holds no usable samples: leave it out of `segments` or record it again"
+                f"segment '{recorded.label}' has no usable samples: leave it out of `segments` or record it again"
             )
         index = [statistics.of(channel) for channel in channels]
         mean[row] = statistics.mean[index]

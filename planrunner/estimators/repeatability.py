@@ -59,7 +59,8 @@ class RepeatabilityParameters(Record):
     )
     groups: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(Text("", "a name or a pattern"), minimum=1, single=True)),
-        "What belongs together, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, with * and ?.",
+        "What belongs together, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, "
+        "with * and ?.",
         {"monday": "monday*", "tuesday": ["tuesday*"]},
         default_factory=dict,
     )
@@ -186,7 +187,8 @@ def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: 
         raise EstimationError(f"the group '{empty[0]}' holds nothing: correct its patterns")
     if len(groups) < 2 or len(names) == len(groups):
         raise EstimationError(
-            "groups need to be two or more, and one of them needs two members, to tell within from between"
+            "give at least two groups, one of them with at least two members, to separate the scatter within groups "
+            "from that between them"
         )
     return number
 
@@ -201,7 +203,7 @@ def _channels(request: EstimateRequest, group: NDArray[np.int64]) -> list[Repeat
                 hint = closest(channel, statistics.channels)
                 raise EstimationError(f"segment '{recorded.label}' has no channel '{channel}': {hint}")
             if not statistics.count:
-                raise UnfitDataError(f"segment '{recorded.label}' holds no usable samples: leave it out of `segments`")
+                raise UnfitDataError(f"segment '{recorded.label}' has no usable samples: leave it out of `segments`")
             values.append(float(statistics.mean[statistics.of(channel)]))
             own.append(float(statistics.standard_error[statistics.of(channel)]))
             units.add(recorded.units[channel])
@@ -393,7 +395,7 @@ def _notes(one: Repeats, split: Variance) -> list[str]:
     found = []
     if math.isfinite(split.between):
         verdict = (
-            "groups differ" if split.probability < 0.05 else "no difference between groups is told from their scatter"
+            "groups differ" if split.probability < 0.05 else "no difference between the groups exceeds their scatter"
         )
         found.append(
             f"{one.name}: variance ratio F = {split.ratio:.3g} between and within groups (chance of one so large: "
@@ -402,8 +404,10 @@ def _notes(one: Repeats, split: Variance) -> list[str]:
     if np.isfinite(one.own).all() and (one.own > 0).all():
         own = math.sqrt(float(np.mean(one.own**2)))
         found.append(
-            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), beside a scatter of "
-            f"{math.sqrt(split.within):.3g}; what all repeats share, such as a fixture's angle, is in the former and not in the latter."
+            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), "
+            "beside a scatter of "
+            f"{math.sqrt(split.within):.3g}; what all repeats share, such as a fixture's angle, is in the former and "
+            "not in the latter."
         )
     return found
 

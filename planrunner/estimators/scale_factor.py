@@ -51,7 +51,7 @@ class ScaleFactorParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to fit, each by a line of its own.",
+        "Channels to fit, each with a separate line.",
         ["gyro_z"],
         default_factory=tuple,
     )
@@ -66,7 +66,8 @@ class ScaleFactorParameters(Record):
     )
     weights: str = key(
         Choice(("noise", "equal")),
-        "Weight each rate by the noise within it, so that an unsteady one counts less; or all alike, as in ordinary least squares.",
+        "Weight each rate by the noise within it, so that an unsteady rate has less weight; or give all rates the "
+        "same weight, as in ordinary least squares.",
         "noise",
         default="noise",
     )
@@ -127,7 +128,7 @@ class ScaleFactor:
         rates = _rates([recorded.segment for recorded in request.segments])
         if np.unique(rates).size < 2:
             raise EstimationError(
-                f"{request.name}: all segments have the same rate, so a line cannot be told from a constant"
+                f"{request.name}: all segments have the same rate, so a line cannot be distinguished from a constant"
             )
         matrix = np.column_stack([np.ones(len(rates)), rates])
         magnitudes = np.array([1.0, np.abs(rates).max()])
@@ -190,7 +191,8 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
     notes, warnings = judge(fit, basis)
     if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
         notes.append(
-            "All rates have one sign, so asymmetry cannot be told, and an offset that depends on the sense of rotation is in F0."
+            "All rates have one sign, so asymmetry cannot be determined, and an offset that depends on the sense of "
+            "rotation is in F0."
         )
     stated = _common(request, functionals, fit.coefficients[:, 1], rates)
     if not (stated or request.setup.inputs.get("table rate")):

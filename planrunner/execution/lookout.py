@@ -143,13 +143,14 @@ class Lookout:
         error = abs(values.get("position_error", 0.0))
         if limits.position_error is not None and error > limits.position_error:
             raise InstrumentError(
-                f"'{name}' follows with an error of {error:.3g} rad, more than the {limits.position_error:.3g} rad of the bench's "
-                "protection: look for what holds it or for a load out of balance"
+                f"'{name}' follows with an error of {error:.3g} rad, more than the {limits.position_error:.3g} rad "
+                "of the bench's protection: check for an obstruction or an unbalanced load"
             )
 
 
 def _beyond(name: str, what: str, kelvin: float, limit: float) -> str:
     return (
-        f"'{name}' reads {kelvin - ZERO_CELSIUS:.1f} degC, {what} than the {limit - ZERO_CELSIUS:.1f} degC of the bench's protection: "
+        f"'{name}' reads {kelvin - ZERO_CELSIUS:.1f} degC, {what} than the {limit - ZERO_CELSIUS:.1f} degC of the "
+        "bench's protection: "
         "look at the chamber and its setpoint"
     )

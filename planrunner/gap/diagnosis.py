@@ -119,9 +119,10 @@ class Diagnosis:
 def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     """Diagnose a recording. Raises `ObservationError` where it cannot be."""
     if len(observed) < FEWEST_SEGMENTS:
-        few = f"the recording has {len(observed)} segments; telling an effect from fitted parameters takes {FEWEST_SEGMENTS} or more"
+        few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
         hint = (
-            "cut long segments into several, in the plan and in the table of segments: what changes with time is then seen; effects of "
+            "cut long segments into several, in the plan and in the table of segments: what changes with time is "
+            "then seen; effects of "
             "orientation, rate or temperature take more of these"
         )
         raise ObservationError(few, hint)

@@ -52,7 +52,7 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
         triad = [
             Channel(f"second_accel_{axis}", "accel", i, "m/s^2", 1.0, ACCELEROMETER) for i, axis in enumerate("xyz")
         ]
-        found.append(_Instrument("three accelerometers of 50 µg/√Hz beside the gyros", tuple(triad)))
+        found.append(_Instrument("three accelerometers of 50 µg/√Hz in addition to the gyros", tuple(triad)))
     if gyros:
         second = tuple(replace(channel, name=f"second_{channel.name}") for channel in gyros)
         found.append(_Instrument("a second triad of gyros like these on the same table", second))

@@ -42,7 +42,9 @@ def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
         )
     moving = [item.label for item in recording if not isinstance(item.segment.motion, Rest)]
     if moving:
-        raise ObservationError(f"segment '{moving[0]}' moves in an unknown orientation: say how the sensor stood")
+        raise ObservationError(
+            f"segment '{moving[0]}' moves in an unknown orientation: give the orientation of the sensor"
+        )
     return True
 
 
@@ -65,7 +67,9 @@ def poses(
     triad = {channel.axis: channel for channel in found}
     if len(found) != 3 or len(triad) != 3:
         message = f"orientations are unknown, and of the accelerometers {len(found)} are recorded"
-        raise ObservationError(f"{message}: a pose says something by |f| = g alone, which takes all of x, y and z")
+        raise ObservationError(
+            f"{message}: a pose gives information only through |f| = g, which needs all of x, y and z"
+        )
     names = [triad[axis].name for axis in range(3)]
     factors = np.array([triad[axis].factor for axis in range(3)])
     size = sizes(recording)
@@ -126,7 +130,8 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
         if np.abs(columns @ step).max() < 1e-9 * gravity:
             return unit
     raise ObservationError(
-        "the poses' readings lie near no sphere of radius g: look at the unit of the channels, and whether the sensor was still"
+        "the readings of the poses are not near a sphere of radius g: check the unit of the channels, and whether "
+        "the sensor was still"
     )
 
 

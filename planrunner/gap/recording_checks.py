@@ -43,9 +43,11 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
     mark = Mark(where)
     if len(recording) < 2:
         held = (
-            f"the recording holds only the segment '{recording[0].label}'" if recording else "no segment was recorded"
+            f"the recording contains only the segment '{recording[0].label}'"
+            if recording
+            else "no segment was recorded"
         )
-        hint = "record at least two states: one alone tells neither nominal parameters nor effects apart"
+        hint = "record at least two states: a single state separates neither nominal parameters nor effects"
         log.error("gap-one-segment", mark, held, hint)
         return
     _check_overlaps(recording, mark, log)
@@ -70,7 +72,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         design = np.column_stack([stimulus, np.ones(len(stimulus))])
         rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
         if len(observed) <= rank:
-            message = f"{len(observed)} segments leave nothing to hold out beside {rank} nominal parameters a channel of {word}"
+            message = f"{len(observed)} segments are too few to hold any out with {rank} nominal parameters a channel of {word}"
             log.warning("gap-no-held-out", mark, message, "add segments in other states: no closure can be given")
         means = _means(observed, observed.values[:, channels])
         fitted = np.linalg.lstsq(design, means, rcond=None)[0]
@@ -121,7 +123,7 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
         message = f"at rest the accelerometers read {ratio:.3g} times gravity"
         log.error("gap-nominal-misfit", mark, message, "look at the channels' units and signs in the bench file")
     if len(observed) <= POSE_PARAMETERS:
-        message = f"{len(observed)} poses leave nothing to hold out beside {POSE_PARAMETERS} nominal parameters"
+        message = f"{len(observed)} poses are too few to hold any out with {POSE_PARAMETERS} nominal parameters"
         log.warning("gap-no-held-out", mark, message, "add poses in other orientations: no closure can be given")
 
 
@@ -213,12 +215,14 @@ def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mar
         if any(reached):
             where = _named([label for label, one in zip(labels, reached, strict=True) if one])
             message = f"'{name}' reaches its full scale of {output.full_scale:g} {text} in {where}"
-            hint = "clipped samples look like an effect of their own: lower the rates"
+            hint = "clipped samples look like an effect: lower the rates"
             log.warning("gap-saturated", mark, message, hint)
         elif any(standing):
             where = _named([label for label, one in zip(labels, standing, strict=True) if one])
-            message = f"'{name}' stands at one value throughout {where}"
-            hint = "it is stuck or clipped there, which looks like an effect of its own: look at the sensor, or leave the segment out"
+            message = f"'{name}' has the same value throughout {where}"
+            hint = (
+                "it is stuck or clipped there, which looks like an effect: check the sensor, or leave the segment out"
+            )
             log.warning("gap-saturated", mark, message, hint)
 
 

@@ -1,4 +1,4 @@
-"""From a posterior to a verdict: none, one effect, a pair, unknown, or a class that this plan cannot tell apart."""
+"""From a posterior to a verdict: none, one effect, a pair, unknown, or a class that this plan cannot distinguish apart."""
 
 from __future__ import annotations
 

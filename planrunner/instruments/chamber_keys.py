@@ -35,7 +35,7 @@ class ChamberKeys(Record):
     )
     temperature_uncertainty: Quantity = key(
         QuantityOf("temperature", "not negative"),
-        "Declared standard uncertainty of the air's temperature, beside the tolerance.",
+        "Declared standard uncertainty of the air temperature, in addition to the tolerance.",
         "0.1 K",
         default=parse_quantity("0 K"),
     )

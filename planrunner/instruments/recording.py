@@ -92,9 +92,7 @@ class RecordingPlayer:
                 table, stated.table, (stated.label, stated.start, stated.end), SECONDS[stated.unit], stated.trim.value
             )
         if stated is not None and parameters.pauses is not None:
-            raise InstrumentError(
-                "`segments` and `pauses` both say where the recording's segments lie: keep one of them"
-            )
+            raise InstrumentError("`segments` and `pauses` both define the segments of the recording: keep one of them")
         parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value)
         return cls(parameters, file, spans, clock, piece, parted)
 
@@ -117,7 +115,9 @@ class RecordingPlayer:
         try:
             scan(self.file, name, self.parameters.sample_rate.value, self._wanted(segments, log), log, progress)
         except InstrumentError as error:
-            log.error("recording-unfit", Mark(name), str(error), "correct the file, or what the bench file says of it")
+            log.error(
+                "recording-unfit", Mark(name), str(error), "correct the file, or its description in the bench file"
+            )
 
     def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
         """The stretches of the segments that the recording has; what is wrong with the others goes into `log`."""
@@ -127,7 +127,8 @@ class RecordingPlayer:
                 parts = zip(segments, self.parted, strict=True)
                 return [Wanted(one.label, span, one.dwell, Mark(name)) for one, span in parts]
             message = (
-                f"{name} holds {len(self.parted)} stretches parted by pauses, and the plan has {len(labels)} segments"
+                f"{name} holds {len(self.parted)} stretches separated by pauses, and the plan has {len(labels)} "
+                "segments"
             )
             hint = "look at `pauses` in the bench file and at the plan's segments"
             log.error("recording-labels", Mark(name), message, hint)
@@ -214,7 +215,8 @@ class RecordingPlayer:
 
     def _one_stretch(self, served: str | None, label: str) -> InstrumentError:
         return InstrumentError(
-            f"{self.parameters.file} has no table of segments and so holds one, which is played back as '{served}'; "
+            f"{self.parameters.file} has no table of segments and is therefore a single segment, which is played "
+            f"back as '{served}'; "
             f"'{label}' needs `segments: {{table: …}}` in the bench file"
         )
 

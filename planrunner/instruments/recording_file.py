@@ -41,7 +41,7 @@ Rows = Iterator[tuple[Array, dict[str, Array]]]
 def beneath(root: Path | None, name: str) -> Path:
     """The file `name` beneath the data root. Raises `InstrumentError` for whatever lies, or leads, outside it."""
     if root is None:
-        raise InstrumentError(f"'{name}' lies beneath a data root, and none is given; add --data FOLDER")
+        raise InstrumentError(f"'{name}' is relative to a data folder, and none is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
     rooted = posix.is_absolute() or windows.is_absolute() or windows.drive or windows.root
     if rooted or ".." in posix.parts or ".." in windows.parts:
@@ -151,8 +151,8 @@ def at_hand(file: RecordingFile) -> RecordingFile:
 def _column_hint(column: str, known: list[str]) -> str:
     if known and all(name and _is_number(name) for name in known):
         return (
-            "it has no header: its first line holds numbers. Write the names of the columns into a line above it, "
-            "with commas in between, and use them under `time` and `channels` of the bench file"
+            "it has no header: its first line contains numbers. Add a line above it with the names of the columns, "
+            "separated by commas, and use them under `time` and `channels` of the bench file"
         )
     separators = {";": "semicolons", "\t": "tabs", "|": "bars"}
     for separator, word in separators.items():
@@ -218,7 +218,7 @@ class _File:
         try:
             values = batch.column(column).cast(pa.float64())
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-            message = f"column '{column}' holds something that is not a number, in rows {first} to {first + batch.num_rows - 1}"
+            message = f"column '{column}' contains a value that is not a number, in rows {first} to {first + batch.num_rows - 1}"
             raise InstrumentError(f"{self.name}: {message}") from None
         numbers: Array = values.to_numpy(zero_copy_only=False)
         return numbers

@@ -35,13 +35,14 @@ class UnitText:
 
 
 class TimeColumn(Record):
-    """The column that holds time."""
+    """The time column."""
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column.", "time_s")
     unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
     power_on: Quantity | None = key(
         QuantityOf("time"),
-        "When the sensor was switched on, in the column's own time; time then counts from there, else from the first row.",
+        "When the sensor was switched on, in the column's own time; time then counts from there, else from the first "
+        "row.",
         "0 s",
         default=None,
     )
@@ -172,7 +173,7 @@ class RecordingParameters(Record):
         "jig/staircase.parquet",
     )
     kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")
-    time: TimeColumn = key(RecordOf(TimeColumn), "The column that holds time.", {"column": "time_s", "unit": "s"})
+    time: TimeColumn = key(RecordOf(TimeColumn), "The time column.", {"column": "time_s", "unit": "s"})
     channels: dict[str, ChannelColumn] = key(
         MapOf(ChannelKind(), pattern=NAME),
         "Channel name → column of the file.",
@@ -180,13 +181,14 @@ class RecordingParameters(Record):
     )
     segments: SegmentColumns | None = key(
         RecordOf(SegmentColumns),
-        "Where the segments lie; without it the whole recording is one segment.",
+        "Table of the segments; without it the whole recording is one segment.",
         {"table": "jig/stops.csv", "trim": "2 s"},
         default=None,
     )
     pauses: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "In place of a table: longer steps in time part the recording into segments, which are the plan's in its order.",
+        "In place of a table: longer steps in time part the recording into segments, which are the plan's in its "
+        "order.",
         "10 s",
         default=None,
     )

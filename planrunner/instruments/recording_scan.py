@@ -191,7 +191,7 @@ def _on_missing(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings
         return
     counts = ", ".join(f"'{channel}' {count} of {found.rows}" for channel, count in lacking.items())
     used = sum(seen.rows - seen.complete for seen in found.seen)
-    message = f"{name}: numbers are missing in {counts} rows; {used} of them lie in segments and are left out"
+    message = f"{name}: numbers are missing in {counts} rows; {used} of them are in segments and are left out"
     log.warning("recording-missing", Mark(name), message, "look at the logger; few missing rows do no harm")
 
 

@@ -51,12 +51,12 @@ def read_segment_table(path: Path, name: str, columns: tuple[str, str, str], sca
         for row in reader:
             label, span = _row(row, columns, f"{name}, line {reader.line_num}", scale, trim)
             if label in spans:
-                raise InstrumentError(f"{name}, line {reader.line_num}: the label '{label}' stands twice")
+                raise InstrumentError(f"{name}, line {reader.line_num}: the label '{label}' appears twice")
             spans[label], lines[label] = span, reader.line_num
     except csv.Error as error:
         raise InstrumentError(f"{name}, line {reader.line_num}: not readable as CSV: {error}") from None
     if not spans:
-        raise InstrumentError(f"{name} holds no segments")
+        raise InstrumentError(f"{name} contains no segments")
     return SegmentTable(name, spans, lines)
 
 

@@ -18,7 +18,7 @@ class AxisSpec(Record):
 
     name: str = key(Text(r"[^\x00-\x1f]{1,40}", "a name"), "Name of the axis.", "outer")
     direction: str = key(
-        Choice(tuple(DIRECTIONS)), "Where the axis points when all joints stand at zero and the azimuth is zero.", "up"
+        Choice(tuple(DIRECTIONS)), "Direction of the axis when all joints are at zero and the azimuth is zero.", "up"
     )
     max_rate: Quantity = key(QuantityOf("angular rate", "positive"), "Highest rate.", "400 deg/s")
     max_acceleration: Quantity = key(
@@ -65,7 +65,7 @@ class AxesKind:
         for index, spec in enumerate(specs):
             if spec.name in names[:index]:
                 message = f"two axes are called '{spec.name}'"
-                log.error("meaning-table-axes", spec.at("name"), message, "give each a name of its own")
+                log.error("meaning-table-axes", spec.at("name"), message, "give each a different name")
         try:
             check_geometry([spec.axis() for spec in specs])
         except Unreachable as error:

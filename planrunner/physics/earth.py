@@ -15,7 +15,7 @@ EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.04106
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where the bench stands. latitude, azimuth: rad; gravity: m/s^2.
+    """Site of the bench. latitude, azimuth: rad; gravity: m/s^2.
 
     latitude: astronomic, of the plumb line: at rest an accelerometer shows the plumb line, so the angle between the Earth's axis and what
     stands level follows from it. geodetic_latitude: rad, of the ellipsoid, for positions; None where it is taken for the same. They differ

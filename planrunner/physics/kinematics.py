@@ -172,7 +172,7 @@ def spin_axis(
         f"'{axis.name}' stands {math.degrees(math.acos(min(1.0, abs(float(c))))):.4g} deg from it"
         for axis, c in zip(axes, cosines, strict=True)
     ]
-    raise Unreachable("no axis lies along that direction now: " + ", ".join(off))
+    raise Unreachable("no axis is along that direction now: " + ", ".join(off))
 
 
 def check_geometry(axes: Sequence[TableAxis]) -> None:

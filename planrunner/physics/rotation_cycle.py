@@ -28,7 +28,7 @@ NOTHING = 1e-6  # of a period: a part per million of an error that is known to s
 
 @dataclass(frozen=True)
 class RotationCycle:
-    """turns: rad, one a move, positive about the axis; before each the axis stands still for `stop` s. rate: rad/s, above zero;
+    """turns: rad, one a move, positive about the axis; before each the axis is at rest for `stop` s. rate: rad/s, above zero;
     acceleration: rad/s^2, infinite for turns without ramps. Raises `ValueError` for a cycle that takes no time."""
 
     turns: tuple[float, ...]

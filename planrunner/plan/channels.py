@@ -22,7 +22,7 @@ def check_channels(parameters: Record, outputs: Collection[str] | None, log: Fin
         given = key in parameters.origin.keys
         mark = parameters.at(place)
         if channel in seen:
-            hint = "give each axis, and each purpose, a channel of its own"
+            hint = "give each axis and each purpose a different channel"
             log.error("meaning-channel-twice", mark, f"'{channel[:60]}' is named twice", hint)
         elif given and outputs is not None and channel not in outputs:
             message = f"{key}: the sensor of this bench has no output '{channel[:60]}'"

@@ -73,7 +73,8 @@ class Watch(Tolerated):
     )
     retakes: int = key(
         Number(0, 10, integer=True),
-        "How often a segment that passes a limit is taken again before the run stops; its data are kept, with the reason.",
+        "How often a segment that passes a limit is taken again before the run stops; its data are kept, with the "
+        "reason.",
         2,
         default=0,
     )
@@ -90,7 +91,7 @@ def _check_stability(stability: Stability, log: Findings) -> None:
     _check_difference(stability, log)
     if not stability.stated():
         hint = "add for example `temperature_drift: 0.1 K/min`, or write a time alone"
-        log.error("meaning-stability", stability.origin.mark, "nothing is said of what must have settled", hint)
+        log.error("meaning-stability", stability.origin.mark, "no reading is named that must settle", hint)
     if stability.within.value < stability.for_.value:
         message = f"{stability.within} is shorter than the {stability.for_} for which the readings must stay"
         log.error("meaning-stability", stability.at("within"), message, "make `within` longer")

@@ -58,7 +58,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
         if other in spec.uses[:index]:
             log.error("meaning-estimate-twice", at, f"'{name}' uses '{other}' twice", "name each estimate once")
         elif other == name:
-            log.error("meaning-estimate-order", at, f"'{name}' uses itself", "name an estimate that stands above it")
+            log.error("meaning-estimate-order", at, f"'{name}' uses itself", "name an estimate that precedes it")
         elif name in names and names.index(other) > names.index(name):
             message = f"'{name}' uses '{other}', which is not estimated before it"
             log.error("meaning-estimate-order", at, message, f"put '{other}' above '{name}'")

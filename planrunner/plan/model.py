@@ -117,7 +117,7 @@ class EstimateSpec(Record):
     )
     validate: str | MonteCarloSpec | None = key(
         WordOr(("monte_carlo",), RecordOf(MonteCarloSpec)),
-        "Hold the stated intervals against Monte Carlo draws (JCGM 101).",
+        "Compare the reported intervals with Monte Carlo draws (JCGM 101).",
         "monte_carlo",
         default=None,
     )
@@ -180,7 +180,8 @@ class Limit(Record):
     )
     prior: Quantity | None = key(
         QuantityOf(None, uncertain=True),
-        "What is known of the quantity over the items that are tested, as mean ± standard deviation: gives the rule's global risks.",
+        "What is known of the quantity over the items that are tested, as mean ± standard deviation: gives the "
+        "rule's global risks.",
         "0.1 deg/h ± 0.2 deg/h",
         default=None,
     )
@@ -218,7 +219,7 @@ class Plan(Record):
     planrunner: int = key(Number(1, 1, integer=True), "Version of the plan language.", 1, fallback=1)
     title: str = key(
         Text(r"[^\x00-\x1f]{1,200}", "a title"),
-        "One line that says what the test is.",
+        "One line that describes the test.",
         "Eight-position calibration",
         fallback="",
     )
@@ -242,7 +243,7 @@ class Plan(Record):
     )
     mounting: dict[str, MountedAxis] = key(
         MapOf(RecordOf(MountedAxis), pattern=NAME),
-        "How each input axis stands in a tilted fixture.",
+        "Direction of each input axis in a tilted fixture.",
         {"x": {"angle": "54.7356 deg ± 20 arcsec", "azimuth": "0 deg"}},
         default_factory=dict,
     )
@@ -268,13 +269,15 @@ class Plan(Record):
     )
     diagnosis: DiagnosisSpec | None = key(
         RecordOf(DiagnosisSpec),
-        "How `planrunner diagnose` looks at a recording of this plan; all segments and a full nominal model without it.",
+        "How `planrunner diagnose` looks at a recording of this plan; all segments and a full nominal model without "
+        "it.",
         {"nominal": ["accel_bias", "accel_misalignment"]},
         default=None,
     )
     report: tuple[str, ...] = key(
         ListOf(Text(FILE_NAME, "a file name")),
-        "Reports to write: names of templates, without their .j2 ending; certificate.zh.html is certificate.html in Chinese.",
+        "Reports to write: names of templates, without their .j2 ending; certificate.zh.html is certificate.html in "
+        "Chinese.",
         ["report.html", "summary.md"],
         default=("report.html", "summary.md"),
     )

@@ -50,14 +50,15 @@ class Motion(Record):
     )
     for_: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Rock at full amplitude for this part of the dwell only, then stand still.",
+        "Rock at full amplitude for this part of the dwell only, then rest.",
         "8 min",
         default=None,
         name="for",
     )
     after: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Stand still for this part of the dwell, then begin to rock; without it, the rocking begins before the dwell, by one period.",
+        "Rest for this part of the dwell, then begin to rock; by default the rocking begins one period before the "
+        "dwell.",
         "60 s",
         default=None,
     )

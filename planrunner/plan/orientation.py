@@ -148,7 +148,8 @@ class OrientationKind:
             "type": "object",
             "properties": {
                 "quaternion": {
-                    "description": "[w, x, y, z] of the rotation from site (ENU) to sensor components; need not be normalised.",
+                    "description": "[w, x, y, z] of the rotation from site (ENU) to sensor components; need not be "
+                    "normalised.",
                     "examples": [[1, 0, 0, 0]],
                     "type": "array",
                     "minItems": 4,
@@ -198,7 +199,7 @@ def _read_words(node: Mapping, log: Findings) -> Orientation | None:
             words = ", ".join(f"{axis} {_pointing(given[axis])}" for axis in (first, second))
             message = f"{first} and {second} {shown} ({words})"
             at = next(item.mark for key, item in node.entries if key.text == second)
-            log.error("meaning-orientation", at, message, "the three axes stand at right angles to each other")
+            log.error("meaning-orientation", at, message, "the three axes must be at right angles to each other")
             return None
     return _right_handed(given, node, log)
 

@@ -295,7 +295,8 @@ RICH_KEYS = {
     "value": ("The value with its unit.", "54.7356 deg"),
     "standard_uncertainty": ("Standard uncertainty of the value.", "20 arcsec"),
     "half_width": (
-        "Half-width of the interval that surely holds the value; 'distribution' says what lies between.",
+        "Half-width of the interval that certainly contains the value; 'distribution' gives the distribution within "
+        "it.",
         "30 arcsec",
     ),
     "distribution": (

@@ -37,16 +37,16 @@ from planrunner.plan.sweep import SWEPT, ForEachKind
 _HEAD = """\
 # Every key of a plan
 
-Written from the records that read plans (`python -m planrunner.plan.reference docs`); do not edit. What the keys are for, with whole
-examples, is told in [plan-language.md](plan-language.md). A key in **bold** must be given.
+Written from the records that read plans (`python -m planrunner.plan.reference docs`); do not edit.
+[plan-language.md](plan-language.md) explains the keys with complete examples. A key in **bold** is required.
 """
 
 _SECTIONS: tuple[tuple[str, str, Any], ...] = (
     ("A plan", "The top of the file.", model.Plan),
     ("`sensor`", "", model.Sensor),
     ("`mounting`: each axis", "", model.MountedAxis),
-    ("A state", "What `defaults` and every segment may say.", model.State),
-    ("A segment", "Beside the keys of a state.", model.SegmentSpec),
+    ("A state", "Keys of `defaults` and of every segment.", model.State),
+    ("A segment", "In addition to the keys of a state.", model.SegmentSpec),
     ("`motion`", "", model.Motion),
     ("`motion`: `rock`", "", model.RockSpec),
     ("`temperature`: a ramp", "", model.Ramp),
@@ -74,9 +74,7 @@ def keys_reference() -> str:
         plugin = plugins.load(plugins.ESTIMATORS, name)
         fields = keys_of(plugin.Parameters)
         about = str(plugin.summary).rstrip(".") + "."
-        parts.append(
-            _section(f"Estimator `{name}`", about if fields else f"{about} It has no keys of its own.", fields)
-        )
+        parts.append(_section(f"Estimator `{name}`", about if fields else f"{about} It has no further keys.", fields))
     return "\n".join(parts)
 
 
@@ -88,7 +86,8 @@ def _section(title: str, about: str, fields: Mapping[str, dataclasses.Field[Any]
         shown = f"**`{name}`**" if is_required(item) else f"`{name}`"
         meta = item.metadata
         lines.append(
-            f"| {shown} | {_cell(type_words(meta['kind']))} | {_cell(meta['description'])} | `{_cell(inline(meta['example']))}` |"
+            f"| {shown} | {_cell(type_words(meta['kind']))} | {_cell(meta['description'])} | "
+            f"`{_cell(inline(meta['example']))}` |"
         )
     return "\n".join(lines) + "\n"
 

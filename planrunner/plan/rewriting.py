@@ -130,7 +130,7 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
             spans.append((begin, begin + len(text[begin:end].rstrip()), joint.join(lines)))
     if left:
         raise RewriteError(
-            f"line {min(left)[0]}: a dwell of its own cannot be written here; write the positions as "
+            f"line {min(left)[0]}: a separate dwell cannot be written here; write the positions as "
             "`- for_each: {orientation: {P1: …, P2: …}}` with nothing else in that entry"
         )
     for begin, end, new in sorted(spans, reverse=True):

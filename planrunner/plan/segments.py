@@ -140,20 +140,21 @@ class SegmentSpec(State):
 
     label: str | None = key(
         Text(r"[^\x00-\x1f]{1,80}", "a label"),
-        "Name of the segment; {rate}, {temperature} … stand for the swept value.",
+        "Name of the segment; {rate}, {temperature} … are replaced by the swept value.",
         "start-zero",
         default=None,
     )
     prompt: str | None = key(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
-        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state meanwhile.",
+        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state "
+        "meanwhile.",
         "Turn the fixture to face {orientation}, then leave the table",
         default=None,
     )
     conditioning: bool = key(
         Boolean(),
-        "Whether the segment, with all its steps, only brings the sensor to a state, as a warm-up or a pause without power does: it is "
-        "recorded, and no warning says that no estimate uses it.",
+        "Whether the segment, with all its steps, only brings the sensor to a state, such as a warm-up or a pause "
+        "without power. It is recorded, and there is no warning if no estimate uses it.",
         True,
         default=False,
     )

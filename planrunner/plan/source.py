@@ -144,7 +144,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
             Mark(file), "file-empty", "the file is empty", "start from a plan that `planrunner new` copies"
         )
     if not isinstance(builder.root, Mapping):
-        message = "the file must hold keys and values, `key: value` on each line"
+        message = "the file must contain keys and values, `key: value` on each line"
         raise InputError.at(builder.root.mark, "form-type", message, "start with `planrunner: 1`")
     if log is not None:
         log.extend(builder.findings.items)
@@ -166,8 +166,10 @@ def _mark_at(text: str, position: int, file: str) -> Mark:
 
 # libyaml's words, and what a reader who has never heard of tokens needs to know instead.
 _PLAIN_WORDS = {
-    "mapping values are not allowed in this context": "a ':' stands where no key can be: a text that holds ': ' needs quotes",
-    "did not find expected key": "a key is expected here: this line is indented unlike its neighbours, or a quote or bracket is open",
+    "mapping values are not allowed in this context": "a ':' is at a place where no key can be: a text that contains "
+    "': ' needs quotes",
+    "did not find expected key": "a key is expected here: this line is indented unlike its neighbours, or a quote or "
+    "bracket is open",
     "could not find expected ':'": "a ':' is missing after this key",
     "did not find expected ',' or ']'": "a list opened with '[' is not closed: ',' or ']' is missing",
     "did not find expected ',' or '}'": "a mapping opened with '{' is not closed: ',' or '}' is missing",
@@ -176,7 +178,8 @@ _PLAIN_WORDS = {
     "did not find expected node content": "a value is missing here",
     "found character that cannot start any token": "this character cannot begin a value: put the text in quotes",
     "did not find expected <document start>": "text follows after the end of the content",
-    "block sequence entries are not allowed in this context": "a list entry '- ' cannot begin here: put it on a line of its own",
+    "block sequence entries are not allowed in this context": "a list entry '- ' cannot begin here: put it on a "
+    "separate line",
 }
 
 

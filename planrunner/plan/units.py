@@ -261,7 +261,7 @@ def suggestion(text: str, dimension: Dimension | None = None) -> str:
         return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"
     for known in (*_DAILY, "kHz", "Pa", "kPa", "hPa", "V", "mV", "degF"):
         if known.lower() == text.strip().lower():
-            return f"units tell capitals from small letters: did you mean '{known}'?"
+            return f"units are case-sensitive: did you mean '{known}'?"
     near = nearest(text.strip(), [name for name, one in _DAILY.items() if dimension in (None, one.dimension)])
     return "" if near is None else f"did you mean '{near}'?"
 

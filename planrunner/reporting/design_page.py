@@ -118,7 +118,7 @@ def _criteria(context: DesignContext) -> Table:
     for domain, title in (("cardinal", "no cardinal set passes"), ("free", "no set passes")):
         if domain in context.bounds:
             rows.append((title, f"{p} of {p}", *_figures(context.bounds[domain]), "–"))
-    return Table("What the positions tell", columns, tuple(rows))
+    return Table("Information from the positions", columns, tuple(rows))
 
 
 def _figures(merit: Merit) -> tuple[str, ...]:
@@ -194,34 +194,39 @@ def notes(context: DesignContext) -> list[str]:
     said = list(context.notes)
     if not planned.merit.sound:
         said.append(
-            f"The planned positions have rank {planned.merit.rank} of {len(context.terms)}: they cannot tell all terms apart."
+            f"The planned positions have rank {planned.merit.rank} of {len(context.terms)}: they cannot separate all "
+            "terms."
         )
     if "cardinal" not in context.sets:
-        said.append("No set of cardinal positions tells all terms apart.")
+        said.append("No set of cardinal positions separates all terms.")
     certificate = context.certificates["free"]
     p = len(context.terms)
     if context.spins:
         said.append(
-            f"{context.spins} segments of the estimate spin: they stay as they are and count in every set. The bound of the worst variance "
-            "is not known beside them."
+            f"{context.spins} segments of the estimate spin: they stay unchanged and contribute to every set. With "
+            "them, the bound of the worst variance is not known."
         )
     else:
         said.append(
-            f"Bound: at the continuous D-optimum the largest variance over all reachable orientations is {certificate:.6g}; it is {p} "
+            "Bound: at the continuous D-optimum the largest variance over all reachable orientations is "
+            f"{certificate:.6g}; it is {p} "
             "at the optimum itself (Kiefer and Wolfowitz), and the bound allows for the difference."
         )
     share = chosen.of_bound.D
     if share > 0.9999:
         said.append(
-            "The chosen positions reach the bound to within 0.01 %: as many other positions on this bench cannot be noticeably better by D."
+            "The chosen positions reach the bound to within 0.01 %: as many other positions on this bench cannot be "
+            "noticeably better by D."
         )
     if context.dwells:
         said.append(
-            f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the allotted ones; every position keeps at least a "
+            f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the allotted ones; every position "
+            "keeps at least a "
             "quarter of an equal share."
         )
     said.append(
-        "Efficiencies suppose the same noise in every position. D at 97 % needs 3 % more recording for the same determinant."
+        "Efficiencies suppose the same noise in every position. D at 97 % needs 3 % more recording for the same "
+        "determinant."
     )
     return said
 

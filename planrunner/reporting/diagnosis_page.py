@@ -26,10 +26,12 @@ MOST_PLACES = 12
 MOST_HYPOTHESES = 12
 MOST_PARAMETERS = 24
 FOOTER = (
-    "Probabilities rest on fixed priors and on the noise that the bench declares. An effect is named only "
-    "where “none” is less probable than 5 %; effects that this plan cannot tell apart are named together."
+    "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only "
+    "where “none” is less probable than 5 %; effects that this plan cannot separate are named together."
 )
-WHERE = "Where: each factor cuts the same gap anew, so that shares add up within one factor and not across factors"
+WHERE = (
+    "Where: each factor divides the same gap in another way, so shares add up within one factor but not across factors"
+)
 Data = Mapping[str, Any]
 
 
@@ -91,7 +93,7 @@ def verdict(found: Data) -> str:
     if kind == "indistinguishable":
         what = f" explains {how}" if nearly else ""
         chance = "" if nearly else f" (together {probability(together)})"
-        said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot tell them apart{chance}."
+        said_so = f"One of {_listed(names, 'or')}{what}: this plan cannot distinguish them{chance}."
     else:
         said_so = f"{_listed(effects, 'and')} {'together explain' if kind == 'pair' else 'explains'} {how}."
     return said_so + _remainder(residue, effects)

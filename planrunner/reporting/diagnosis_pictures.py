@@ -38,7 +38,7 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
     yield "Probability of each explanation", "", False, posterior_svg(ranked(found), "posterior")
     alike = data.get("confusability")
     if alike and len(alike["effects"]) > 1:
-        words = "How much of the row's effect the column's effect reproduces with this plan, in hundredths: 100 cannot be told apart."
+        words = "Share of the row's effect that the column's effect reproduces with this plan, in per cent; at 100 the two are equal."
         yield "What this plan can confuse", words, False, confusability_svg(alike, "confusability")
     for name, one in _largest(found, data.get("means", {}).get("channels", {})):
         yield (

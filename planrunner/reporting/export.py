@@ -207,7 +207,7 @@ def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 def _constants(item: Coefficient) -> list[tuple[str, float, str]]:
     """Name, value and comment of what a header holds of a coefficient. Raises `ExportError` for what is not finite."""
     if not (math.isfinite(item.value) and math.isfinite(item.standard_uncertainty)):
-        raise ExportError(f"{item.name} is not a finite number, which a C header cannot hold")
+        raise ExportError(f"{item.name} is not a finite number, which a C header cannot represent")
     found = [
         (item.name, float(item.value), item.unit),
         (f"{item.name}_STANDARD_UNCERTAINTY", float(item.standard_uncertainty), f"standard uncertainty, {item.unit}"),

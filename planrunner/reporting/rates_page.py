@@ -82,7 +82,7 @@ def tables(context: RatesContext) -> list[Table]:
     )
     return [
         Table(
-            "What the rates tell",
+            "Information from the rates",
             (
                 *alike(Role.LABEL, "Rates"),
                 *alike(Role.SHARE, "Of the best found", "Of the best use of their time"),

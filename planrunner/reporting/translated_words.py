@@ -107,7 +107,7 @@ DESCRIPTIONS = (
     # allan_deviation
     _("quantisation: 3·Q²/τ²"),
     _("random walk of the integrated output: N²/τ"),
-    _("bias instability: the flat part lies at 0.664·B"),
+    _("bias instability: the flat part is at 0.664·B"),
     _("random walk of the output: K²·τ/3"),
     # temperature_model
     _("%(name)s at %(temperature)s degC"),
@@ -124,27 +124,30 @@ DESCRIPTIONS = (
 )
 WARNINGS = (
     _(
-        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and what is stated "
-        "beside it (chance of that: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is "
+        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and the "
+        "declared inputs (chance of that: %(chance)s). Something changes from segment to segment (positions, slow "
+        "drift, or the model is "
         "incomplete):"
         " the within-segment uncertainties are too small."
     ),
     _(
-        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and what is stated "
-        "beside it (chance of that: %(chance)s). Something changes from segment to segment (positions, slow drift, or the model is "
-        "incomplete):"
-        " keep to the residual basis."
+        "%(output)s: residual variance is %(ratio)s times that expected from the noise within the segments and the "
+        "declared inputs (chance of that: %(chance)s). Something changes from segment to segment (positions, slow "
+        "drift, or the model is incomplete): use the residual basis."
     ),
     _(
-        "The residuals of %(first)s exceed its noise by more than those of %(second)s do (variance ratio %(ratio)s): write "
+        "The residuals of %(first)s exceed its noise by more than those of %(second)s do (variance ratio %(ratio)s): "
+        "write "
         "`pool_outputs: false` so that each output's uncertainty rests on its own residuals."
     ),
     _(
-        "The residual variance is %(ratio)s times that expected from the noise within the poses (chance of that from noise alone:"
+        "The residual variance is %(ratio)s times that expected from the noise within the poses (chance of that from "
+        "noise alone:"
         " %(chance)s): the within-segment uncertainties are too small."
     ),
     _(
-        "%(name)s: the fitted noise does not describe the deviations (χ² = %(chi)s with %(freedom)s degrees of freedom); "
+        "%(name)s: the fitted noise does not describe the deviations (χ² = %(chi)s with %(freedom)s degrees of "
+        "freedom); "
         "uncertainties are widened %(factor)s-fold. Drift, vibration or a periodic disturbance may be in the record."
     ),
     _("Series %(series)s is cut short in '%(segment)s': it is left out."),
@@ -157,11 +160,13 @@ WARNINGS = (
     _("Series %(series)s has no start zero and no rates: it is left out."),
     _("Series %(series)s has no end zero and no rates: it is left out."),
     _(
-        "%(axis)s: at the lowest rate the output changes by %(share)s of what the scale factor leads one to expect, less than "
+        "%(axis)s: at the lowest rate the output changes by %(share)s of what the scale factor leads one to expect, "
+        "less than "
         "half: it is within threshold or dead zone (IEEE Std 528)."
     ),
     _(
-        "During '%(segment)s' velocity departs from rest %(factor)s times as far as noise explains (vibration, a base that "
+        "During '%(segment)s' velocity departs from rest %(factor)s times as far as noise explains (vibration, a "
+        "base that "
         "sways); the uncertainties of the alignment are widened by that."
     ),
     _("%(count)s missing samples were filled on straight lines; the errors of navigation may grow by that."),
@@ -170,7 +175,8 @@ WARNINGS = (
     _("Without the gimbal-angle method: the table has %(axes)s axes, `rings` names %(rings)s."),
     _("%(name)s: the highest order that was tried is chosen; raise `highest_order` or add temperatures."),
     _(
-        "Monte Carlo does not validate the stated interval of %(names)s: its ends differ by more than δ. The table gives both; "
+        "Monte Carlo does not validate the stated interval of %(names)s: its ends differ by more than δ. The table "
+        "gives both; "
         "the interval by Monte Carlo is the better one."
     ),
     _("Samples that are missing or no number were left out: %(places)s. Look at the recording."),

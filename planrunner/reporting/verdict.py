@@ -40,7 +40,7 @@ def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnin
     if not beside:
         return Headline("pass", f"Passed: {met}")
     return Headline(
-        "warned", _and("Passed", beside, met), "Read the warnings: they say what the values do not hold for."
+        "warned", _and("Passed", beside, met), "Read the warnings: they state the limits of validity of the values."
     )
 
 

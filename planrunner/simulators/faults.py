@@ -22,7 +22,7 @@ WORDS = {
     "silent": "nothing comes",
     "drop link": "the connection is closed in place of a reply",
     "refuse": "the port is closed, and connections with it",
-    "wrong model": "it says that it is another instrument",
+    "wrong model": "its identification is that of another instrument",
 }
 LINE = {
     "silent": WORDS["silent"],
@@ -30,11 +30,11 @@ LINE = {
     "lose": "a `share` of the frames is missing",
     "duplicate": "a `share` of the frames comes twice",
     "reorder": "a `share` of the frames comes after the next one",
-    "unplug": "the line is gone, and comes back afterwards",
+    "unplug": "the line disappears, and returns afterwards",
     "wrong baud": "every byte is what another baud rate makes of it",
     "wrong model": "another instrument sends its lines there",
-    "overload": "its status says that an axis is beyond its range",
-    "self-test": "its status says that its self-test failed",
+    "overload": "its status reports an axis beyond its range",
+    "self-test": "its status reports a failed self-test",
 }
 AILMENTS = frozenset({"overload", "self-test"})
 """What a sensor's own status tells."""
@@ -65,7 +65,7 @@ class Fault(Record):
     fault: str = key(Choice(_ALL), "What goes wrong.", "late")
     begins: Quantity = key(
         QuantityOf("time", "not negative"),
-        "When it begins, on the bench's clock: after the simulated bench starts, or after it is told.",
+        "When it begins, on the bench's clock: after the simulated bench starts, or after the injection.",
         "20 s",
         default=parse_quantity("0 s"),
         name="at",

@@ -86,7 +86,7 @@ class Simulated:
 def simulation_of(bench: Bench) -> Simulation:
     """What the bench says of its simulation. Raises `InputError` where it says nothing."""
     if bench.simulation is None:
-        message = "the bench does not say which virtual bench stands behind its addresses"
+        message = "the bench does not name the virtual bench that is served at its addresses"
         hint = "add for example `simulation: {bench: virtual, control: 127.0.0.1:9870}`"
         raise InputError.at(bench.origin.mark, "form-missing-key", message, hint)
     found: Simulation = bench.simulation

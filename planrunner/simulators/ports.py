@@ -58,7 +58,7 @@ class PseudoTerminal:
                 f"{self.link}: this system has no pseudo-terminals; serve the sensor on socket://"
             ) from None
         if self.link.exists() and not self.link.is_symlink():
-            raise PortError(f"{self.link} is a file or a device of its own: choose another name for the simulated port")
+            raise PortError(f"{self.link} is an existing file or device: choose another name for the simulated port")
         self.master, other = os.openpty()
         tty.setraw(other)
         os.set_blocking(self.master, False)

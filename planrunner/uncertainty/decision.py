@@ -65,7 +65,7 @@ def decide(
 ) -> Decision:
     """The verdict on lower ≤ true value ≤ upper, all in one unit.
 
-    simple: the value lies within the limits (simple acceptance, JCGM 106, 8.2). guarded: it lies within them by at least the guard band
+    simple: the value is within the limits (simple acceptance, JCGM 106, 8.2). guarded: it lies within them by at least the guard band
     w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. A value or
     uncertainty that is not finite never passes. Raises ValueError when both limits are missing or the lower one is the larger.
     """
@@ -78,16 +78,16 @@ def decide(
     probability = conformance_probability(value, standard_uncertainty, degrees_of_freedom, lower, upper)
     band = guard_band(expanded, rule, factor)
     if not lower <= value <= upper:
-        return Decision("fail", "the value lies outside the limit", probability, band, expanded, k)
+        return Decision("fail", "the value is outside the limit", probability, band, expanded, k)
     if not (lower + band <= value <= upper - band):
         width = "its expanded uncertainty" if factor == 1 else f"{factor:g} times its expanded uncertainty"
-        reason = f"the value lies within the limit, but not by as much as {width} (inside the guard band)"
+        reason = f"the value is within the limit, but not by as much as {width} (inside the guard band)"
         return Decision("fail", reason, probability, band, expanded, k)
-    reason = "the value lies within the limit"
+    reason = "the value is within the limit"
     if rule == "guarded":
-        reason = "the value and its guard band lie within the limit"
+        reason = "the value and its guard band are within the limit"
         if factor == 1:
-            reason = "the value and its expanded uncertainty lie within the limit"
+            reason = "the value and its expanded uncertainty are within the limit"
     return Decision("pass", reason, probability, band, expanded, k)
 
 

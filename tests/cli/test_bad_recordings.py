@@ -190,7 +190,7 @@ def test_samples_left_out_are_told(play: Callable[..., Ended], rate: np.ndarray,
 def test_a_segment_without_a_number_cannot_be_used(play: Callable[..., Ended]) -> None:
     code, _, err = play(text(rate=changed(RATE, slice(0, 1000), np.nan)))
     assert code == 1  # what was recorded is in question, not the plan
-    assert "segment 'R+10' holds no usable samples" in err
+    assert "segment 'R+10' has no usable samples" in err
 
 
 def test_a_gap_is_told_and_is_no_dwell(play: Callable[..., Ended]) -> None:
@@ -206,7 +206,7 @@ def test_a_gap_is_told_and_is_no_dwell(play: Callable[..., Ended]) -> None:
 
 TABLES: dict[str, tuple[str | None, str]] = {
     "missing": (None, "there is no file 'seg.csv' beneath the data root"),
-    "no rows": ("label,start_s,end_s\n", "seg.csv holds no segments"),
+    "no rows": ("label,start_s,end_s\n", "seg.csv contains no segments"),
     "other labels": (TABLE.replace("R+20", "R+200"), "seg.csv has no segment 'R+20'; did you mean 'R+200'?"),
     "labels without signs": (TABLE.replace("+", ""), "seg.csv has no segment 'R+10'; did you mean 'R10'?"),
     "ends before it starts": (

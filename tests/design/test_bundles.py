@@ -52,7 +52,7 @@ def test_too_little_is_refused() -> None:
     candidates = pairs(np.array([0.5, 1.0]), 4)
     with pytest.raises(ValueError, match="cannot be chosen"):
         bundles.choose(candidates, np.zeros((4, 4)), 3)
-    with pytest.raises(ValueError, match="tell all terms apart"):
+    with pytest.raises(ValueError, match="separate all terms"):
         bundles.shares(candidates[:1], np.zeros((4, 4)))
     with pytest.raises(ValueError, match="no choice"):
         bundles.choose(candidates, np.zeros((4, 4)), 1)

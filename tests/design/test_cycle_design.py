@@ -189,7 +189,7 @@ def test_the_study_as_data(plan: Path, capsys: pytest.CaptureFixture[str]) -> No
             ["--segment", "navigate"],
             "no segment 'navigate' goes through a cycle; these do: turn",
         ),
-        (("C: 180 deg", "C: 185 deg"), [], "does not land"),
+        (("C: 180 deg", "C: 185 deg"), [], "does not end at its position"),
         (("    motion:", "    rate: 10 deg/s\n    motion:"), [], "rate"),
     ],
 )

@@ -89,7 +89,7 @@ def test_too_few_or_blind_candidates_are_never_called_sound() -> None:
     assert math.isinf(exchange.exhaust(blind[:10], 8).loss)
     assert math.isinf(exchange.exchange(blind, 8).loss)
     assert merit(blind[:8], blind).rank < 7
-    with pytest.raises(ValueError, match="tell all terms apart"):
+    with pytest.raises(ValueError, match="separate all terms"):
         continuous.solve(blind)
 
 

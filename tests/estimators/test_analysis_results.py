@@ -160,7 +160,7 @@ def test_one_failure_leaves_the_others() -> None:
     assert "flexure_gyro_statics" in found.failures["typo"]
     assert "failed unexpectedly (AttributeError" in found.failures["broken"]
     assert "uses 'self', which could not be made" in found.failures["self"]
-    assert "'old' gave no result to hold it against" in found.failures["limit on old.D_X_F"]
+    assert "'old' gave no result to compare with the limit" in found.failures["limit on old.D_X_F"]
     assert "has no coefficient 'D_X_G'" in found.failures["limit on drift.D_X_G"]
     assert "write it in (deg/h)/(pulse/s)" in found.failures["limit on drift.SF_X"]
 
@@ -228,7 +228,7 @@ def test_schema_notices_what_is_missing() -> None:
 
 
 def test_other_formats_are_refused() -> None:
-    with pytest.raises(InputError, match="no results of a format"):
+    with pytest.raises(InputError, match="no results in a format"):
         Results.from_json({"planrunner_results": 99})
     with pytest.raises(InputError, match="incomplete or changed"):
         Results.from_json({"planrunner_results": 1, "estimates": [{}]})

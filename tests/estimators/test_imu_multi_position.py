@@ -237,7 +237,7 @@ def test_a_rate_about_one_axis_only_is_ill_conditioned() -> None:
                 "misalignment": "lower_triangular",
                 "accelerometer_terms": ("bias", "accel_x", "accel_y", "accel_z", "accel_x_accel_z"),
             },
-            "cannot tell all terms",
+            "cannot separate all terms",
         ),
         ({"gyros": imu.GYROS, "gyro_terms": ("bias", "rate_x", "rate_y", "rate_z", "accel_x_accel_z")}, "is a product"),
     ],

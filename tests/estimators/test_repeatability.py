@@ -144,7 +144,7 @@ def test_means_of_segments_by_group() -> None:
 def test_groups_that_do_not_differ_say_so() -> None:
     found = of_values({"a1": 1, "a2": 3, "b1": 1.2, "b2": 3.1}, groups={"a": ("a*",), "b": ("b*",)})
     assert found["s_between_K"].value == 0 and found["s_between_K"].standard_uncertainty > 0
-    assert any("no difference between groups" in note for note in found.notes)
+    assert any("no difference between the groups" in note for note in found.notes)
 
 
 # -- what cannot be done ---------------------------------------------------------------------------------------------
@@ -160,8 +160,8 @@ def test_groups_that_do_not_differ_say_so() -> None:
         (("a1", "a2", "d1"), {"groups": DAYS}, "'d1' belongs to no group"),
         (("a1", "a2", "b1"), {"groups": DAYS}, "the group 'c' holds nothing"),
         (("a1", "a2", "b1"), {"groups": {"a": ("a*",), "b": ("*",)}}, "'a1' belongs to a and b"),
-        (("a1", "b1", "c1"), {"groups": DAYS}, "one of them needs two members"),
-        (("a1", "a2"), {"groups": {"a": ("a*",)}}, "groups need to be two or more"),
+        (("a1", "b1", "c1"), {"groups": DAYS}, "with at least two members"),
+        (("a1", "a2"), {"groups": {"a": ("a*",)}}, "give at least two groups"),
     ],
 )
 def test_bad_plans(names: tuple[str, ...], keys: dict[str, object], words: str) -> None:

@@ -283,7 +283,7 @@ def test_bad_mountings() -> None:
     recorded = series(TRIAD, GYROS)
     with pytest.raises(EstimationError, match="no `mounting`"):
         estimate(recorded, {})
-    with pytest.raises(EstimationError, match="sees nothing of its rate"):
+    with pytest.raises(EstimationError, match="does not respond to its rate"):
         estimate(recorded, {"x": (90.0, 0.0)})
     with pytest.raises(EstimationError, match=r"mounting\.w has no output"):
         estimate(recorded, {**TRIAD, "w": (THETA, 0.0)})

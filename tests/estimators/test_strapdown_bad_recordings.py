@@ -67,7 +67,7 @@ def test_samples_that_are_no_number() -> None:
         return values
 
     refused("samples are missing for 1.1 s after", stop(), changed(run(), gyro_y=blank))
-    refused("holds no usable samples", changed(stop(), accel_z=lambda v: np.full_like(v, np.nan)), run())
+    refused("has no usable samples", changed(stop(), accel_z=lambda v: np.full_like(v, np.nan)), run())
     refused("hold no usable samples", stop(), changed(run(), accel_z=lambda v: np.full_like(v, np.nan)))
 
 

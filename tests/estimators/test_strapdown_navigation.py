@@ -333,7 +333,7 @@ def test_names_foreseen_are_those_estimated() -> None:
         (
             {"stop": {"motion": Cycle({"A": 0.0}, (Move("A", 2 * np.pi, "A"),), 0.2, 30.0)}},
             "physics-navigation-align",
-            "stands still for 30 s",
+            "is at rest for 30 s",
         ),
         ({"run": {"attitude": np.eye(3)[[1, 2, 0]]}}, "physics-navigation-gap", "does not begin in the orientation"),
         ({"run": {"sample_rate": 50.0}}, "physics-navigation-rate", "different sample rates"),

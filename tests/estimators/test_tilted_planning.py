@@ -99,7 +99,7 @@ def test_check_says_what_is_wrong_with_a_plan(tmp_path: Path) -> None:
         "physics-whole-turns"
     }  # the estimate corrects for it, the mean is told of all the same
     found = changed(tmp_path, ("x: {angle: 54.7356 deg ± 20 arcsec", "x: {angle: 90 deg ± 20 arcsec"))
-    assert any(code == "physics-estimate" and "sees nothing of its rate" in message for code, _, message in found)
+    assert any(code == "physics-estimate" and "does not respond to its rate" in message for code, _, message in found)
     found = changed(tmp_path, ('temperature: "-40, 20, 60 degC"', 'temperature: "20 degC"'))
     assert any("no coefficient 'temperature_coefficient_x'" in message for _, _, message in found)
     found = changed(tmp_path, ("zero: [start-zero, end-zero]", "zero: start-zero"))

@@ -41,7 +41,8 @@ def parameters(**changes):
         "file": "r.parquet",
         "kind": "imu",
         "time": "{column: t, unit: s}",
-        "channels": "{x: {column: x, unit: deg/s, noise: 0.2 deg/s}, y: {column: y, unit: g, sign: -1, full_scale: 2 g}}",
+        "channels": "{x: {column: x, unit: deg/s, noise: 0.2 deg/s}, y: {column: y, unit: g, sign: -1, full_scale: 2 "
+        "g}}",
         "sample_rate": "10 Hz",
     } | changes
     log = Findings()
@@ -227,7 +228,7 @@ def test_what_is_wrong_with_a_recording_is_said_before_anything_moves(tmp_path, 
     ("text", "words"),
     [
         ("label,start_s\nA,1\n", "no column 'end_s'"),
-        ("label,start_s,end_s\n", "holds no segments"),
+        ("label,start_s,end_s\n", "contains no segments"),
         ("label,start_s,end_s\nA,1,2\nA,3,4\n", "line 3: the label 'A' stands twice"),
         ("label,start_s,end_s\nA,one,2\n", "line 2: 'one' in column 'start_s' is not a number"),
         ("label,start_s,end_s\nA,1\n", "line 2: '' in column 'end_s' is not a number"),

@@ -252,5 +252,5 @@ def test_a_bench_has_one_carrier():
     surroundings = Surroundings(carrier.world.clock, carrier.world.site, world=carrier.world)
     log = Findings()
     parameters = RecordOf(VirtualCarrierParameters).read(source.parse("speed: 2 m/s", "t"), log)
-    with pytest.raises(InstrumentError, match="another carrier already"):
+    with pytest.raises(InstrumentError, match="already has another carrier"):
         VirtualCarrier.connect(parameters, surroundings)

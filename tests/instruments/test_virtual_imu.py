@@ -330,7 +330,7 @@ def test_a_sensor_has_axes():
             "form-size",
             "13 axes are given",
         ),
-        ("gyros: {axes: {a: {}}}", "meaning-input-axis", "the axis 'a' does not say where it points"),
+        ("gyros: {axes: {a: {}}}", "meaning-input-axis", "the axis 'a' has no direction"),
         ("gyros: {axes: {a: {angle: 3 deg}}}", "meaning-input-axis", "has an angle but no azimuth"),
         ("gyros: {axes: {a: {azimuth: 3 deg}}}", "meaning-input-axis", "has an azimuth but no angle"),
         (

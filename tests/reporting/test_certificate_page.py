@@ -45,7 +45,7 @@ CLAUSES = {
     "7.8.4.1 d": ["Torquer gain trimmed", "Before adjustment", "20260228T100000Z-eight-9f9f"],
     "7.8.4.3": ["Calibration interval, as agreed with the customer: 12 months"],
     "7.8.6.2": ["Data sheet 7, issue 2", "≥ -5, ≤ 5 deg/h", "conforms", "does not conform", "JCGM 106:2012, 8.3.2", "42.0 %"],
-    "7.8.7": ["What stands here is an opinion", "The drift is typical of the type"],
+    "7.8.7": ["This section is an opinion", "The drift is typical of the type"],
     "7.8.8": ["Amendment to calibration certificate 2026-0099", "The customer's name was wrong", "Corrected after the run: customer"],
 }  # fmt: skip
 

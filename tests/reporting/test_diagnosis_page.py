@@ -63,7 +63,7 @@ def test_the_schema_refuses_what_is_not_a_diagnosis(changes):
         ("unknown", "A gap by something that the catalogue does not hold (P = 0.97)."),
         (
             "indistinguishable",
-            "One of gyro_g_sensitivity or table_tilt: this plan cannot tell them apart (together P = 0.97).",
+            "One of gyro_g_sensitivity or table_tilt: this plan cannot distinguish them (together P = 0.97).",
         ),
     ],
 )
@@ -105,7 +105,7 @@ def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
     check(found)
     members = "gyro_bias+gyro_scale_factor or gyro_bias+table_rate_error"
     assert (
-        verdict(found) == f"One of {members} explains nearly all of the gap: this plan cannot tell them apart." + rest
+        verdict(found) == f"One of {members} explains nearly all of the gap: this plan cannot distinguish them." + rest
     )
 
 

@@ -216,9 +216,9 @@ def test_an_axis_that_does_not_come_to_its_position_ends_it(monkeypatch: pytest.
         assert len(axis.turns()) == 1
         (fault,) = made.watch().faults
         assert fault.startswith(
-            "the cycle could not go on: the axis 'table' does not stand at its position when the stop"
+            "the cycle could not go on: the axis 'table' is not at its position when the stop"
         )
-        with pytest.raises(InstrumentError, match="let it stop for longer"):
+        with pytest.raises(InstrumentError, match="make the stop longer"):
             made.holding()
         made.make_safe()
         assert axis.told[-1][1] == "off"

@@ -43,7 +43,7 @@ class AccelerometerMultiPositionParameters(Record):
     )
     reference: str = key(
         Choice(("orientation", "gravity_magnitude")),
-        "What the readings are held against: gravity in known attitudes, or only its magnitude.",
+        "Reference for the readings: gravity in known attitudes, or only its magnitude.",
         "gravity_magnitude",
         default="orientation",
     )
@@ -55,7 +55,8 @@ class AccelerometerMultiPositionParameters(Record):
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the positions.",
+        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the "
+        "positions.",
         "residual",
         default="residual",
     )

@@ -105,7 +105,8 @@ def estimate(request: EstimateRequest) -> Estimate:
     size = float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
     notes, warnings = judge(fit, basis, poses.channels)
     notes = [
-        f"{len(poses.labels)} poses; residuals of |f| {size * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} degrees of freedom; "
+        f"{len(poses.labels)} poses; residuals of |f| {size * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} "
+        "degrees of freedom; "
         f"condition {found.condition:.3g}.",
         f"Scale factors are relative to the site's gravity of {request.site.gravity:.6g} m/s².",
         *notes,
@@ -263,7 +264,7 @@ def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: floa
 def _at_rest(segments: Sequence[Segment]) -> None:
     moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
     if moving:
-        raise EstimationError(f"segment '{moving[0]}' moves: an accelerometer is held against gravity at rest")
+        raise EstimationError(f"segment '{moving[0]}' moves: an accelerometer is compared with gravity at rest")
 
 
 def _describe(name: str) -> str:

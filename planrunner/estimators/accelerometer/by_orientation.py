@@ -52,7 +52,7 @@ def model_of(terms: Sequence[str]) -> ErrorModel:
 
 def matrix_of(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
     """The design matrix of positions at rest, SI. Raises `EstimationError`."""
-    needed = "an accelerometer is held against gravity at rest"
+    needed = "an accelerometer is compared with gravity at rest"
     return matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
 
 
@@ -86,7 +86,7 @@ def estimate(request: EstimateRequest) -> Estimate:
     notes, warnings = judge(fit, basis)
     left_out = [name for name in TERMS if name not in model.names]
     if left_out:
-        notes.append(f"Left out of the model as the plan says: {', '.join(left_out)}.")
+        notes.append(f"Left out of the model by the plan: {', '.join(left_out)}.")
     for axis, name in enumerate(observations.channels):
         rms = np.sqrt(np.sum(fit.fits[axis].residuals ** 2) / max(1, fit.freedom)) * units[axis].factor
         notes.append(f"{name}: residuals of {rms / unit('mg').factor:.3g} mg rms, corrected for degrees of freedom.")

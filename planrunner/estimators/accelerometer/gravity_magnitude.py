@@ -57,7 +57,8 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
             residuals, jacobian, directions = _linearise(readings, values, gravity)
             return GravityFit(values, residuals, jacobian, directions, rank.look(jacobian * scale).condition)
     raise UnfitDataError(
-        "the readings do not lie near a sphere of radius g, so no calibration was found: check the channels' units and that spans are still"
+        "the readings are not near a sphere of radius g, so no calibration was found: check the units of the "
+        "channels, and that the sensor was still in the spans"
     )
 
 
@@ -68,9 +69,9 @@ def too_few(count: int) -> str:
 
 def _too_alike(sight: rank.Sight, readings: Array) -> str:
     if len(sight.null):
-        return f"the poses cannot tell all nine parameters apart: {rank.explain(sight.null, NAMES)}; add poses in other attitudes"
+        return f"the poses cannot separate all nine parameters: {rank.explain(sight.null, NAMES)}; add poses in other attitudes"
     return (
-        f"the {len(readings)} poses are too alike to tell nine parameters apart (condition {sight.condition:.2g}): "
+        f"the {len(readings)} poses are too similar to separate nine parameters (condition {sight.condition:.2g}): "
         "point every axis up and down and add poses in between"
     )
 

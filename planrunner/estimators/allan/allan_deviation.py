@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 WORDS = {
     "Q": "quantisation: 3·Q²/τ²",
     "N": "random walk of the integrated output: N²/τ",
-    "B": "bias instability: the flat part lies at 0.664·B",
+    "B": "bias instability: the flat part is at 0.664·B",
     "K": "random walk of the output: K²·τ/3",
 }
 _FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
@@ -89,7 +89,8 @@ class AllanDeviationParameters(Record):
     )
     scale_factors: dict[str, Quantity | str] = key(
         MapOf(ScaleFactorKind()),
-        "Scale factor of an output that is no rate or acceleration itself: a quantity, or a coefficient of an estimate in `uses`. "
+        "Scale factor of an output that is no rate or acceleration itself: a quantity, or a coefficient of an "
+        "estimate in `uses`. "
         "The coefficients are then those of what is sensed.",
         {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_Y"},
         default_factory=dict,
@@ -280,8 +281,10 @@ def _judge(result: _Result, fit: NoiseFit) -> float:
         return 1.0
     widening = math.sqrt(fit.chi_square / fit.freedom)
     result.warnings.append(
-        f"{result.name}: the fitted noise does not describe the deviations (χ² = {fit.chi_square:.3g} with {fit.freedom} degrees of "
-        f"freedom); uncertainties are widened {widening:.2g}-fold. Drift, vibration or a periodic disturbance may be in the record."
+        f"{result.name}: the fitted noise does not describe the deviations (χ² = {fit.chi_square:.3g} with "
+        f"{fit.freedom} degrees of "
+        f"freedom); uncertainties are widened {widening:.2g}-fold. Drift, vibration or a periodic disturbance may be "
+        "in the record."
     )
     return widening
 
@@ -331,7 +334,8 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
     lowest = min(known, key=lambda row: row.value)
     flat = lowest.value / math.sqrt(FLAT)
     result.notes.append(
-        f"{result.name}: lowest Allan deviation {lowest.value:.3g} {result.unit} at {lowest.tau:.4g} s, which is a bias instability of "
+        f"{result.name}: lowest Allan deviation {lowest.value:.3g} {result.unit} at {lowest.tau:.4g} s, which is a "
+        "bias instability of "
         f"{flat:.3g} {result.unit} (divided by 0.664) if no other kind of noise adds to it."
     )
     result.notes.append(
@@ -340,13 +344,16 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
     if phase.gaps or phase.bridged:
         share = 100 * phase.lost / max(1, phase.samples)
         result.notes.append(
-            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} were filled on straight lines, {phase.gaps} gaps split "
-            f"the record into {len(phase.runs)} usable stretches ({share:.2g} % of the samples lie in stretches too short). "
+            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} were filled on straight lines, "
+            f"{phase.gaps} gaps split "
+            f"the record into {len(phase.runs)} usable stretches ({share:.2g} % of the samples are in stretches that "
+            "are too short). "
             "No difference spans a gap."
         )
     if phase.decimation > 1:
         result.notes.append(
-            f"{result.name}: of more than {LONGEST} samples every {phase.decimation}. phase point is kept; the shortest averaging time is "
+            f"{result.name}: of more than {LONGEST} samples every {phase.decimation}. phase point is kept; the "
+            "shortest averaging time is "
             f"{phase.interval:.4g} s."
         )
 

@@ -168,7 +168,7 @@ def fit_noise(
 
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     if factors.size < len(chosen):
-        raise ValueError(f"{factors.size} averaging times cannot tell {len(chosen)} coefficients")
+        raise ValueError(f"{factors.size} averaging times cannot determine {len(chosen)} coefficients")
     matrix = model_matrix(factors)[:, chosen]
     covariance_of = _covariance_for(factors, lengths)
     positive = np.maximum(

@@ -57,7 +57,8 @@ _NO_SET = (
 )
 _SUMS = "Residual sums of squares, measured and expected"
 _CLAIM = (
-    "The method's source claims 4 to 8 for the traditional over the optimal positions. Equal noise in all positions predicts the "
+    "The method's source claims 4 to 8 for the traditional over the optimal positions. Equal noise in all positions "
+    "predicts the "
     "figures given here; single experiments with few verification positions scatter widely about them."
 )
 
@@ -101,7 +102,8 @@ class CompensationResidual:
         first, *others = expected
         ratios = {f"ratio_{name}_to_{first}": expected[name] / expected[first] for name in others}
         notes = [
-            f"Expected residual sum of squares of {name} over that of {first}: {expected[name] / expected[first]:.3g}, with equal noise."
+            f"Expected residual sum of squares of {name} over that of {first}: "
+            f"{expected[name] / expected[first]:.3g}, with equal noise."
             for name in others
         ]
         return Design((), (), (*notes, _CLAIM), ratios)
@@ -211,7 +213,8 @@ def _assemble(
     ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
-        f"The measured ratio of {pair} lies outside its expected 5 to 95 %, as chance makes one experiment in ten do."
+        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; this happens by chance in one "
+        "experiment of ten."
         for pair in outside
     ]
     return Estimate(
@@ -231,7 +234,8 @@ def _assemble(
         ),
         (_residual_plot(labels, residuals),),
         (
-            "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise and declared bias "
+            "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise "
+            "and declared bias "
             "instability; what the bench states is added to first order. The expected range of a ratio has all of it.",
             _CLAIM,
             *notes,

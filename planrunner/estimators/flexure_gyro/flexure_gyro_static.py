@@ -57,19 +57,21 @@ class FlexureGyroStaticParameters(Record):
     )
     terms: tuple[str, ...] = key(
         ListOf(Choice(tuple(flexure_gyro.PRODUCTS)), single=True),
-        "Product terms beside the static model; cardinal positions cannot see them.",
+        "Product terms in addition to the static model; cardinal positions cannot determine them.",
         ["accel_x_accel_z"],
         default_factory=tuple,
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the positions.",
+        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the "
+        "positions.",
         "residual",
         default="residual",
     )
     pool_outputs: bool = key(
         Boolean(),
-        "On the residual basis, let one factor between residual scatter and noise hold for both outputs: twice the degrees of freedom.",
+        "On the residual basis, use one factor between residual scatter and noise for both outputs, which doubles "
+        "the degrees of freedom.",
         True,
         default=True,
     )

@@ -81,14 +81,17 @@ class ImuMultiPositionParameters(Record):
     )
     misalignment: str = key(
         Choice(("full", "lower_triangular")),
-        "full: all six in the axes of the planned orientations. lower_triangular: in the accelerometers' own frame (the gyros' where there "
-        "are none), x along the first input axis and y in the plane of the first two, with the rotation between the two frames.",
+        "full: all six in the axes of the planned orientations. lower_triangular: in the accelerometers' own frame "
+        "(the gyros' where there "
+        "are none), x along the first input axis and y in the plane of the first two, with the rotation between the "
+        "two frames.",
         "lower_triangular",
         default="full",
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the segments.",
+        "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the "
+        "segments.",
         "residual",
         default="residual",
     )
@@ -308,8 +311,10 @@ def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> 
     if not alone:
         return []
     axes = " and ".join(name[-1] for name in alone)
-    message = f"nothing but the Earth turns the gyros about {axes}, so that what they say of {', '.join(alone)} rests on 15 deg/h"
-    hint = "add segments with a rate about each axis, in both senses; the predicted uncertainties say what these positions give"
+    message = (
+        f"only the Earth turns the gyros about {axes}, so that what they say of {', '.join(alone)} rests on 15 deg/h"
+    )
+    hint = "add segments with a rate about each axis, in both directions; the predicted uncertainties show the effect of these positions"
     return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
 
 

@@ -191,12 +191,14 @@ def _periodic(
         if part.hidden:
             shown = ", ".join(map(str, part.hidden))
             notes.append(
-                f"'{item.name}': harmonic {shown} of the cycle cannot be told from free oscillations and is left out."
+                f"'{item.name}': harmonic {shown} of the cycle cannot be distinguished from free oscillations and is "
+                "left out."
             )
     notes.append(
-        "Ratios compare navigations of one sensor over the same time; their uncertainties hold white noise alone, as bounded by each "
-        "navigation. What rotation does not modulate (azimuth gyro, alignment) stays in all of them. Scale factor errors and misalignments "
-        "times the turns repeat with the cycle as well, beside what is predicted from constant errors."
+        "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, "
+        "as bounded by each navigation. What rotation does not modulate (azimuth gyro, alignment) stays in all of "
+        "them. Scale factor errors and misalignments, multiplied by the turns, repeat with the cycle as well, in "
+        "addition to the prediction from constant errors."
     )
     return found, tuple(notes)
 

@@ -120,7 +120,7 @@ def _caging(runs: Sequence[Run]) -> list[Remark]:
         ]
     unknown = [run.label for run in runs if run.caged_before is None]
     if unknown:
-        message = f"whether the platform is caged before '{unknown[0]}'{_more(unknown)} cannot be told from the chosen segments"
+        message = f"whether the platform is caged before '{unknown[0]}'{_more(unknown)} cannot be determined from the selected segments"
         return [Remark("physics-rocking-caging", message, 'choose the caged segments too, such as `segments: "*"`')]
     return []
 
@@ -161,13 +161,13 @@ def _timing(runs: Sequence[Run]) -> list[Remark]:
     first = runs[0]
     for run in runs[1:]:
         if run.segment.dwell != first.segment.dwell or run.segment.settle != first.segment.settle:
-            message = f"'{run.label}' has another timing than '{first.label}'; what is alike in all runs would no longer cancel"
+            message = f"'{run.label}' has another timing than '{first.label}'; errors common to all runs would no longer cancel"
             return [Remark("physics-rocking-timing", message, "give all runs the same dwell and settle", error=True)]
     motions = [run for run in runs if run.dynamic]
     other = [run for run in motions if run.segment.motion != motions[0].segment.motion]
     if other:
         message = f"'{other[0].label}' rocks otherwise than '{motions[0].label}': their drifts have different causes"
-        return [Remark("physics-rocking-timing", message, "let all dynamic runs rock alike", error=True)]
+        return [Remark("physics-rocking-timing", message, "use the same rocking in all dynamic runs", error=True)]
     return []
 
 
@@ -188,8 +188,8 @@ def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters
     cutoff, between = parameters.cutoff.value, second - _first_end(parameters)
     if 1 / cutoff > between:
         message = (
-            f"a filter with a cutoff of {cutoff:g} Hz averages over {1 / cutoff:.3g} s, and {between:g} s lie between the windows: it "
-            "would mix them"
+            f"a filter with a cutoff of {cutoff:g} Hz averages over {1 / cutoff:.3g} s, and {between:g} s separate "
+            "the windows: it would mix them"
         )
         hint = f"raise `cutoff` to {1 / between:.2g} Hz or more" if between > 0 else "dwell longer"
         return [Remark("physics-rocking-filter", message, hint, "cutoff", error=True)]

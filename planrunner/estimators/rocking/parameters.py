@@ -43,7 +43,8 @@ class RockingDriftParameters(Record):
 
     release: Quantity = key(
         QuantityOf("time", "positive"),
-        "t0, when the first window begins after the record has begun; the element has left the levelling dead region by then.",
+        "t0, when the first window begins after the record has begun; the element has left the levelling dead region "
+        "by then.",
         "60 s",
         default=parse_quantity("60 s"),
     )
@@ -55,20 +56,21 @@ class RockingDriftParameters(Record):
     )
     second_window: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "t1, when the second window begins after the record has begun; without it, the second window ends with the shortest record.",
+        "t1, when the second window begins after the record has begun; without it, the second window ends with the "
+        "shortest record.",
         "590 s",
         default=None,
     )
     released_before: Quantity | None = key(
         QuantityOf("time", "not negative"),
-        "Time from the release of the element to the beginning of each record, for `azimuth: nominal`; without it, as the run recorded it. "
-        "A recording that is played back does not hold it.",
+        "Time from the release of the element to the beginning of each record, for `azimuth: nominal`; the default "
+        "is the time that the run recorded. A recording that is played back does not contain it.",
         "5 s",
         default=None,
     )
     cutoff: Quantity = key(
         QuantityOf("frequency", "positive"),
-        "Corner of the zero-phase low-pass filter; it lies below the rocking frequency.",
+        "Cut-off of the zero-phase low-pass filter, below the rocking frequency.",
         "0.05 Hz",
         default=parse_quantity("0.05 Hz"),
     )
@@ -80,19 +82,22 @@ class RockingDriftParameters(Record):
     )
     rotation_order: str = key(
         Choice(("xzy", "zxy")),
-        "Order of the turns from site to element with y up: R_x·R_z·R_y or R_z·R_x·R_y; docs/platform-rocking.md has the other states.",
+        "Order of the turns from site to element with y up: R_x·R_z·R_y or R_z·R_x·R_y; docs/platform-rocking.md has "
+        "the other states.",
         "xzy",
         default="xzy",
     )
     azimuth: str = key(
         Choice(("encoders", "nominal")),
-        "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation turned on by the Earth.",
+        "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation turned "
+        "on by the Earth.",
         "encoders",
         default="encoders",
     )
     azimuth_uncertainty: Quantity | None = key(
         QuantityOf("angle", "not negative"),
-        "Standard uncertainty of that azimuth in one run; without it, the table's position uncertainty where encoders are used.",
+        "Standard uncertainty of that azimuth in one run; without it, the table's position uncertainty where "
+        "encoders are used.",
         "7 arcsec",
         default=None,
     )
@@ -104,7 +109,7 @@ class RockingDriftParameters(Record):
     )
     smallest_drift: Quantity = key(
         QuantityOf("angular rate", "positive"),
-        "Drift that is to be resolved; the check tells how long one count of an accelerometer takes at it.",
+        "Drift to be resolved; `check` reports how long one count of an accelerometer takes at this drift.",
         "0.003 deg/h",
         default=parse_quantity("0.003 deg/h"),
     )
@@ -125,7 +130,8 @@ class RockingDriftParameters(Record):
     )
     pairings: int = key(
         Number(1, 100_000, integer=True),
-        "Pairs of a static and a dynamic run that are compared in each state: all where there are no more than these, else so many drawn.",
+        "Pairs of a static and a dynamic run that are compared in each state: all where there are no more than "
+        "these, else so many drawn.",
         200,
         default=200,
     )

@@ -51,7 +51,9 @@ UNIT = "deg/h"
 class RockingDrift:
     """The plug-in."""
 
-    summary = "Drift of a platform while its base rocks, from gravity in its accelerometers, beside gimbal angles"
+    summary = (
+        "Drift of a platform while its base rocks, from gravity in its accelerometers, compared with gimbal angles"
+    )
     Parameters = RockingDriftParameters
 
     def design(self, request: DesignRequest) -> Design:
@@ -142,7 +144,8 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
     windows = Windows(parameters.release.value, second, parameters.window.value, parameters.cutoff.value, end)
     if second + windows.length > end + 1e-6:
         raise EstimationError(
-            f"the second window ends at {second + windows.length:g} s, after the shortest record, which ends at {end:g} s: let "
+            f"the second window ends at {second + windows.length:g} s, after the shortest record, which ends at "
+            f"{end:g} s: let "
             "`second_window` begin earlier"
         )
     if windows.second < windows.first + windows.length:
@@ -151,7 +154,8 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
         )
     if 1 / windows.cutoff > windows.second - windows.first:
         raise EstimationError(
-            f"a filter with a cutoff of {windows.cutoff:g} Hz averages over {1 / windows.cutoff:.3g} s, longer than the windows are apart: "
+            f"a filter with a cutoff of {windows.cutoff:g} Hz averages over {1 / windows.cutoff:.3g} s, longer than "
+            "the windows are apart: "
             "raise `cutoff`"
         )
     return windows
@@ -221,7 +225,8 @@ def _notes(
     notes.append(leak_note(request, seconds))
     if any(len(state.quadruples) == 1 for state in states):
         notes.append(
-            "With one quadruple in a state the uncertainty rests on how its two static and its two dynamic runs differ, with one degree of "
+            "With one quadruple in a state the uncertainty rests on how its two static and its two dynamic runs "
+            "differ, with one degree of "
             "freedom; `repeat` the quadruples for a narrower interval."
         )
     missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]

@@ -83,11 +83,14 @@ def _run(segment: Segment, place: int, before: Segment | None, order: str) -> Ru
     if isinstance(segment.motion, Spin | Cycle):
         raise EstimationError(f"'{segment.label}' spins or indexes: runs are static, or rock")
     if segment.attitude is None:
-        raise EstimationError(f"the orientation of '{segment.label}' is unknown: say where the platform's axes point")
+        raise EstimationError(
+            f"the orientation of '{segment.label}' is unknown: give the directions of the platform's axes"
+        )
     state = level_state(np.asarray(segment.attitude, dtype=float), order)
     if state is None:
         raise EstimationError(
-            f"'{segment.label}' has no axis along the vertical ({segment.orientation}): two axes must be level to see their tilts"
+            f"'{segment.label}' has no axis along the vertical ({segment.orientation}): two axes must be level to "
+            "see their tilts"
         )
     if not isinstance(segment.motion, Rest | Rock):
         raise EstimationError(f"'{segment.label}' is neither at rest nor rocking")
@@ -111,7 +114,8 @@ def quadruples(runs: Sequence[Run]) -> list[Quadruple]:
         a, b, c, d = four
         if any(not np.allclose(run.state.nominal, a.state.nominal, atol=1e-9) for run in four):
             raise EstimationError(
-                f"the orientation changes within the four runs from '{a.label}' on; a quadruple is static, dynamic, dynamic, static in one"
+                f"the orientation changes within the four runs from '{a.label}' on; a quadruple is static, dynamic, "
+                "dynamic, static in one"
             )
         found.append(Quadruple((a, b, c, d)))
     return found

@@ -50,7 +50,7 @@ class Windows:
         return tuple((max(0.0, begin - reach), min(self.end, begin + self.length + reach)) for begin in self.begins)
 
     def with_rest(self, rest: float) -> Windows:
-        """For a run whose base stands still for the first `rest` [s] of its record: a third window, where a filter length lies between
+        """For a run whose base is at rest for the first `rest` [s] of its record: a third window, where a filter length lies between
         it and the first one."""
         before = rest - self.length
         apart = before >= self.first + self.length + 1 / self.cutoff
@@ -72,7 +72,8 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
     rate = (statistics.count + statistics.rejected - 1) / max(statistics.end - statistics.start, 1e-9)
     if windows.cutoff > rate / SAMPLES:
         raise EstimationError(
-            f"a cutoff of {windows.cutoff:g} Hz needs {SAMPLES * windows.cutoff:g} samples a second; '{recorded.label}' has {rate:.3g}"
+            f"a cutoff of {windows.cutoff:g} Hz needs {SAMPLES * windows.cutoff:g} samples a second; "
+            f"'{recorded.label}' has {rate:.3g}"
         )
     times: list[list[Array]] = [[] for _ in windows.pieces]
     values: list[list[Array]] = [[] for _ in windows.pieces]

@@ -184,18 +184,21 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
     label = recorded.label
     if not isinstance(recorded.segment.motion, Rest | Cycle):
         raise EstimationError(
-            f"segment '{label}' turns all the time: alignment needs a stop, or a cycle of stops; align before the motion begins"
+            f"segment '{label}' turns all the time: alignment needs a stop, or a cycle of stops; align before the "
+            "motion begins"
         )
     if recorded.statistics.count == 0:
-        raise UnfitDataError(f"segment '{label}' holds no usable samples: record it again")
+        raise UnfitDataError(f"segment '{label}' has no usable samples: record it again")
     if still < SHORTEST:
         what = "its first stop lasts" if seconds >= SHORTEST else "it has samples for"
         raise EstimationError(
-            f"segment '{label}' is too short to align in: {what} {still:.3g} s; at least {SHORTEST:g} s are needed, better 5 to 10 min"
+            f"segment '{label}' is too short to align in: {what} {still:.3g} s; at least {SHORTEST:g} s are needed, "
+            "better 5 to 10 min"
         )
     if abs(site.latitude) > HIGHEST_LATITUDE:
         raise EstimationError(
-            f"at latitude {math.degrees(site.latitude):.4g} deg the Earth's rate hardly has a horizontal component: north cannot be found "
+            f"at latitude {math.degrees(site.latitude):.4g} deg the Earth's rate hardly has a horizontal component: "
+            "north cannot be found "
             f"by gyrocompassing beyond {math.degrees(HIGHEST_LATITUDE):g} deg"
         )
     speed = reference_speed(recorded)
@@ -220,7 +223,8 @@ def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
 def _quiet(label: str, mean: Array, site: Site) -> str:
     shown = math.degrees(_rate_error(mean, site)) * 3600
     return (
-        f"During '{label}' noise is far smaller than what the gyros show against the Earth's rate, {shown:.3g} deg/h; the alignment takes "
+        f"During '{label}' noise is far smaller than what the gyros show against the Earth's rate, {shown:.3g} "
+        "deg/h; the alignment takes "
         "this for their uncertainty."
     )
 
@@ -228,19 +232,22 @@ def _quiet(label: str, mean: Array, site: Site) -> str:
 def _check_at_rest(label: str, mean: Array, site: Site) -> None:
     """mean: (6,), rad/s and m/s², at the first stop."""
     if not np.isfinite(mean).all():
-        raise UnfitDataError(f"segment '{label}' holds too few usable samples: record it again")
+        raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")
     force = float(np.linalg.norm(mean[3:]))
     if abs(force / site.gravity - 1) > _GRAVITY_TOLERANCE:
         raise UnfitDataError(
-            f"segment '{label}': the mean specific force is {force:.5g} m/s^2 where gravity is {site.gravity:.5g}: check the "
+            f"segment '{label}': the mean specific force is {force:.5g} m/s^2 where gravity is {site.gravity:.5g}: "
+            "check the "
             "accelerometers' units and order, and that the unit is at rest"
         )
     if _rate_error(mean, site) > _EARTH_TOLERANCE * site.earth_rate:
         found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
         raise UnfitDataError(
-            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, the Earth turns with "
-            f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the latitude; gyros with "
+            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, the "
+            "Earth turns with "
+            f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the "
+            "latitude; gyros with "
             "such errors cannot find north"
         )
 
@@ -250,19 +257,21 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
     covariance = found.covariance
     if found.largest > _MOVED:
         raise UnfitDataError(
-            f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second: the unit moved during alignment; align again "
-            "while it stands still"
+            f"segment '{label}': velocity changes by {found.largest:.3g} m/s within a second: the unit moved during "
+            "alignment; align again at rest"
         )
     if found.consistency > _WIDENED:
         covariance = covariance * found.consistency**2
         warnings.append(
-            f"During '{label}' velocity departs from rest {found.consistency:.2g} times as far as noise explains (vibration, a base that "
+            f"During '{label}' velocity departs from rest {found.consistency:.2g} times as far as noise explains "
+            "(vibration, a base that "
             "sways); the uncertainties of the alignment are widened by that."
         )
     heading = math.sqrt(covariance[TILT, TILT][2, 2])
     if heading > _HEADING_LIMIT:
         raise UnfitDataError(
-            f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg (standard uncertainty): "
+            f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg "
+            "(standard uncertainty): "
             "align longer, or use gyros with less noise and smaller errors"
         )
     return replace(found, covariance=covariance), tuple(warnings)

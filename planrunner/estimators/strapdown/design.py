@@ -78,7 +78,7 @@ def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
         found.append(Remark("physics-navigation-align", message, "align at rest, before the motion begins", error=True))
     still = stillness(stop, stop.dwell if stop.dwell is not None else math.inf)
     if still < SHORTEST:
-        message = f"'{stop.label}' stands still for {still:g} s; alignment needs at least {SHORTEST:g} s"
+        message = f"'{stop.label}' is at rest for {still:g} s; alignment needs at least {SHORTEST:g} s"
         found.append(Remark("physics-navigation-align", message, "dwell 5 to 10 min", error=True))
     if abs(request.site.latitude) > HIGHEST_LATITUDE:
         message = f"at latitude {math.degrees(request.site.latitude):.4g} deg north cannot be found by gyrocompassing"
@@ -93,13 +93,14 @@ def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) 
     known = stop.attitude is not None and first.attitude is not None
     if known and ends is None and isinstance(stop.motion, Cycle):
         message = (
-            f"'{stop.label}' dwells as long as it was recorded, so where its cycle ends is not known; '{first.label}' can only "
+            f"'{stop.label}' dwells as long as it was recorded, so where its cycle ends is not known; "
+            f"'{first.label}' can only "
             "follow it where the two have no pause between them, or where whole cycles were recorded"
         )
         hint = f"write how long '{stop.label}' was recorded, such as `dwell: {{cycles: 2}}` or `dwell: 10 min`"
         found.append(Remark("physics-navigation-gap", message, hint))
     elif known and not same_attitude(ends, first.attitude):
-        message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment does not hold for it"
+        message = f"'{first.label}' does not begin in the orientation in which '{stop.label}' ends, so the alignment is not valid for it"
         found.append(
             Remark(
                 "physics-navigation-gap",
@@ -124,7 +125,8 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
     lasting = [segment.dwell for segment in moving if segment.dwell is not None]
     if len(lasting) == len(moving) and sum(lasting) < SCHULER_PERIOD:
         message = (
-            f"the navigation lasts {sum(lasting) / 60:.4g} min, less than a Schuler period of 84.4 min: what it gives in nmi/h must not be "
+            f"the navigation lasts {sum(lasting) / 60:.4g} min, less than a Schuler period of 84.4 min: what it "
+            "gives in nmi/h must not be "
             "carried on to longer times"
         )
         found.append(Remark("physics-navigation-short", message, "navigate for several hours"))
@@ -133,7 +135,8 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
         rate = segment.sample_rate or request.sensor.sample_rate
         if abs(turning) / rate > _COARSE_TURN:
             message = (
-                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; what coning "
+                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; what "
+                "coning "
                 "and sculling corrections leave is not small then"
             )
             found.append(Remark("physics-navigation-rate", message, "sample faster, or turn more slowly", "segments"))
@@ -174,7 +177,8 @@ def _expected(
     sensitivities = -attitude.angle_sensitivities(rotation)
     angles = sensitivities @ start[TILT, TILT] @ sensitivities.T
     note = (
-        "Expected errors are root mean squares over many such units, from declared white noise and from gyro_uncertainty and "
+        "Expected errors are root mean squares over many such units, from declared white noise and from "
+        "gyro_uncertainty and "
         "accelerometer_uncertainty as far as they are stated."
     )
     return _coefficients(rotation, angles, covariances), (note,)

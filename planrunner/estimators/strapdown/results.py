@@ -163,33 +163,37 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float]) -> tuple[str, ...]:
     low, high = (values["cep_rate"] * share for share in CEP_INTERVAL)
     notes = [
-        f"One run says little of a CEP: with normal errors of one variance and zero mean the CEP rate lies between {low:.3g} and "
+        "One run determines a CEP poorly: with normal errors of one variance and zero mean the CEP rate is between "
+        f"{low:.3g} and "
         f"{high:.3g} nmi/h (95 %). Take the root mean square of radial_error_rate over several runs, times 0.8326.",
-        "Uncertainties of the errors come from white noise as seen during alignment, carried through the linear error equations; constant "
-        "sensor errors are part of what is measured. Those of largest, root-mean-square and rate figures are upper bounds.",
+        "Uncertainties of the errors come from white noise as seen during alignment, carried through the linear "
+        "error equations; constant "
+        "sensor errors are part of what is measured. Those of largest, root-mean-square and rate figures are upper "
+        "bounds.",
     ]
     parameters: StrapdownNavigationParameters = request.parameters
     unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None
     if unknown and found.aligned.turned:
         notes.append(
-            "Alignment takes constant errors for unknown within 0.1 deg/h and 1 mg where gyro_uncertainty and "
-            "accelerometer_uncertainty do not say better."
+            "Alignment assumes that constant errors are unknown within 0.1 deg/h and 1 mg unless gyro_uncertainty "
+            "and accelerometer_uncertainty are given."
         )
     elif unknown:
         notes.append(
-            "The uncertainties of heading, pitch and roll hold the noise alone: what constant gyro and accelerometer errors add "
+            "The uncertainties of heading, pitch and roll include only the noise: the contribution of constant gyro "
+            "and accelerometer errors "
             "(ε_E/(Ω·cos φ) and ∇/g) is not known without gyro_uncertainty and accelerometer_uncertainty."
         )
     if found.seconds < SCHULER_PERIOD:
         notes.append(
-            f"The navigation lasts {found.seconds / 60:.3g} min, less than a Schuler period of 84.4 min: rates in nmi/h are those of the "
+            f"The navigation lasts {found.seconds / 60:.3g} min, less than a Schuler period of 84.4 min: rates in "
+            "nmi/h are those of the "
             "beginning of an oscillation and must not be carried on."
         )
     if found.gap:
         notes.append(
-            f"{found.gap:.4g} s without samples lie between alignment and navigation: the attitude was carried over them, "
-            "the unit being at rest "
-            "or having been brought back to the same orientation by the table."
+            f"{found.gap:.4g} s without samples separate alignment and navigation: the attitude was carried over, "
+            "because the unit was at rest or the table brought it back to the same orientation."
         )
     truncated = [recorded.label for recorded in request.segments if recorded.truncated]
     if truncated:

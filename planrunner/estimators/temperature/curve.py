@@ -208,7 +208,7 @@ def fit_curve(
     def fitted(one: int) -> CurveFit:
         if distinct < one + 1:
             raise EstimationError(
-                f"{distinct} temperatures cannot tell a {form} of order {one}: lower `order` or add temperatures"
+                f"{distinct} temperatures cannot determine a {form} of order {one}: lower `order` or add temperatures"
             )
         return _fitted(curve(form, one, reference, temperature), temperature, value, sigma, scatter, series)
 
@@ -234,7 +234,8 @@ def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter
         return CurveFit(made, fit.coefficients, fit.cofactor, np.inf)
     if not fit.degrees_of_freedom:
         raise EstimationError(
-            f"{len(value)} values for {made.order + 1} coefficients leave no residual to take an uncertainty from: lower `order`, add "
+            f"{len(value)} values for {made.order + 1} coefficients leave no residual to take an uncertainty from: "
+            "lower `order`, add "
             "temperatures or write `uncertainty: propagated`"
         )
     weighted = fit.residuals / sigma

@@ -60,7 +60,8 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
         by_temperature = estimate.extra.get("by_temperature")
         if not isinstance(by_temperature, Mapping) or not by_temperature:
             raise EstimationError(
-                f"'{used}' ({estimate.estimator}) gives no coefficients by temperature: state one temperature for all of its segments, "
+                f"'{used}' ({estimate.estimator}) gives no coefficients by temperature: state one temperature for "
+                "all of its segments, "
                 "or use another estimate"
             )
         for name, data in by_temperature.items():
@@ -121,7 +122,7 @@ def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str
             if count >= _LEAST_IN_BIN:
                 freedom, squares = freedom + count - 2, squares + left
     if not rows:
-        raise EstimationError(f"channel '{channel}' holds no usable samples in the chosen segments")
+        raise EstimationError(f"channel '{channel}' has no usable samples in the chosen segments")
     scatter = math.sqrt(squares / freedom) if freedom > 0 else math.nan
     temperature, value, size, spread = (np.array([row[k] for row in rows], dtype=float) for k in range(4))
     uncertainty: Array = spread if thermometer is None else scatter / np.sqrt(size)
@@ -144,7 +145,7 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
             f"segment '{recorded.label}' holds no planned temperature: name the sensor's own in `temperature_channel`"
         )
     if not statistics.count:
-        raise EstimationError(f"segment '{recorded.label}' holds no usable samples: leave it out of `segments`")
+        raise EstimationError(f"segment '{recorded.label}' has no usable samples: leave it out of `segments`")
     k = statistics.of(channel)
     own = float(statistics.standard_error[k])
     return segment.temperature - ZERO_CELSIUS, float(statistics.mean[k]), 1.0, own, 0, recorded.label

@@ -73,13 +73,14 @@ class TemperatureModelParameters(Record):
     highest_order: int = key(Number(1, 12, integer=True), "Highest order that is tried.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
-        "Into how many adjoining ranges the temperatures are divided to be held out in turn; 0 holds out each alone.",
+        "Number of contiguous temperature ranges that are held out in turn; 0 holds out each temperature separately.",
         5,
         default=0,
     )
     rule: str = key(
         Choice(RULES),
-        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; or the smallest itself.",
+        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; or the "
+        "smallest itself.",
         "smallest_error",
         default="one_standard_error",
     )
@@ -179,9 +180,7 @@ def _one_source(parameters: TemperatureModelParameters, uses: bool) -> None:
 def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
     scatter = parameters.uncertainty == "residual"
     if not scatter and not points.known:
-        raise EstimationError(
-            f"'{points.name}' has no uncertainty of its own everywhere: write `uncertainty: residual`"
-        )
+        raise EstimationError(f"'{points.name}' does not have an uncertainty everywhere: write `uncertainty: residual`")
     try:
         fit = fit_curve(
             parameters.form,
@@ -357,22 +356,26 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
         found.append(f"{name}: order {fit.curve.order} was chosen of {orders} by {by}, leaving out {held}.")
         if fit.fullest is not None:
             found.append(
-                f"{name}: the uncertainties allow for the choice: they are those of order {fit.fullest.curve.order}, the highest tried, "
-                "with the distance to it added. Where physics says which order it is, `order` gives narrower ones."
+                f"{name}: the uncertainties allow for the choice: they are those of order {fit.fullest.curve.order}, "
+                "the highest tried, "
+                "with the distance to it added. If the order is known from physics, `order` gives narrower intervals."
             )
     low, high = one.points.temperature.min(), one.points.temperature.max()
     found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond, the curve is a guess.")
     if not parameters.channels:
         found.append(
-            "What the values at all temperatures have in common, such as a fixture's angle, is in the estimates used, not here."
+            "What the values at all temperatures have in common, such as a fixture's angle, is in the estimates "
+            "used, not here."
         )
     if parameters.uncertainty == "residual":
         found.append(
-            f"{name}: the uncertainty rests on the scatter about the curve, with {fit.degrees_of_freedom:.0f} degrees of freedom."
+            f"{name}: the uncertainty rests on the scatter about the curve, with {fit.degrees_of_freedom:.0f} "
+            "degrees of freedom."
         )
     if fit.correlation > 1:
         found.append(
-            f"{name}: consecutive values along the ramps resemble each other; variances are {fit.correlation:.3g} times those of "
+            f"{name}: consecutive values along the ramps resemble each other; variances are {fit.correlation:.3g} "
+            "times those of "
             "independent ones, and degrees of freedom as many times fewer."
         )
     return found

@@ -75,7 +75,8 @@ def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], sit
             )
         if segment.attitude is None:
             raise EstimationError(
-                f"the orientation of segment '{segment.label}' is unknown, so it tells nothing of the fixture's angles: give it"
+                f"the orientation of segment '{segment.label}' is unknown, so it gives no information on the "
+                "fixture's angles: give the orientation"
             )
     begun = as_recording_begins(segments, site, setup.table)
     known = tuple(dict.fromkeys(segment.orientation for segment in segments))
@@ -123,7 +124,9 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Polar:
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
     across = math.hypot(x, y)
     if across < 1e-9 * size:
-        raise EstimationError("an axis lies along the fixture's z axis, so it has no azimuth: write `azimuth: stated`")
+        raise EstimationError(
+            "an axis is parallel to the fixture's z axis, so it has no azimuth: write `azimuth: stated`"
+        )
     azimuth = about + math.remainder(math.atan2(y, x) - about, 2 * math.pi)
     values = np.array([sign * size, math.atan2(across, z), azimuth])
     gradient = np.array(

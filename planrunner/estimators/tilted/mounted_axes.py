@@ -59,7 +59,8 @@ def mounted_axes(mounting: Mapping[str, Any], available: Sequence[str], chosen: 
     """
     if not mounting:
         raise EstimationError(
-            "the plan has no `mounting`: say how each input axis stands, such as `x: {angle: 54.7356 deg, azimuth: 0 deg}`"
+            "the plan has no `mounting`: give the direction of each input axis, such as `x: {angle: 54.7356 deg, "
+            "azimuth: 0 deg}`"
         )
     pairs = [_axis_of(output, available, mounting) for output in chosen] if chosen else _outputs_of(mounting, available)
     names, outputs = tuple(axis for axis, _ in pairs), tuple(output for _, output in pairs)
@@ -80,8 +81,8 @@ def seeing(axes: MountedAxes) -> MountedAxes:
     for name, angle in zip(axes.names, axes.angles, strict=True):
         if abs(math.cos(angle)) < BLIND:
             raise EstimationError(
-                f"mounting.{name}: at {math.degrees(angle):.6g} deg the axis lies across the rotation axis and sees nothing of its "
-                "rate: mount it nearer to the rotation axis"
+                f"mounting.{name}: at {math.degrees(angle):.6g} deg the axis is perpendicular to the rotation axis "
+                "and does not respond to its rate: mount it closer to the rotation axis"
             )
     return axes
 
@@ -105,7 +106,8 @@ def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
         off = math.atan2(math.hypot(seen[0], seen[1]), abs(seen[2]))
         if along_z and off > ALONG:
             raise EstimationError(
-                f"in segment '{segment.label}' the fixture's z axis stands {math.degrees(off):.4g} deg from the rotation axis; the angles "
+                f"in segment '{segment.label}' the fixture's z axis stands {math.degrees(off):.4g} deg from the "
+                "rotation axis; the angles "
                 "of `mounting` count from z: choose an orientation with z along the rotation axis"
             )
         found[row] = seen
@@ -123,7 +125,8 @@ def _axis_of(output: str, available: Sequence[str], mounting: Mapping[str, Any])
     if not found:
         held = ", ".join(mounting)
         raise EstimationError(
-            f"output '{output}' has no axis in `mounting` ({held}): an axis is found by the end of the output's name, gyro_x by x"
+            f"output '{output}' has no axis in `mounting` ({held}): an axis is found by the end of the output's "
+            "name, gyro_x by x"
         )
     return max(found, key=len), output
 
@@ -134,7 +137,8 @@ def _outputs_of(mounting: Mapping[str, Any], available: Sequence[str]) -> list[t
         found = [output for output in available if _belongs(output, axis)]
         if not found:
             raise EstimationError(
-                f"mounting.{axis} has no output: none of {', '.join(available)} ends with '_{axis}'; name `outputs` or correct `mounting`"
+                f"mounting.{axis} has no output: none of {', '.join(available)} ends with '_{axis}'; name `outputs` "
+                "or correct `mounting`"
             )
         if len(found) > 1:
             raise EstimationError(f"mounting.{axis} fits {' and '.join(found)}: name the one to use in `outputs`")

@@ -232,7 +232,7 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
                 "it, nor the drift between the zeros, which is that flicker seen once. Any other drift is in the budget as an offset."
             )
             return text
-        return f"{text}; a drift between the zeros that is more than their noise (1 %) is in the budget beside them, as an offset."
+        return f"{text}; a drift between the zeros that exceeds their noise (1 %) is also in the budget, as an offset."
     if basis == "within_segment":
         text = "Uncertainties rest on the noise within the segments; what changes from segment to segment is in them only where stated."
         if declared:
@@ -264,10 +264,7 @@ def _earth_words(situation: Situation, how: str) -> str:
         if parts:
             text += " Where a recording covers part of a turn, the angle at which it began is taken from spin-up and settling as planned."
         return text
-    return (
-        f"The Earth's rotation across the rotation axis is {how}: F0 holds what the zeros saw of it at home, "
-        f"up to {most:.3g} deg/h on an axis."
-    )
+    return f"The Earth's rotation across the rotation axis is {how}: F0 contains the part that the zeros measured at the home position, up to {most:.3g} deg/h on an axis."
 
 
 def _warnings(situation: Situation) -> list[str]:

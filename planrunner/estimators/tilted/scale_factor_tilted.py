@@ -81,7 +81,8 @@ class ScaleFactorTiltedParameters(Record):
     )
     earth_rate: str = key(
         Choice(("corrected", "averaged", "ignored")),
-        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; averaged by whole turns, "
+        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; "
+        "averaged by whole turns, "
         "which are then required; or ignored. Only where corrected is it kept out of F0.",
         "corrected",
         default="corrected",
@@ -91,13 +92,15 @@ class ScaleFactorTiltedParameters(Record):
     )
     rate_uncertainty: Quantity | None = key(
         QuantityOf("ratio", "not negative"),
-        "Relative standard uncertainty of the table's rate, common to all rates; how well each is held stands in the bench file.",
+        "Relative standard uncertainty of the table's rate, common to all rates; the bench file gives the error of "
+        "each rate.",
         "50 ppm",
         default=None,
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the repeats, that of the rates about the line, or the noise within the segments.",
+        "What the uncertainties rest on: the scatter of the repeats, that of the rates about the line, or the noise "
+        "within the segments.",
         "repeats",
         default="repeats",
     )
@@ -109,7 +112,8 @@ class ScaleFactorTiltedParameters(Record):
     )
     temperature: str | None = key(
         CHANNEL,
-        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the planned temperatures.",
+        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the "
+        "planned temperatures.",
         THERMOMETER,
         default=None,
     )
@@ -245,12 +249,15 @@ def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[Ra
     if not whole_ones:
         one, why = lacking[0]
         raise EstimationError(
-            f"no series is complete: {one.name} {why}. Each needs a zero before the rates and one after, at rest, labelled as in `zero` "
+            f"no series is complete: {one.name} {why}. Each needs a zero before the rates and one after, at rest, "
+            "labelled as in `zero` "
             f"({', '.join(request.parameters.zero)})"
         )
     rates_at = {tuple(recorded[index].segment.rate for index in one.spins) for one, _ in whole_ones}
     if any(len(set(rates)) < 2 for rates in rates_at):
-        raise EstimationError("a series has one rate only, so a line cannot be told from a constant: add rates")
+        raise EstimationError(
+            "a series has one rate only, so a line cannot be distinguished from a constant: add rates"
+        )
     order = sorted(index for one, _ in whole_ones for index in one.segments)
     place = {index: row for row, index in enumerate(order)}
 
@@ -280,7 +287,8 @@ def _conditions(
         if parts:
             label, turns = parts[0]
             raise EstimationError(
-                f"'{label}' covers {turns:.4g} turns, not whole ones, so the Earth's rotation is not averaged out: write "
+                f"'{label}' covers {turns:.4g} turns, not whole ones, so the Earth's rotation is not averaged out: "
+                "write "
                 "`earth_rate: corrected`, or `dwell: {turns: 1, at_least: …}`"
             )
     return Conditions(axes, commanded, along, None), tuple(planned)
@@ -306,7 +314,8 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
             name = axes.outputs[silent[0]]
             where = f" at {group.label}" if group.label else ""
             raise UnfitDataError(
-                f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the sensor had power and "
+                f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the "
+                "sensor had power and "
                 "measured (`mode`), and its wiring"
             )
 
@@ -335,7 +344,8 @@ def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequen
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
-            f"{request.name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise to "
+            f"{request.name}: the samples within the segments do not vary (or are too few), so there is no "
+            "within-segment noise to "
             "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
         )
     sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
@@ -344,8 +354,10 @@ def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequen
 
 def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
     return [
-        f"The zeros of {axes.outputs[axis]} moved further between before and after the rates than noise and the declared bias instability "
-        "let them (1 %): their drift is added to the budget as well; look for warming up, or declare a larger bias instability."
+        f"The zeros of {axes.outputs[axis]} moved further between before and after the rates than noise and the "
+        "declared bias instability "
+        "let them (1 %): their drift is added to the budget as well; look for warming up, or declare a larger bias "
+        "instability."
         for axis in sorted(further)
     ]
 

@@ -68,7 +68,9 @@ class CounterOfFrame(Record):
     place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 14, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
     step: int = key(Number(1, 2**31, integer=True), "Counts from one frame to the next.", 1, default=1)
-    modulus: int | None = key(Number(2, 2**32, integer=True), "It starts anew at this value.", 128, default=None)
+    modulus: int | None = key(
+        Number(2, 2**32, integer=True), "The counter restarts at zero when it reaches this value.", 128, default=None
+    )
     little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
 
 
@@ -78,7 +80,9 @@ class StatusOfFrame(Record):
     place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 15, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
     bits: dict[str, int] = key(
-        MapOf(Number(0, 31, integer=True)), "What a set bit says → the bit, from 0 for the lowest.", {"overload": 4}
+        MapOf(Number(0, 31, integer=True)),
+        "Meaning of a set bit → number of the bit, from 0 for the lowest.",
+        {"overload": 4},
     )
     set_is_good: bool = key(Boolean(), "Whether bits are clear when they speak against the frame.", True, default=False)
     little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
@@ -103,12 +107,12 @@ class DeclaredFrameParameters(SerialSensorParameters):
     length: int = key(Number(2, LONGEST, integer=True), "Bytes of a frame, sync and checksum included.", 20)
     fields: dict[str, FieldOfFrame] = key(
         MapOf(RecordOf(FieldOfFrame), pattern=NAME),
-        "Channel → where it stands.",
+        "Channel → its place in the frame.",
         {"gyro_x": {"at": 2, "type": "i16", "scale": 0.02, "unit": "deg/s"}},
     )
     checksum: ChecksumOfFrame | None = key(
         RecordOf(ChecksumOfFrame),
-        "Its checksum. Without one a corrupt frame cannot be told from a good one.",
+        "Its checksum. Without one a corrupt frame cannot be distinguished from a good frame.",
         {"type": "crc16_modbus", "from": 2},
         default=None,
     )
@@ -198,7 +202,7 @@ def _check(parameters: DeclaredFrameParameters) -> None:
     sync = len(bytes.fromhex(parameters.sync))
     for name, (item, width) in places.items():
         if item.place < sync or item.place + width > parameters.length - check:
-            message = f"'{name}' does not lie between the sync and the checksum of a frame of {parameters.length} bytes"
+            message = f"'{name}' is not between the sync and the checksum of a frame of {parameters.length} bytes"
             hint = f"`at` is counted from 0: from {sync} to {parameters.length - check - width}"
             raise InputError.at(item.origin.at("at"), "meaning-range", message, hint)
     if not parameters.fields:

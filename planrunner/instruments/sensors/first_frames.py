@@ -50,13 +50,14 @@ class FirstFrames:
         sync = self._decoder.framing.sync.hex(" ").upper()
         if self._framer.good == 0:
             raise InstrumentError(
-                f"{self._bytes} bytes came from {port} at {baud} baud, and among them no frame that begins with {sync} and whose "
+                f"{self._bytes} bytes came from {port} at {baud} baud, and among them no frame that begins with "
+                f"{sync} and whose "
                 "checksum fits: look at `baud` and at the sensor's output format"
             )
         if self._good == 0:
             wanted = ", ".join(self._decoder.channels())
             raise InstrumentError(
-                f"the frames from {port} do not hold all of {wanted}: look at the sensor's output format"
+                f"the frames from {port} do not contain all of {wanted}: check the output format of the sensor"
             )
         if self._counted < ENOUGH or self.seconds == 0.0:
             return

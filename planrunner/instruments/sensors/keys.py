@@ -22,7 +22,7 @@ class GyroKnowledge(Record):
 
     full_scale: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
-        "Largest rate, either sign; plans are held against it.",
+        "Largest rate, either sign; `check` compares plans with it.",
         "400 deg/s",
         default=None,
     )
@@ -66,7 +66,7 @@ class SerialSensorParameters(Record):
     kind: str = key(Text(KIND, "a sensor kind"), "Kind of sensor, as plans name it.", "imu", default="imu")
     sample_rate: Quantity = key(
         QuantityOf("frequency", "positive"),
-        "Frames a second that the sensor is set to; held against what comes.",
+        "Frames per second that the sensor is set to; compared with the received rate.",
         "1000 Hz",
     )
     silence: Quantity = key(
@@ -77,7 +77,7 @@ class SerialSensorParameters(Record):
     )
     thermal_lag: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Time constant of the sensor's temperature behind the chamber's air; `check` holds soaks against it.",
+        "Time constant with which the sensor's temperature follows the chamber's air; `check` compares soaks with it.",
         "10 min",
         default=None,
     )

@@ -171,15 +171,17 @@ class SerialSensor:
 
     def _silence(self, seconds: float) -> str:
         return (
-            f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: look at its power, its cable, "
+            f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: look at its power, "
+            "its cable, "
             "and whether it was reset to other settings; then resume the run"
         )
 
     def _check_count(self, seconds: float) -> None:
         if seconds > self._patience():
             raise InstrumentError(
-                f"the frames that came from {self.parameters.port} for {seconds:.1f} s do not count on: the sensor's counter stands still, "
-                "so that nobody can tell when they were taken; switch it off and on, then resume the run"
+                f"the frames that came from {self.parameters.port} for {seconds:.1f} s do not count on: the sensor's "
+                "counter is stuck, so the times of the samples are unknown; switch the sensor off and on, then "
+                "resume the run"
             )
 
     def _check_skew(self, skew: float) -> None:

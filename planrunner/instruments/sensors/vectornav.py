@@ -63,8 +63,8 @@ class VectorNavParameters(SerialSensorParameters):
     )
     fields: tuple[str, ...] = key(
         ListOf(Choice(tuple(FIELDS)), minimum=1),
-        "Fields of the common group that its binary messages hold. Without time_startup, lost messages are only seen as silences "
-        "longer than 0.1 s.",
+        "Fields of the common group in its binary messages. Without time_startup, lost messages are detected only as "
+        "silences longer than 0.1 s.",
         ["time_startup", "imu", "mag_pres"],
         default=("time_startup", "imu", "mag_pres"),
     )
@@ -87,11 +87,11 @@ class VectorNav(SerialSensor):
     def model(cls, parameters: Any) -> SensorModel:
         channels = cls.decoder_of(parameters).channels()
         if not channels:
-            message = "messages with these fields hold no samples"
+            message = "messages with these fields contain no samples"
             raise InputError.at(parameters.at("fields"), "form-size", message, "add for example imu")
         fields = set(parameters.fields)
         if parameters.output == "binary" and "imu" in fields and fields & {"acceleration", "angular_rate"}:
-            message = "imu holds accelerations and angular rates already"
+            message = "imu already contains accelerations and angular rates"
             raise InputError.at(parameters.at("fields"), "meaning-range", message, "leave one of them out")
         return sensor_model(parameters, channels, {})
 
@@ -112,7 +112,7 @@ class VectorNav(SerialSensor):
         model, serial = (ask(link, clock, f"VNRRG,{register}").rpartition(",")[2] for register in (MODEL, SERIAL))
         if not model.startswith("VN-"):
             raise InstrumentError(
-                f"the sensor on {parameters.port} says that it is '{model[:40]}', which is no VectorNav"
+                f"the sensor on {parameters.port} says that it is '{model[:40]}', which is not a VectorNav"
             )
         port = parameters.configure.removeprefix("port_")
         ask(link, clock, f"VNWRG,75,{port},{round(divisor)},{COMMON_GROUP:02X},{word(parameters.fields):04X}")
@@ -135,7 +135,8 @@ def body_of(reply: bytes) -> str:
     text = body.decode("ascii", "replace")
     if text.startswith("VNERR"):
         raise InstrumentError(
-            f"the VN-100 refuses the command with error {text[6:20]}: look at the fields and the rate that it is to send"
+            f"the VN-100 refuses the command with error {text[6:20]}: look at the fields and the rate that it is to "
+            "send"
         )
     return text
 

@@ -57,13 +57,15 @@ class XsensParameters(SerialSensorParameters):
 
     outputs: tuple[str, ...] = key(
         ListOf(Choice(tuple(OUTPUTS)), minimum=1),
-        "What every frame holds. delta_v and delta_q are recorded as the means over the frame, instead of acceleration and rate.",
+        "Contents of every frame. delta_v and delta_q are recorded as the means over the frame, instead of "
+        "acceleration and rate.",
         ["rate", "acceleration", "temperature"],
         default=("rate", "acceleration"),
     )
     configure: bool = key(
         Boolean(),
-        "Whether the outputs, with packet counter and status word, and the rate are set when connecting; else they must be set so.",
+        "Whether the outputs, with packet counter and status word, and the rate are set when connecting; else they "
+        "must be set so.",
         True,
         default=False,
     )

@@ -79,7 +79,7 @@ class AcutrolCommands:
         if bounds.rate > reach[0] or bounds.acceleration > reach[1]:
             able = f"{reach[0]:g} deg/s and {reach[1]:g} deg/s^2"
             raise InstrumentError(
-                f"axis {axis} of the ACUTROL reaches {able}, less than the bench file says ({bounds.rate:g}, "
+                f"axis {axis} of the ACUTROL reaches {able}, less than declared in the bench file ({bounds.rate:g}, "
                 f"{bounds.acceleration:g}): correct max_rate and max_acceleration"
             )
         low = reach[3] if bounds.lowest is None else bounds.lowest
@@ -110,7 +110,8 @@ class AcutrolCommands:
         for axis in self.axes:
             if self.link.query(f":interlock? {axis}").casefold().startswith("fault"):
                 raise InstrumentError(
-                    f"the interlock of axis {axis} does not close: look at doors, emergency stops and drives, then try again"
+                    f"the interlock of axis {axis} does not close: look at doors, emergency stops and drives, then "
+                    "try again"
                 )
         self._modes = dict.fromkeys(self.axes, "off")
 

@@ -335,8 +335,8 @@ class AxisTable:
     def _wait_before(self, end: float) -> None:
         if self.clock.now() >= end:
             raise InstrumentError(
-                f"the axis '{self.axes[0].name}' does not stand at its position when the stop there is over: let it stop for longer, "
-                "and look at max_acceleration and position_tolerance in the bench file"
+                f"the axis '{self.axes[0].name}' is not at its position when the stop ends: make the stop longer, "
+                "and check max_acceleration and position_tolerance in the bench file"
             )
         self._timed.until(self.clock.now() + POLL)
 

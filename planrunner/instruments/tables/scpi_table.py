@@ -35,7 +35,7 @@ class TableCommands(Record):
     )
     limit: tuple[str, ...] = key(
         ListOf(CommandTemplate(LIMITS)),
-        "Set what an axis keeps to by itself; with {rate}, {acceleration} and {tracking_error}.",
+        "Set the limits that the controller enforces; with {rate}, {acceleration} and {tracking_error}.",
         ["AXIS{axis}:LIM:RATE {rate}", "AXIS{axis}:LIM:ACC {acceleration}"],
         default_factory=tuple,
     )
@@ -47,7 +47,7 @@ class TableCommands(Record):
     )
     go_to: str | None = key(
         CommandTemplate(("axis", "position")),
-        "Go to a {position} and stand there.",
+        "Go to a {position} and stay there.",
         "AXIS{axis}:POS {position}",
         default=None,
     )

@@ -21,7 +21,7 @@ class WiredAxisSpec(AxisSpec):
     )
     zero: Quantity = key(
         QuantityOf("angle"),
-        "What the controller reads when the joint stands at zero.",
+        "Reading of the controller when the joint is at zero.",
         "12.5 deg",
         default=parse_quantity("0 deg"),
     )
@@ -43,7 +43,7 @@ class WiredTableKeys(TableKeys):
     )
     position_tolerance: Quantity = key(
         QuantityOf("angle", "positive"),
-        "How near to its target an axis must stand to count as there.",
+        "Largest distance from the target at which an axis counts as having reached it.",
         "10 arcsec",
         default=parse_quantity("0.01 deg"),
     )

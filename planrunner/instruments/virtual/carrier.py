@@ -23,7 +23,8 @@ class VirtualCarrierParameters(Record):
 
     speed: Quantity = key(
         QuantityLike("m/s", "not negative"),
-        "Speed along the track, or amplitude of a sinusoidal velocity; at zero the bench stands as if there were no carrier.",
+        "Speed along the track, or amplitude of a sinusoidal velocity; at zero the bench is at rest, as without a "
+        "carrier.",
         "10 m/s",
     )
     heading: Quantity = key(
@@ -46,7 +47,7 @@ class VirtualCarrierParameters(Record):
     )
     start: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Time since the run began until which it stands.",
+        "Time after the beginning of the run at which it starts to move.",
         "20 min",
         default=parse_quantity("0 s"),
     )
@@ -58,7 +59,8 @@ class VirtualCarrierParameters(Record):
     )
     bench: str = key(
         Choice(("north-aligned", "heading-aligned")),
-        "Whether the bench stays aligned with north or turns with the heading; directions of a plan are then those of the bench.",
+        "Whether the bench stays aligned with north or turns with the heading; directions of a plan are then those "
+        "of the bench.",
         "heading-aligned",
         default="north-aligned",
     )
@@ -78,7 +80,7 @@ class VirtualCarrier:
         p = parameters
         world = World.of(surroundings)
         if world.track is not None:
-            raise InstrumentError("the bench stands on another carrier already: keep one of them")
+            raise InstrumentError("the bench already has another carrier: keep one of them")
         if p.period is not None and p.speed_up is not None:
             raise InstrumentError("a sinusoidal velocity needs no time to speed up: remove period or speed_up")
         if p.speed.value > FASTEST:

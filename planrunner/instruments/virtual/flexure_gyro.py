@@ -65,7 +65,7 @@ class VirtualFlexureGyroParameters(Record):
     )
     xi: Quantity = key(
         QuantityOf("angle"),
-        "ξ, angle of the torquer Y axis, beside ε.",
+        "ξ, angle of the torquer Y axis, in addition to ε.",
         "-5 arcmin",
         default=parse_quantity("0 arcmin"),
     )
@@ -83,7 +83,7 @@ class VirtualFlexureGyroParameters(Record):
     )
     bias_instability: Quantity = key(
         QuantityLike("pulse/s", "not negative"),
-        "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
+        "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "0.025 pulse/s",
         default=parse_quantity("0 pulse/s"),
     )
@@ -143,7 +143,7 @@ class VirtualFlexureGyro:
     def connect(cls, parameters: VirtualFlexureGyroParameters, surroundings: Surroundings) -> VirtualFlexureGyro:
         if abs(math.cos(parameters.xi.value)) < 1e-3:
             raise InstrumentError(
-                "the gyro's torquers lie along one axis (ξ is near 90 deg), so its loops cannot close"
+                "the gyro's torquers are along one axis (ξ is near 90 deg), so its loops cannot close"
             )
         return cls(parameters, World.of(surroundings))
 

@@ -122,7 +122,7 @@ class GyroErrors(ScaleErrors):
     )
     bias_instability: Quantity | None = key(
         QuantityOf("angular rate", "not negative"),
-        "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
+        "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "0.005 deg/h",
         default=None,
     )
@@ -167,7 +167,8 @@ class AccelerometerErrors(ScaleErrors):
     )
     resolution: Quantity | None = key(
         QuantityLike("m/s", "not negative", ("m/s^2",)),
-        "Smallest step: a velocity is counted, what is left of a sample in the next; an acceleration is rounded sample by sample.",
+        "Smallest step: a velocity is counted, what is left of a sample in the next; an acceleration is rounded "
+        "sample by sample.",
         "1e-5 m/s",
         default=None,
     )
@@ -185,7 +186,7 @@ class AccelerometerErrors(ScaleErrors):
     )
     bias_instability: Quantity | None = key(
         QuantityOf("acceleration", "not negative"),
-        "Coefficient B of IEEE Std 952; the Allan deviation lies flat at 0.664·B.",
+        "Coefficient B of IEEE Std 952; the flat part of the Allan deviation is 0.664·B.",
         "10 ug",
         default=None,
     )
@@ -208,7 +209,7 @@ class Direction(Record):
     )
     axis: str | None = key(
         Choice(FRAME),
-        "Axis of the frame along which it lies nominally; without it the one of its own name.",
+        "Axis of the frame along which it points nominally; by default the axis of the same name.",
         "x",
         default=None,
     )
@@ -270,7 +271,7 @@ def _problem(name: str, axis: Direction) -> tuple[str, str] | None:
     nominal = axis.axis or name
     if nominal not in FRAME:
         hint = "add for example `axis: x`, or `angle: 54.7356 deg, azimuth: 0 deg`"
-        return "does not say where it points", hint
+        return "has no direction", hint
     lean = axis.towards or {}
     if nominal in lean:
         return f"lies along {nominal}, so it cannot lean towards {nominal}", "name the other two axes of the frame"
@@ -315,12 +316,12 @@ class VirtualImuParameters(Record):
         default=parse_quantity("0.005 K"),
     )
     reference: bool = key(
-        Boolean(), "Whether true position and velocity are recorded beside the outputs.", True, default=False
+        Boolean(), "Whether true position and velocity are recorded in addition to the outputs.", True, default=False
     )
     table_angle: bool = key(
         Boolean(),
-        "Whether the angle by which the table has turned since it took the orientation is recorded beside the outputs, a mean over the "
-        "sampling interval like them.",
+        "Whether the angle by which the table has turned since it reached the orientation is recorded in addition to "
+        "the outputs, as a mean over the sampling interval.",
         True,
         default=False,
     )

@@ -117,7 +117,7 @@ class TableEncoders(Record):
     )
     return_error: Quantity = _each(
         QuantityOf("angle", "not negative"),
-        "Standard deviation of what a ring stands off its reading after it came to rest, new each time.",
+        "Standard deviation of the error of a ring's reading after it comes to rest, drawn each time.",
         "15 arcsec",
         "0 arcsec",
     )

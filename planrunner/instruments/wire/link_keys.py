@@ -31,7 +31,8 @@ class LinkKeys(Record):
     baud: int = key(Number(50, 4_000_000, integer=True), "Bits a second of a serial line.", 9600, default=9600)
     model_contains: str | None = key(
         Text(r"\S.{0,60}", "some text"),
-        "Text that must occur in what the instrument says of itself, in any case of letters; without it, what the driver expects.",
+        "Text that the identification of the instrument must contain, in upper or lower case; by default the text "
+        "that the driver expects.",
         "ACUTROL",
         default=None,
     )
@@ -41,6 +42,7 @@ class LinkKeys(Record):
         wanted = self.model_contains or expected
         if wanted.casefold() not in said.casefold():
             raise InstrumentError(
-                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': look at the address, or set "
+                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': look at the "
+                "address, or set "
                 "model_contains in the bench file if this is the right instrument"
             )

@@ -123,7 +123,7 @@ class Incoming:
 _LOOK = "look at its power, its cable and its address"
 _GARBAGE = "is it the instrument that the bench file names, and are baud rate and terminators right?"
 _REFUSED = (
-    "refuses the connection: is the instrument on, are network address and port right, does another program hold it?"
+    "refuses the connection: is the instrument on, are network address and port right, does another program use it?"
 )
 
 

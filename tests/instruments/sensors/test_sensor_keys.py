@@ -103,11 +103,11 @@ def test_mistakes_are_told_where_they_stand(keys: str, words: str) -> None:
     ("keys", "words"),
     [
         ("driver: stim300; sample_rate: 300 Hz", "does not send 300 datagrams"),
-        ("driver: vectornav; sample_rate: 400 Hz; fields: [time_startup]", "hold no samples"),
-        ("driver: vectornav; sample_rate: 400 Hz; fields: [imu, acceleration]", "imu holds"),
-        (DECLARED.replace("at: 2, type: i24", "at: 1, type: i24"), "'gyro_x' does not lie between"),
-        (DECLARED.replace("at: 7, type: f32", "at: 10, type: f32"), "'v' does not lie between"),
-        (DECLARED.replace("counter: {at: 11", "counter: {at: 13"), "'counter' does not lie between"),
+        ("driver: vectornav; sample_rate: 400 Hz; fields: [time_startup]", "contain no samples"),
+        ("driver: vectornav; sample_rate: 400 Hz; fields: [imu, acceleration]", "imu already contains"),
+        (DECLARED.replace("at: 2, type: i24", "at: 1, type: i24"), "'gyro_x' is not between"),
+        (DECLARED.replace("at: 7, type: f32", "at: 10, type: f32"), "'v' is not between"),
+        (DECLARED.replace("counter: {at: 11", "counter: {at: 13"), "'counter' is not between"),
         (DECLARED.replace("from: 2", "from: 13"), "covers nothing"),
     ],
 )
