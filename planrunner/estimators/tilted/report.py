@@ -207,13 +207,15 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
         _basis_words(situation, scatter, parameters.uncertainty, acting),
         _earth_words(situation, parameters.earth_rate),
         time_note(seconds, len(axes.names), parameters.remounting.value),
-        "Nonlinearity, response and offset are those of the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + K₋) of two half-lines "
+        "Nonlinearity, response and offset are those of the means over the repeats; asymmetry is 2·(K₊ − K₋)/(K₊ + "
+        "K₋) of two half-lines "
         "that meet at zero rate.",
     ]
     angles = _angles(situation, acting)
     if not angles.any():
         notes.append(
-            "No uncertainty of the fixture's angles is stated, so the budgets lack what usually dominates them: tan θ·u(θ)."
+            "No uncertainty of the fixture's angles is stated, so the budgets lack what usually dominates them: tan "
+            "θ·u(θ)."
         )
     if not np.isfinite(situation.found.coefficient).all():
         notes.append("All rates were run at one temperature, so there is no temperature coefficient.")
@@ -228,8 +230,10 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
         text = "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats"
         if declared:
             text += (
-                f". For {names} the residuals scale noise and declared flicker together, so that the budget lists flicker and does not add "
-                "it, nor the drift between the zeros, which is that flicker seen once. Any other drift is in the budget as an offset."
+                f". For {names} the residuals scale noise and declared flicker together, so that the budget lists "
+                "flicker and does not add "
+                "it, nor the drift between the zeros, which is that flicker seen once. Any other drift is in the "
+                "budget as an offset."
             )
             return text
         return f"{text}; a drift between the zeros that exceeds their noise (1 %) is also in the budget, as an offset."
@@ -264,13 +268,17 @@ def _earth_words(situation: Situation, how: str) -> str:
         if parts:
             text += " Where a recording covers part of a turn, the angle at which it began is taken from spin-up and settling as planned."
         return text
-    return f"The Earth's rotation across the rotation axis is {how}: F0 contains the part that the zeros measured at the home position, up to {most:.3g} deg/h on an axis."
+    return (
+        f"The Earth's rotation across the rotation axis is {how}: "
+        f"F0 contains the part that the zeros measured at the home position, up to {most:.3g} deg/h on an axis."
+    )
 
 
 def _warnings(situation: Situation) -> list[str]:
     found, axes = situation.found, situation.conditions.axes
     return [
-        f"{name}: at the lowest rate the output changes by {value:.2g} of what the scale factor leads one to expect, less than half: it is "
+        f"{name}: at the lowest rate the output changes by {value:.2g} of what the scale factor leads one to expect, "
+        "less than half: it is "
         "within threshold or dead zone (IEEE Std 528)."
         for name, value in zip(axes.names, found.means[situation.reference, :, RESPONSE], strict=True)
         if value < HALF
