@@ -215,9 +215,7 @@ def test_an_axis_that_does_not_come_to_its_position_ends_it(monkeypatch: pytest.
         until(lambda: made._timed.broken)
         assert len(axis.turns()) == 1
         (fault,) = made.watch().faults
-        assert fault.startswith(
-            "the cycle could not go on: the axis 'table' is not at its position when the stop"
-        )
+        assert fault.startswith("the cycle could not go on: the axis 'table' is not at its position when the stop")
         with pytest.raises(InstrumentError, match="make the stop longer"):
             made.holding()
         made.make_safe()
