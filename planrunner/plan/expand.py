@@ -10,7 +10,7 @@ from typing import Any
 from planrunner.dataclass import dataclass
 from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.model import Plan
-from planrunner.plan.segments import STATE_KEYS, SegmentSpec, State
+from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, SegmentSpec, State
 from planrunner.plan.sweep import SweepValue
 
 # What a night's plan needs at most, with room; a file of a few lines can ask for any number.
@@ -73,7 +73,7 @@ def _stated(label: str, state: dict[str, Any], marks: dict[str, Mark], mark: Mar
 
 
 # Without these, what else is said of a segment cannot be judged.
-_DECISIVE = ("orientation", "rate", "motion", "temperature", "dwell")
+_DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisive)
 
 
 def _count(spec: SegmentSpec) -> int:
@@ -95,7 +95,7 @@ def _inherit(own: State, state: dict[str, Any], marks: dict[str, Mark]) -> None:
 
 def _set(name: str, value: Any, mark: Mark, state: dict[str, Any], marks: dict[str, Mark]) -> None:
     """A rate replaces an inherited motion and the other way round: both say what the table does."""
-    other = {"rate": "motion", "motion": "rate"}.get(name)
+    other = STATE_TRAITS[name].replaces
     if other is not None:
         state.pop(other, None)
         marks.pop(other, None)
@@ -115,7 +115,7 @@ def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
     """Whether nothing is swept that is also given beside the sweep, or swept twice as rate and motion."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
-        twin = {"rate": "motion", "motion": "rate"}.get(name, name)
+        twin = STATE_TRAITS[name].replaces or name
         given = next((key for key in (name, twin) if getattr(spec, key) is not None), None)
         if given is not None:
             log.error(

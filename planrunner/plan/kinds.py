@@ -96,11 +96,20 @@ def key(
     default_factory: Any = _REQUIRED,
     name: str | None = None,
     fallback: Any = None,
+    traits: object = None,
 ) -> Any:
     """A dataclass field that is also a key of the language. Every key has a description and an example; `name` is its
     spelling in YAML where that is not a Python name; `fallback` stands in for a required value that is missing or wrong, so that the
-    rest of the record can still be checked."""
-    metadata = {"kind": kind, "description": description, "example": example, "name": name, "fallback": fallback}
+    rest of the record can still be checked. traits: what the record's own module needs to
+    know of the key, such as whether it may be swept."""
+    metadata = {
+        "kind": kind,
+        "description": description,
+        "example": example,
+        "name": name,
+        "fallback": fallback,
+        "traits": traits,
+    }
     if default_factory is not _REQUIRED:
         return field(default_factory=default_factory, metadata=metadata)
     return field(default=default, metadata=metadata)

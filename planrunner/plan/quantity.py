@@ -424,7 +424,7 @@ def _rich_example(name: str, example: object, dimension: str | None) -> object:
     return EXAMPLES.get(dimension or "", example)
 
 
-def sweep_schema(dimension: str) -> dict[str, object]:
+def sweep_schema() -> dict[str, object]:
     """JSON Schema of values swept in one text such as '±300, ±150 deg/s'."""
     pattern = rf"{_SPACE}(?:{_PIECE},{_SPACE_NEEDED})*{_SPACE}(?:{SIGNED}|{PLAIN})"
     description = "Values with a shared unit; ± gives both signs."

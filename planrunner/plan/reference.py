@@ -32,7 +32,7 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.orientation import OrientationKind
 from planrunner.plan.quantity import RICH_KEYS
-from planrunner.plan.sweep import SWEPT, ForEachKind
+from planrunner.plan.sweep import ForEachKind
 
 _HEAD = """\
 # Every key of a plan
@@ -132,6 +132,8 @@ def type_words(kind: Any) -> str:
             return ", or ".join(
                 type_words(part) for part in (kind.scalar, kind.mapping, kind.sequence) if part is not None
             )
+        case ForEachKind():
+            return f"any of {', '.join(kind.keys)}, each with its values"
         case RecordOf() | Plugged():
             return _RECORDS.get(kind.record.__name__, "a mapping of keys")
     for own, words in _OWN.items():
@@ -142,7 +144,6 @@ def type_words(kind: Any) -> str:
 
 _OWN: dict[type, str] = {
     OrientationKind: "an orientation",
-    ForEachKind: f"any of {', '.join(SWEPT)}, each with its values",
     selection.SelectionKind: "a label or pattern, a list of such, or spans found in the data",
     model.SegmentKind: "a segment",
     model.RunItemKind: "`required` or `optional`",

@@ -21,11 +21,12 @@ from planrunner.plan.kinds import (
     Text,
     WordOr,
     key,
+    keys_of,
 )
 from planrunner.plan.motion_spec import RATE_UNCERTAINTY, Motion, Turns
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.sweep import ForEachKind, Sweep
+from planrunner.plan.sweep import ForEachKind, StateTraits, Sweep, traits_of
 
 TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"
 """Where the uncertainty of a segment's temperature is stated."""
@@ -44,25 +45,41 @@ class Ramp(Record):
 
 
 class State(Record):
-    """A state to reach and hold. Nested steps inherit what they do not say."""
+    """A state to reach and hold. Nested steps inherit what they do not say.
+
+    A new key is declared here, with its traits: schema, reading, inheritance, sweeps, labels and the reference of keys follow. What the
+    bench does for it belongs to the schedule.
+    """
 
     orientation: Orientation | None = key(
         OrientationKind(),
         "Where the sensor's axes point, in words or as a rotation; 'unknown' for hand-held recordings.",
         {"x": "up", "y": "north", "z": "west"},
         default=None,
+        traits=StateTraits(
+            swept=True,
+            decisive=True,
+            sweep_example={
+                "P1": {"x": "up", "y": "north", "z": "west"},
+                "P2": {"x": "down", "y": "north", "z": "east"},
+            },
+        ),
     )
     rate: Quantity | None = key(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
         "Constant rate about up; short for motion: {rate: …}.",
         "10 deg/s",
         default=None,
+        traits=StateTraits(
+            swept=True, directed=True, decisive=True, replaces="motion", sweep_example="±300, ±150 deg/s"
+        ),
     )
     motion: Motion | None = key(
         WordOr(("rest",), RecordOf(Motion)),
         "What the table does while recording; at rest without it.",
         {"rate": "10 deg/s"},
         default=None,
+        traits=StateTraits(swept=True, decisive=True, replaces="rate"),
     )
     temperature: Quantity | Ramp | None = key(
         ByShape(
@@ -73,18 +90,21 @@ class State(Record):
         "Chamber temperature to hold, or a ramp that is recorded while it happens.",
         "25 degC",
         default=None,
+        traits=StateTraits(swept=True, decisive=True, sweep_example="-40, 20, 60 degC"),
     )
     soak: Quantity | Stability | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after a new temperature is reached: for a time, or until readings have settled.",
         "60 min",
         default=None,
+        traits=StateTraits(swept=True),
     )
     settle: Quantity | Stability | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after the motion is steady, before recording: for a time, or until readings have settled.",
         "30 s",
         default=None,
+        traits=StateTraits(swept=True),
     )
     dwell: Quantity | Turns | str | None = key(
         WordOr(
@@ -94,9 +114,14 @@ class State(Record):
         "How long to record: a time, whole turns or cycles, or 'recorded' for as long as a played-back segment lasts.",
         "2 min",
         default=None,
+        traits=StateTraits(swept=True, decisive=True),
     )
     sample_rate: Quantity | None = key(
-        QuantityOf("frequency", "positive"), "Samples per second; the sensor's own without it.", "100 Hz", default=None
+        QuantityOf("frequency", "positive"),
+        "Samples per second; the sensor's own without it.",
+        "100 Hz",
+        default=None,
+        traits=StateTraits(swept=True),
     )
     mode: str | None = key(
         Text(NAME, "a mode's name"),
@@ -159,7 +184,7 @@ class SegmentSpec(State):
         default=False,
     )
     for_each: Sweep | None = key(
-        ForEachKind(),
+        ForEachKind(State),
         "Repeat for every value; several keys multiply, the first changing slowest.",
         {"rate": "±300, ±150 deg/s"},
         default=None,
@@ -184,16 +209,6 @@ class SegmentSpec(State):
     trouble: int = field(default=0, compare=False)
 
 
-STATE_KEYS = (
-    "orientation",
-    "rate",
-    "motion",
-    "temperature",
-    "soak",
-    "settle",
-    "dwell",
-    "sample_rate",
-    "mode",
-    "watch",
-    "on_break",
-)
+STATE_KEYS = tuple(keys_of(State))
+"""What a state says; nested steps inherit each."""
+STATE_TRAITS = traits_of(State)

@@ -91,31 +91,62 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
             yield (value, *row)
 
 
-SWEPT = ("orientation", "rate", "motion", "temperature", "soak", "settle", "dwell", "sample_rate")
+@dataclass(frozen=True, slots=True)
+class StateTraits:
+    """What a key of a state means beside its own value.
+
+    swept: whether `for_each` takes it. directed: the sign of its quantity is a direction, so that a label shows + as well as −.
+    decisive: nothing else of a segment can be judged where its value could not be read. replaces: the key that says the same in another
+    form; a segment gives one of both, and what it gives replaces the other that it would inherit. sweep_example: where the example of
+    one value does not show how it is swept.
+    """
+
+    swept: bool = False
+    directed: bool = False
+    decisive: bool = False
+    replaces: str | None = None
+    sweep_example: Any = None
 
 
-def _state_fields() -> dict[str, Any]:
-    from planrunner.plan.segments import State
-
-    state: type[Record] = State
-    return {name: item for name, item in keys_of(state).items() if name in SWEPT}
+def traits_of(state: type[Record]) -> dict[str, StateTraits]:
+    """Key → traits, in the order of declaration."""
+    return {name: item.metadata["traits"] or StateTraits() for name, item in keys_of(state).items()}
 
 
-_QUANTITY_KEYS = {
-    "rate": "angular rate",
-    "temperature": "temperature",
-    "soak": "time",
-    "settle": "time",
-    "dwell": "time",
-    "sample_rate": "frequency",
-}
-# Quantities whose sign is a direction: + says as much as −.
-_DIRECTED = frozenset({"rate"})
+@dataclass(frozen=True, slots=True)
+class SweptKey:
+    """A key of a state that `for_each` takes. quantity: the kind of its quantity, None where it is none."""
+
+    name: str
+    kind: Any
+    quantity: QuantityOf | None
+    directed: bool
+    example: Any
+
+
 _NAME = r"[^/\x00-\x1f]{1,60}"
 
 
+@dataclass(frozen=True, slots=True)
 class ForEachKind:
-    """The kind of value of `for_each`."""
+    """The kind of value of `for_each`, a sweep over those keys of `state` that may be swept."""
+
+    state: type[Record]
+
+    @property
+    def keys(self) -> dict[str, SweptKey]:
+        fields, traits = keys_of(self.state), traits_of(self.state)
+        return {
+            name: SweptKey(
+                name,
+                item.metadata["kind"],
+                _quantity_kind(item.metadata["kind"]),
+                traits[name].directed,
+                traits[name].sweep_example or [item.metadata["example"]],
+            )
+            for name, item in fields.items()
+            if traits[name].swept
+        }
 
     def read(self, node: source.Node, log: Findings) -> Sweep | None:
         if not isinstance(node, source.Mapping) or not node.entries:
@@ -124,14 +155,14 @@ class ForEachKind:
             )
             return None
         axes = []
-        kinds = {name: item.metadata["kind"] for name, item in _state_fields().items()}
+        keys = self.keys
         for name, item in node.entries:
-            if name.text not in kinds:
+            if name.text not in keys:
                 log.error(
-                    "form-unknown-key", name.mark, f"'{name.text[:60]}' cannot be swept", closest(name.text, kinds)
+                    "form-unknown-key", name.mark, f"'{name.text[:60]}' cannot be swept", closest(name.text, keys)
                 )
                 continue
-            values = _values(name.text, kinds[name.text], item, log)
+            values = _values(keys[name.text], item, log)
             if values:
                 axes.append(SweepAxis(name.text, values))
         return Sweep(node.mark, tuple(axes)) if len(axes) == len(node.entries) else None
@@ -141,48 +172,43 @@ class ForEachKind:
             "type": "object",
             "minProperties": 1,
             "additionalProperties": False,
-            "properties": {name: self._swept(name, item) for name, item in _state_fields().items()},
+            "properties": {name: _swept(item) for name, item in self.keys.items()},
         }
 
-    def _swept(self, name: str, item: Any) -> Schema:
-        value = item.metadata["kind"].schema()
-        one: Schema = {"anyOf": [value, signed_schema()]} if name in _QUANTITY_KEYS else value
-        forms: list[Schema] = [
-            {"type": "array", "minItems": 1, "items": one},
-            {
-                "type": "object",
-                "minProperties": 1,
-                "additionalProperties": value,
-                "propertyNames": {"pattern": anchored(_NAME)},
-            },
-        ]
-        what = "a list, or a mapping of names to values; the names become labels"
-        if name in _QUANTITY_KEYS:
-            forms.append(sweep_schema(_QUANTITY_KEYS[name]))
-            what = "a list, a mapping of names to values, or one text with a shared unit, such as '±300, ±150 deg/s'"
-        example = EXAMPLES.get(name, [item.metadata["example"]])
-        return {"description": f"Values of {name}: {what}.", "examples": [example], "anyOf": forms}
+
+def _swept(key: SweptKey) -> Schema:
+    value = key.kind.schema()
+    one: Schema = value if key.quantity is None else {"anyOf": [value, signed_schema()]}
+    forms: list[Schema] = [
+        {"type": "array", "minItems": 1, "items": one},
+        {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": value,
+            "propertyNames": {"pattern": anchored(_NAME)},
+        },
+    ]
+    what = "a list, or a mapping of names to values; the names become labels"
+    if key.quantity is not None:
+        forms.append(sweep_schema())
+        what = "a list, a mapping of names to values, or one text with a shared unit, such as '±300, ±150 deg/s'"
+    return {"description": f"Values of {key.name}: {what}.", "examples": [key.example], "anyOf": forms}
 
 
-EXAMPLES: dict[str, Any] = {
-    "orientation": {"P1": {"x": "up", "y": "north", "z": "west"}, "P2": {"x": "down", "y": "north", "z": "east"}},
-    "rate": "±300, ±150 deg/s",
-    "temperature": "-40, 20, 60 degC",
-}
-
-
-def _values(name: str, kind: Any, node: source.Node, log: Findings) -> tuple[SweepValue, ...] | None:
+def _values(key: SweptKey, node: source.Node, log: Findings) -> tuple[SweepValue, ...] | None:
     if isinstance(node, source.Mapping):
-        return _named(kind, node, log)
+        return _named(key.kind, node, log)
     if isinstance(node, source.Sequence):
         if not node.items:
             log.error("form-size", node.mark, "at least one value is needed here", "list the values")
             return None
         before = log.raised
-        read = [value for item in node.items for value in _entry(name, kind, item, log)]
-        return _labelled(name, read) if log.raised == before else None
-    if name not in _QUANTITY_KEYS:
-        log.error("form-type", node.mark, f"{name} is swept over a list or a mapping of names", "write {A: …, B: …}")
+        read = [value for item in node.items for value in _entry(key, item, log)]
+        return _labelled(key, read) if log.raised == before else None
+    if key.quantity is None:
+        log.error(
+            "form-type", node.mark, f"{key.name} is swept over a list or a mapping of names", "write {A: …, B: …}"
+        )
         return None
     if not isinstance(node.value, str):
         text = node.text[:40] or "nothing"
@@ -193,33 +219,33 @@ def _values(name: str, kind: Any, node: source.Node, log: Findings) -> tuple[Swe
             "write for example '±300, ±150 deg/s'",
         )
         return None
-    if not _is_exact(kind, node, node.value, log):
+    if not _is_exact(key.quantity, node, node.value, log):
         return None
     try:
-        quantities = parse_sweep(node.value, _QUANTITY_KEYS[name])
+        quantities = parse_sweep(node.value, key.quantity.dimension)
     except QuantityError as error:
         log.error(error.code, node.mark, str(error), error.hint)
         return None
-    return _check_signs(name, kind, quantities, node, log)
+    return _check_signs(key, quantities, node, log)
 
 
-def _entry(name: str, kind: Any, item: source.Node, log: Findings) -> list[tuple[Any, Mark]]:
+def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[Any, Mark]]:
     """The values of one entry of a list: two for a quantity with both signs."""
     if (
-        name in _QUANTITY_KEYS
+        key.quantity is not None
         and isinstance(item, source.Scalar)
         and isinstance(item.value, str)
         and is_signed(item.value)
     ):
-        if not _is_exact(kind, item, item.value, log):
+        if not _is_exact(key.quantity, item, item.value, log):
             return []
         try:
-            quantities = parse_signed(item.value, _QUANTITY_KEYS[name])
+            quantities = parse_signed(item.value, key.quantity.dimension)
         except QuantityError as error:
             log.error(error.code, item.mark, str(error), error.hint)
             return []
-        return [(value.value, value.mark) for value in _check_signs(name, kind, quantities, item, log) or ()]
-    value = kind.read(item, log)
+        return [(value.value, value.mark) for value in _check_signs(key, quantities, item, log) or ()]
+    value = key.kind.read(item, log)
     return [] if value is None else [(value, item.mark)]
 
 
@@ -230,30 +256,29 @@ def _quantity_kind(kind: Any) -> QuantityOf | None:
     return inner if isinstance(inner, QuantityOf) else None
 
 
-def _is_exact(kind: Any, node: source.Scalar, text: str, log: Findings) -> bool:
+def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
     """Whether no value of a sweep states an uncertainty, which nothing would use; else that is a finding."""
-    piece, inner = uncertain_piece(text), _quantity_kind(kind)
+    piece = uncertain_piece(text)
     if piece is not None:
-        refuse_uncertainty(piece, inner.elsewhere if inner is not None else "", node.mark, log)
+        refuse_uncertainty(piece, quantity.elsewhere, node.mark, log)
     return piece is None
 
 
 def _check_signs(
-    name: str, kind: Any, quantities: list[Quantity], node: source.Scalar, log: Findings
+    key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
     """The values that the swept key itself would accept, such as no negative dwell."""
-    inner = _quantity_kind(kind)
-    sign = inner.sign if inner is not None else "any"
+    sign = "any" if key.quantity is None else key.quantity.sign
     for quantity in quantities:
         if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
             log.error(
                 "meaning-range",
                 node.mark,
-                f"{name} of {quantity} is out of range: it must be {sign}",
+                f"{key.name} of {quantity} is out of range: it must be {sign}",
                 "write zero or more" if sign == "not negative" else "write a value above zero",
             )
             return None
-    return _labelled(name, [(quantity, node.mark) for quantity in quantities])
+    return _labelled(key, [(quantity, node.mark) for quantity in quantities])
 
 
 def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, ...] | None:
@@ -275,15 +300,15 @@ def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, 
     return tuple(values) if node.entries and len(values) == len(node.entries) else None
 
 
-def _labelled(name: str, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ...]:
+def _labelled(key: SweptKey, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ...]:
     """The values with the labels that their figures and units give; one that stands twice is counted."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):
-            short = _figure(name, value)
+            short = _figure(key, value)
             label = short + re.sub(r"[^A-Za-z0-9%]+", "_", value.unit.text).strip("_")
         else:
-            short, label = str(index), f"{name}{index}"
+            short, label = str(index), f"{key.name}{index}"
         rows.append(SweepValue(label, short, value, mark))
     seen: dict[str, int] = {}
     for position, row in enumerate(rows):
@@ -293,9 +318,9 @@ def _labelled(name: str, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ..
     return tuple(rows)
 
 
-def _figure(name: str, quantity: Quantity) -> str:
+def _figure(key: SweptKey, quantity: Quantity) -> str:
     """The figure of a swept quantity in its unit as written, as it stands in a label: signs as in the module's docstring."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"
-    return f"+{figure}" if name in _DIRECTED and not figure.startswith("-") else figure
+    return f"+{figure}" if key.directed and not figure.startswith("-") else figure
