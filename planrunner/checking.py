@@ -23,7 +23,7 @@ from planrunner.certificates import check_certificate
 from planrunner.dataclass import dataclass
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
-from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup
+from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup, Unpredicted
 from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
@@ -327,14 +327,14 @@ def _because(judged: Identifiability) -> str:
 def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> None:
     estimate, _, name = limit.quantity.partition(".")
     design = designs.get(estimate)
-    if design is None or not design.predicted:
+    if design is None or not design.known:
         return
-    known = {item.name: item for item in design.predicted}
+    known: dict[str, Coefficient | Unpredicted] = {item.name: item for item in (*design.predicted, *design.unpredicted)}
     if name not in known:
         message = f"'{estimate}' has no coefficient '{name}'"
         log.error("meaning-unknown-quantity", limit.at("quantity"), message, closest(name, known))
         return
-    coefficient = known[name]
+    item = known[name]
     for key in ("within", "at_least", "at_most"):
         bound = getattr(limit, key)
         if bound is None:
@@ -343,12 +343,13 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
             value = parse_symmetric(bound) if isinstance(bound, str) else bound
         except ValueError:
             continue
-        if value is not None and value.unit.dimension != unit(coefficient.unit).dimension:
-            _other_dimension(limit, key, value.unit.text, coefficient.unit, log)
+        if value is not None and value.unit.dimension != unit(item.unit).dimension:
+            _other_dimension(limit, key, value.unit.text, item.unit, log)
             return
-    if limit.prior is not None and limit.prior.unit.dimension != unit(coefficient.unit).dimension:
-        _other_dimension(limit, "prior", f"the prior in {limit.prior.unit.text}", coefficient.unit, log)
-    _foresee(limit, coefficient, log)
+    if limit.prior is not None and limit.prior.unit.dimension != unit(item.unit).dimension:
+        _other_dimension(limit, "prior", f"the prior in {limit.prior.unit.text}", item.unit, log)
+    if isinstance(item, Coefficient):
+        _foresee(limit, item, log)
 
 
 def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findings) -> None:

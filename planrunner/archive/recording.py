@@ -16,6 +16,7 @@ from planrunner.plan.schedule import Segment
 Array = NDArray[np.float64]
 IN_MODE = "sensor.in_mode_s"
 """The reading under which the executor keeps how long the sensor has been in its mode when a record begins [s]."""
+_SHOWN = 64  # samples of an expected segment
 BATCHES = 32
 """Batch means at most that the standard error of a segment's mean comes from."""
 
@@ -73,7 +74,8 @@ def duration_of(statistics: Iterable[Statistics]) -> float | None:
 
 @dataclass(frozen=True)
 class RecordedSegment:
-    """A segment as carried out. `statistics` were made in one pass; `blocks()` reads the samples again, block by block."""
+    """A segment as carried out. `statistics` were made in one pass; `blocks()` reads the samples again, block by block. expected: it was
+    not recorded; the statistics are those that the schedule leads one to expect, whose noise is known and whose means have none."""
 
     segment: Segment
     units: dict[str, str]
@@ -81,6 +83,7 @@ class RecordedSegment:
     blocks: Callable[[Sequence[str]], Iterator[Block]] = field(repr=False)
     truncated: bool = False
     readings: dict[str, float] = field(default_factory=dict)
+    expected: bool = False
 
     @property
     def label(self) -> str:
@@ -90,6 +93,22 @@ class RecordedSegment:
     def in_mode(self) -> float | None:
         """Seconds for which the sensor had been in its mode when the record began; None where nobody has recorded that."""
         return self.readings.get(IN_MODE)
+
+
+def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
+    """A segment that is not recorded yet, with the statistics to expect; a few samples of that mean and scatter, whatever the dwell."""
+
+    def blocks(channels: Sequence[str]) -> Iterator[Block]:
+        count = min(statistics.count, _SHOWN)
+        time: Array = statistics.start + np.arange(count, dtype=np.float64) * (statistics.period if count > 1 else 1.0)
+        sense = np.where(np.arange(count) % 2, 1.0, -1.0)
+        places = {name: statistics.of(name) for name in channels}
+        yield Block(
+            time,
+            {name: statistics.mean[k] + sense * math.sqrt(statistics.covariance[k, k]) for name, k in places.items()},
+        )
+
+    return RecordedSegment(segment, units, statistics, blocks, expected=True)
 
 
 def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:

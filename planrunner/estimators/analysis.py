@@ -24,6 +24,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
+from planrunner.estimators.method import designed
 from planrunner.estimators.monte_carlo_validation import linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.instruments.models import SensorModel
@@ -91,8 +92,8 @@ def design_of(
     sensor: SensorModel,
     designs: Mapping[str, Design],
     setup: Setup | None = None,
-) -> Design | None:
-    """What one estimate could learn from the planned segments; None where its estimator has no linear model.
+) -> Design:
+    """What one estimate could learn from the planned segments, and the coefficients that a run will give.
 
     designs: of the estimates before it. Raises `EstimationError` when the segments make no sense for the estimator.
     """
@@ -106,8 +107,8 @@ def design_of(
     uses = {used: designs[used] for used in spec.uses}
     detection = _detection(spec, estimator)
     request = DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
-    design: Design | None = estimator.design(request)
-    if design is None or not design.blocks or isinstance(spec.segments, Detection):
+    design = designed(estimator, request)
+    if not design.blocks or isinstance(spec.segments, Detection):
         return design
     return replace(design, remarks=(*design.remarks, *few_samples(request)))
 

@@ -8,8 +8,6 @@ over the span is finite, the kernel being −ln|t − t′|/π, whose double int
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +15,6 @@ from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
-from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Inputs
 from planrunner.uncertainty.monte_carlo import square_root
 
@@ -41,26 +38,12 @@ def drift_span() -> Quantity:
 
 def flicker_effects(observations: Observations, inputs: Inputs, span: float) -> tuple[Effect, ...]:
     """One for each output whose bias instability is stated. span: s."""
-    return _effects(observations.channels, observations.start, observations.end, observations.batches, inputs, span)
-
-
-def planned_flicker(
-    segments: Sequence[Segment], outputs: Sequence[str], inputs: Inputs, span: float
-) -> tuple[Effect, ...]:
-    """The same before anything is recorded. A dwell of unknown length counts as one second."""
-    start = np.array([segment.start for segment in segments])
-    end = start + [segment.dwell or 1.0 for segment in segments]
-    return _effects(outputs, start, end, np.ones(len(segments), dtype=np.int64), inputs, span)
-
-
-def _effects(
-    outputs: Sequence[str], start: Array, end: Array, batches: NDArray[np.int64], inputs: Inputs, span: float
-) -> tuple[Effect, ...]:
+    outputs = observations.channels
     stated = {k: quantity for k, name in enumerate(outputs) if (quantity := inputs.get(f"bias instability {name}"))}
     if not stated:
         return ()
-    root = square_root(mean_covariance(start, end, span))
-    seen = scatter_within(batches)
+    root = square_root(mean_covariance(observations.start, observations.end, span))
+    seen = scatter_within(observations.batches)
     return tuple(Effect(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
 
 

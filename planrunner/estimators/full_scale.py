@@ -7,12 +7,13 @@ misalignment alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import DesignRequest, Remark
+from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Cycle, Spin
 from planrunner.plan.units import unit
 
@@ -84,7 +85,7 @@ def _turns(request: DesignRequest, name: str) -> bool:
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
     return (
         model is not None
-        and _direction(request, name.rpartition("_")[2]) is not None
+        and input_direction(request.setup.mounting, name) is not None
         and unit(model.unit).dimension in rotation
     )
 
@@ -99,7 +100,7 @@ def shares_by_name(request: DesignRequest, outputs: Sequence[str]) -> Array:
     """What part of the rate each output feels, (n, m): its axis is that of the sensor that its name ends with (gyro_x: x), or of the
     plan's `mounting`. All of the rate where the name does not tell, none where the orientation is unknown."""
     shares = np.zeros((len(request.segments), len(outputs)))
-    directions = [_direction(request, name.rpartition("_")[2]) for name in outputs]
+    directions = [input_direction(request.setup.mounting, name) for name in outputs]
     for row, segment in enumerate(request.segments):
         about = UP if isinstance(segment.motion, Cycle) else getattr(segment.motion, "about", None)
         if about is None or segment.attitude is None:
@@ -110,9 +111,11 @@ def shares_by_name(request: DesignRequest, outputs: Sequence[str]) -> Array:
     return shares
 
 
-def _direction(request: DesignRequest, axis: str) -> Array | None:
-    """An input axis in the sensor's frame; without azimuth only its part along z, so that no rate is refused that may be right."""
-    mounted = request.setup.mounting.get(axis)
+def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
+    """The input axis of an output in the sensor's frame, (3,): that of `mounting` or of the sensor that its name ends with, gyro_x: x. None
+    where the name does not tell. Without azimuth only its part along z, so that no rate is refused that may be right."""
+    axis = output.rpartition("_")[2]
+    mounted = mounting.get(axis)
     if mounted is not None:
         across = 0.0 if mounted.azimuth is None else math.sin(mounted.angle.value)
         azimuth = 0.0 if mounted.azimuth is None else mounted.azimuth.value

@@ -8,7 +8,8 @@ An estimator is a class found through the entry-point group `planrunner.estimato
         def design(self, request: DesignRequest) -> Design | None      # before anything moves
         def estimate(self, request: EstimateRequest) -> Estimate       # from the recording
 
-Values in an `Estimate` are in the field's units, each named.
+Which coefficients `estimate` will give, and how well they will be known, `planrunner.estimators.method` finds out by the estimator's own
+formula. Values in an `Estimate` are in the field's units, each named.
 """
 
 from __future__ import annotations
@@ -51,6 +52,19 @@ class UnfitDataError(EstimationError):
     """The plan asks for what can be estimated, and what was recorded does not give it: the item or the recording is in question."""
 
 
+class CoefficientRole(StrEnum):
+    """What kind of quantity a coefficient is, which decides how its value scatters about the true one.
+
+    LOCATION: a constant, a slope, an angle; Student's t about the value.
+    SCALE: a standard deviation or another size of scatter; its square over the true one, times the degrees of freedom, is χ².
+    MAXIMUM: the largest of several sizes, such as a nonlinearity or a hysteresis; never below zero.
+    """
+
+    LOCATION = "location"
+    SCALE = "scale"
+    MAXIMUM = "maximum"
+
+
 @dataclass(frozen=True, slots=True)
 class Coefficient:
     """One estimated quantity with its standard uncertainty, both in `unit`. period: in `unit`, of a circular quantity, such as 360 of a
@@ -63,6 +77,7 @@ class Coefficient:
     degrees_of_freedom: float = math.inf
     description: str = ""
     period: float = math.inf
+    role: CoefficientRole = CoefficientRole.LOCATION
 
     def near(self, place: float) -> float:
         """The value, of a circular quantity that of its equals which is nearest to a place, in `unit`."""
@@ -89,6 +104,17 @@ class Role(StrEnum):
     def uncertain(self) -> bool:
         """Whether values to the left are rounded by it."""
         return self in (Role.STANDARD_UNCERTAINTY, Role.EXPANDED_UNCERTAINTY)
+
+
+@dataclass(frozen=True, slots=True)
+class Unpredicted:
+    """A coefficient that a run will give, or may give, of which no uncertainty can be predicted: `why`, for a quality engineer."""
+
+    name: str
+    unit: str
+    why: str
+    description: str = ""
+    role: CoefficientRole = CoefficientRole.LOCATION
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +175,7 @@ class Estimate:
     stand in extra["by_temperature"] as {name: {"temperature_degC": [...], "value": [...], "standard_uncertainty": [...], "unit": "..."}},
     with the uncertainty that the data show, for `temperature_model`. data_covariance: what the data show alone, kept by the analysis when
     it has added the influences; an estimate that builds on this one starts from it and carries the influences on (`Influence.through`),
-    so that an input that acts on both counts once and with its sign.
+    so that an input that acts on both counts once and with its sign. expected: of a schedule, not of a recording.
     """
 
     name: str
@@ -167,6 +193,7 @@ class Estimate:
     influences: tuple[Influence, ...] = ()
     budgets: tuple[Budget, ...] = ()
     data_covariance: Array | None = None
+    expected: bool = False
 
     def __getitem__(self, name: str) -> Coefficient:
         for item in self.coefficients:
@@ -255,14 +282,24 @@ class Remark:
 @dataclass(frozen=True, slots=True)
 class Design:
     """blocks: one an output, none where there is no linear model. predicted: coefficients at their nominal values with the standard
-    uncertainty to expect. extra: plain data for the designs of estimates that build on this one. An estimator that gives coefficients
-    by temperature says there at which `temperatures` [K], none where it will give none, and `names_by_temperature` where they are known."""
+    uncertainty to expect; unpredicted: those that a run gives beside them. Both are empty where nothing is known of what a run will give.
+    extra: plain data for the designs of estimates that build on this one. An estimator that gives coefficients
+    by temperature says there at which `temperatures` [K], none where it will give none, and `names_by_temperature` where they are known.
+    expected: estimates of the observations that the schedule leads one to expect, for the designs of estimates that build on this one.
+    """
 
     blocks: tuple[DesignBlock, ...]
     predicted: tuple[Coefficient, ...] = ()
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
+    unpredicted: tuple[Unpredicted, ...] = ()
+    expected: tuple[Estimate, ...] = ()
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known which coefficients a run will give."""
+        return bool(self.predicted or self.unpredicted)
 
 
 @runtime_checkable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,7 +26,7 @@ class Observations:
 
     mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short to tell. batches: (n,)
     from which it comes. start, end: (n,), of what was recorded, half-open, s on the run's clock. correlation: (k, k) between the channels'
-    samples, over all segments.
+    samples, over all segments. expected: of a schedule, not of a recording: means without noise, and the noise that is declared.
     """
 
     channels: tuple[str, ...]
@@ -37,6 +38,7 @@ class Observations:
     start: Array
     end: Array
     correlation: Array
+    expected: bool = False
 
     @property
     def seconds(self) -> Array:
@@ -82,7 +84,8 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         mean[row] = statistics.mean[index]
         covariance = statistics.covariance[np.ix_(index, index)] if statistics.count > 1 else np.zeros((k, k))
         rounding = np.array([_rounding(sensor, channel, covariance[c, c]) for c, channel in enumerate(channels)])
-        error[row] = np.hypot(statistics.standard_error[index], rounding) if statistics.batches > 1 else np.nan
+        told = statistics.batches > 1 or recorded.expected
+        error[row] = np.hypot(statistics.standard_error[index], rounding) if told else np.nan
         scatter += np.nan_to_num(covariance) * max(0, statistics.count - 1)
     size = np.sqrt(np.diag(scatter))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -97,6 +100,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         np.array([recorded.statistics.batches for recorded in segments]),
         *recorded_times(segments),
         correlation,
+        all(recorded.expected for recorded in segments),
     )
 
 
@@ -120,6 +124,8 @@ def within_segment_noise(observations: Observations, channel: int, explained: Ar
     that is known to be something else, which is taken off.
     """
     error = observations.standard_error[:, channel]
+    if observations.expected:
+        return Noise(error, True, "as declared", math.inf)
     degrees = np.where(np.isfinite(error), observations.batches - 1, 0).astype(float)
     usable = (degrees > 0) & (error > 0)
     n = len(error)
@@ -149,10 +155,8 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float) -> bool:
-    """Whether a mean is not rounded to counts as its samples are: noise of this variance [unit²] between them carries it past the counts,
-    or what a sample leaves of a count goes into the next."""
-    noise = output.noise if (output := sensor.output(channel)) else NoiseModel()
-    return noise.counted or variance > (noise.resolution / 2) ** 2
+    """Whether noise of this variance [unit²] between the samples of a channel dithers its mean (`NoiseModel.dithers`)."""
+    return (output.noise if (output := sensor.output(channel)) else NoiseModel()).dithers(variance)
 
 
 def _rounding(sensor: SensorModel, channel: str, variance: float) -> float:

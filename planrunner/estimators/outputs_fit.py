@@ -134,7 +134,7 @@ def fit_outputs(
     found = []
     for k, noise in enumerate(noises):
         own = tuple(effect for effect in acting if k in effect.changes)
-        weighting = _Weighting(matrix, observations.mean[:, k], magnitudes, names, own, k)
+        weighting = _Weighting(matrix, observations.mean[:, k], magnitudes, names, own, k, observations.expected)
         found.append(weighting.equal(noise) if equal else weighting.known(noise, basis == "residual"))
     spreads, gains = np.array([one.spread for one in found]), np.array([one.gains for one in found])
     between, ratios = np.array([one.between for one in found]), np.array([one.ratio for one in found])
@@ -168,7 +168,8 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """One output's observations (n,) and what acts on them beside their noise."""
+    """One output's observations (n,) and what acts on them beside their noise. expected: the means have no noise, so that chi² is put at
+    its expectation."""
 
     matrix: Array
     observed: Array
@@ -176,6 +177,7 @@ class _Weighting:
     names: Sequence[str]
     effects: tuple[Effect, ...]
     output: int
+    expected: bool = False
 
     def known(self, noise: Noise, residual: bool) -> _Fitted:
         """By noise and effects; residual: with a part between segments where the residuals ask for it."""
@@ -203,7 +205,8 @@ class _Weighting:
 
     def _fit(self, spread: Array) -> LinearFit:
         covariance = mixed(spread, self.effects, self.output) if self.effects else None
-        return least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names, covariance)
+        found = least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names, covariance)
+        return replace(found, chi_squared=float(found.degrees_of_freedom)) if self.expected else found
 
 
 def _cofactors(
@@ -248,10 +251,10 @@ def _between_outputs(spreads: Array, correlation: Array, effects: Sequence[Effec
 
 def exceeds_noise(found: LinearFit, noise: Noise) -> bool:
     """Whether the residuals are larger than the noise within the segments explains (F-test)."""
+    if not (found.degrees_of_freedom and noise.known and found.variance_factor > 1):
+        return False
     from scipy.special import fdtrc
 
-    if not (found.degrees_of_freedom and noise.known):
-        return False
     return bool(fdtrc(found.degrees_of_freedom, noise.degrees_of_freedom, found.variance_factor) < SIGNIFICANCE)
 
 

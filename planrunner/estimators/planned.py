@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.flicker import planned_flicker
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError
-from planrunner.estimators.observation_effects import Effect, functionals_of, mixed
 from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError, segment_means
@@ -56,47 +53,10 @@ def planned_blocks(
     return tuple(blocks)
 
 
-def expected_fit(
-    request: DesignRequest, block: DesignBlock, effects: Sequence[Effect] = (), output: int = 0
-) -> tuple[Array, Array]:
-    """How coefficients will follow the observations, (p, n), and the covariance (p, p) that noise beside the effects gives them, SI.
-
-    The weights are those of the estimate: noise and effects, of which the block is the given output. Where no noise is declared, both are
-    zero.
-    """
-    described = request.sensor.output(block.output)
-    assert described is not None  # a block is of an output that the sensor has
-    stated = {effect.quantity.name for effect in effects}
-    flickers = f"bias instability {block.output}" in stated
-    sigma = _sigma(request, replace(described.noise, bias_instability=0.0) if flickers else described.noise)
-    n, p = block.matrix.shape
-    if not np.all(sigma > 0):
-        return np.zeros((p, n)), np.zeros((p, p))
-    gains = _gains(block, mixed(sigma, effects, output))
-    return gains, np.asarray((gains * sigma) @ (gains * sigma).T)
-
-
-def expected_covariance(
-    request: DesignRequest, block: DesignBlock, span: float, table: Sequence[Effect] = ()
-) -> tuple[Array, Array]:
-    """The same gains, and the covariance with the table's effects and declared flicker: constants hold over `span` s."""
-    effects = (*planned_flicker(request.segments, [block.output], request.setup.inputs, span), *table)
-    gains, covariance = expected_fit(request, block, effects)
-    return gains, covariance + sum(one.through(functionals_of(gains[None])).covariance for one in effects)
-
-
 def _sigma(request: DesignRequest, noise: NoiseModel) -> Array:
     return np.array(
         [
             noise.standard_error(segment.dwell or 1.0, segment.sample_rate or request.sensor.sample_rate)
             for segment in request.segments
         ]
-    )
-
-
-def _gains(block: DesignBlock, covariance: Array) -> Array:
-    size = np.sqrt(covariance.diagonal())
-    root = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(size, size)))
-    return np.asarray(np.linalg.pinv(root @ (block.matrix / block.magnitudes / size[:, None])) @ root) / np.outer(
-        block.magnitudes, size
     )

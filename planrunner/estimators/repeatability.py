@@ -12,15 +12,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
+    CoefficientRole,
     Design,
     DesignRequest,
     Estimate,
@@ -32,6 +33,7 @@ from planrunner.estimators.interface import (
     TableColumn,
     UnfitDataError,
 )
+from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
@@ -69,7 +71,8 @@ class RepeatabilityParameters(Record):
 @dataclass(frozen=True, slots=True)
 class Repeats:
     """n values of one quantity. group: (n,), number of the group that each is of; own: (n,), their own standard uncertainties, NaN where
-    not known."""
+    not known. expected: the variance that the values' own noise alone makes them scatter with, where they are those that a schedule leads
+    one to expect; NaN where they were measured."""
 
     name: str
     unit: str
@@ -78,6 +81,7 @@ class Repeats:
     own: Array
     group: NDArray[np.int64]
     period: float = math.inf
+    expected: float = math.nan
 
     def on_circle(self, value: float) -> float:
         """A value from 0 to the period, where there is one."""
@@ -90,8 +94,8 @@ class Repeats:
 class Variance:
     """One-way analysis of variance of k groups, n values in all.
 
-    within, between, total: variances with their degrees of freedom or standard uncertainty; between may come out below zero. total_low,
-    total_high: interval of the total at `PROBABILITY`. ratio, probability: F and the chance of one so large if groups did not differ.
+    within, between, total: variances with their degrees of freedom or standard uncertainty; between may come out below zero; terms: (2,),
+    the mean squares between and within, times their factors, whose sum the total is. ratio: F.
     """
 
     mean: float
@@ -102,16 +106,34 @@ class Variance:
     between: float = math.nan
     between_uncertainty: float = math.nan
     total: float = math.nan
-    total_low: float = math.nan
-    total_high: float = math.nan
     total_freedom: float = math.nan
+    terms: tuple[float, float] = (math.nan, math.nan)
     ratio: float = math.nan
-    probability: float = math.nan
+
+    @property
+    def total_interval(self) -> tuple[float, float]:
+        """Of the total at `PROBABILITY`."""
+        return _interval_of_sum(self.terms, (self.mean_freedom, self.within_freedom))
+
+    @property
+    def probability(self) -> float:
+        """The chance of an F so large if groups did not differ."""
+        from scipy.special import fdtrc
+
+        return float(fdtrc(self.mean_freedom, self.within_freedom, self.ratio))
 
 
-class Repeatability:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scatter(Quantities):
+    """Each quantity with its analysis of variance."""
+
+    splits: tuple[tuple[Repeats, Variance], ...]
+
+
+class Repeatability(Method[Scatter]):
     """The plug-in."""
 
+    name = "repeatability"
     summary = "Scatter of coefficients or means over repeats, and between days or switch-ons"
     Parameters = RepeatabilityParameters
 
@@ -122,33 +144,29 @@ class Repeatability:
         _grouped(names, parameters.groups, bool(parameters.channels))
         return Design(())
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def quantities(self, request: EstimateRequest) -> Scatter:
         """Scatter of every quantity. Raises `EstimationError`."""
         parameters: RepeatabilityParameters = request.parameters
         names = _items(parameters, [recorded.label for recorded in request.segments], list(request.uses))
         group = _grouped(names, parameters.groups, bool(parameters.channels))
         found = _channels(request, group) if parameters.channels else _coefficients(request, group)
-        coefficients: list[Coefficient] = []
-        tables: list[Table] = []
-        notes: list[str] = []
-        for one in found:
-            split = analysis_of_variance(one.value, one.group)
-            coefficients += _reported(one, split)
-            tables += [_values(one, list(parameters.groups)), _variances(one, split)]
-            notes += _notes(one, split)
+        splits = tuple((one, analysis_of_variance(one.value, one.group, one.expected)) for one in found)
+        coefficients = tuple(item for pair in splits for item in _reported(*pair))
         spread = np.array([item.standard_uncertainty for item in coefficients])
-        return Estimate(
-            request.name,
-            "repeatability",
-            tuple(coefficients),
-            np.diag(spread**2),
-            tuple(item.name for item in coefficients if not item.name.startswith("mean_")),
-            {"groups": {name: list(patterns) for name, patterns in parameters.groups.items()}},
-            tuple(tables),
-            tuple(_plot(one) for one in found),
-            tuple(dict.fromkeys(notes)),
-            (),
-            tuple(recorded.label for recorded in request.segments),
+        return Scatter(coefficients=coefficients, covariance=np.diag(spread**2), splits=splits)
+
+    def words(self, request: EstimateRequest, found: Scatter) -> Words:
+        """The values and their variances."""
+        groups: Mapping[str, Sequence[str]] = request.parameters.groups
+        tables = [(_values(one, list(groups)), _variances(one, split)) for one, split in found.splits]
+        notes = [note for pair in found.splits for note in _notes(*pair)]
+        return Words(
+            headline=tuple(item.name for item in found.coefficients if item.role is CoefficientRole.SCALE),
+            settings={"groups": {name: list(patterns) for name, patterns in groups.items()}},
+            tables=tuple(table for pair in tables for table in pair),
+            plots=tuple(_plot(one) for one, _ in found.splits),
+            notes=tuple(dict.fromkeys(notes)),
+            segments=tuple(recorded.label for recorded in request.segments),
         )
 
 
@@ -210,7 +228,8 @@ def _channels(request: EstimateRequest, group: NDArray[np.int64]) -> list[Repeat
         if len(units) > 1:
             raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(sorted(units))})")
         labels = tuple(recorded.label for recorded in request.segments)
-        found.append(Repeats(channel, units.pop(), labels, np.array(values), np.array(own), group))
+        noise = float(np.mean(np.square(own))) if all(recorded.expected for recorded in request.segments) else math.nan
+        found.append(Repeats(channel, units.pop(), labels, np.array(values), np.array(own), group, expected=noise))
     return found
 
 
@@ -233,11 +252,25 @@ def _coefficients(request: EstimateRequest, group: NDArray[np.int64]) -> list[Re
             raise EstimationError(f"'{name}' is given in different units ({', '.join(sorted(units))})")
         values = together([own[name] for own in each])
         spread = np.array([own[name].standard_uncertainty for own in each])
-        found.append(Repeats(name, units.pop(), tuple(request.uses), values, spread, group, each[0][name].period))
+        noise = _expected_variance(name, tuple(request.uses.values()))
+        found.append(
+            Repeats(name, units.pop(), tuple(request.uses), values, spread, group, each[0][name].period, noise)
+        )
     for one in found:
-        if not np.isfinite(one.value).all():
+        if not np.isfinite(one.value).all() and math.isnan(one.expected):
             raise UnfitDataError(f"'{one.name}' is not a finite number in every estimate")
     return found
+
+
+def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
+    """What noise alone makes of the scatter of a coefficient of expected estimates; NaN of measured ones."""
+    found = []
+    for used in uses:
+        if not used.expected or used.data_covariance is None:
+            return math.nan
+        place = [item.name for item in used.coefficients].index(name)
+        found.append(float(used.data_covariance[place, place]))
+    return float(np.mean(found))
 
 
 def together(repeats: Sequence[Coefficient]) -> Array:
@@ -253,52 +286,50 @@ def together(repeats: Sequence[Coefficient]) -> Array:
     return np.array([one.near(mean / phase) for one in repeats])
 
 
-def analysis_of_variance(value: Array, group: NDArray[np.int64]) -> Variance:
+def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float = math.nan) -> Variance:
     """One-way analysis of variance; with a single group, mean and scatter alone.
 
-    The mean is that of the groups' means. Between groups: (M_b − M_w)/n₀ with n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i.
+    The mean is that of the groups' means. Between groups: (M_b − M_w)/n₀ with n₀ = (n − Σn_i²/n)/(k − 1) for groups of n_i. expected: the
+    variance of the values about one mean, in place of what they show.
     """
-    from scipy.special import fdtrc
-
     numbers = np.unique(group)
     n, k = len(value), len(numbers)
     means = np.array([value[group == one].mean() for one in numbers])
     sizes = np.array([np.sum(group == one) for one in numbers], dtype=float)
     place = np.searchsorted(numbers, group)
-    within_freedom = float(n - k)
-    within = float(np.sum((value - means[place]) ** 2)) / within_freedom
+    within_freedom, shown = float(n - k), math.isnan(expected)
+    within = float(np.sum((value - means[place]) ** 2)) / within_freedom if shown else expected
     if k == 1:
         return Variance(float(means[0]), math.sqrt(within / n), within_freedom, within, within_freedom)
-    between_square = float(np.sum(sizes * (means - value.mean()) ** 2)) / (k - 1)
+    between_square = float(np.sum(sizes * (means - value.mean()) ** 2)) / (k - 1) if shown else expected
+    spread_of_means = float(np.std(means, ddof=1)) if shown else math.sqrt(expected * float(np.mean(1 / sizes)))
     effective = float(n - np.sum(sizes**2) / n) / (k - 1)
-    terms = np.array([between_square / effective, within * (1 - 1 / effective)])
+    terms = (between_square / effective, within * (1 - 1 / effective))
     spread = math.sqrt(2 * between_square**2 / (k - 1) + 2 * within**2 / within_freedom) / effective
-    total = float(terms.sum())
-    squares = float(terms[0] ** 2 / (k - 1) + terms[1] ** 2 / within_freedom)
-    ratio = between_square / within if within > 0 else math.inf
+    total = sum(terms)
+    squares = terms[0] ** 2 / (k - 1) + terms[1] ** 2 / within_freedom
     return Variance(
         float(means.mean()),
-        float(np.std(means, ddof=1) / math.sqrt(k)),
+        spread_of_means / math.sqrt(k),
         float(k - 1),
         within,
         within_freedom,
         (between_square - within) / effective,
         spread,
         total,
-        *_interval_of_sum(terms, (k - 1.0, within_freedom)),
         total**2 / squares if squares > 0 else within_freedom,
-        ratio,
-        float(fdtrc(k - 1, within_freedom, ratio)),
+        terms,
+        between_square / within if within > 0 else math.inf,
     )
 
 
-def _interval_of_sum(terms: Array, freedom: Sequence[float]) -> tuple[float, float]:
+def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[float, float]:
     """The interval of a sum of independent mean squares, each times a positive factor, at `PROBABILITY` (Graybill and Wang)."""
     low, high = 0.0, 0.0
     for term, own in zip(terms, freedom, strict=True):
         below, above = deviation_interval(1.0, own)
         low, high = low + ((1 - below**2) * term) ** 2, high + ((above**2 - 1) * term) ** 2
-    total = float(terms.sum())
+    total = float(sum(terms))
     return max(0.0, total - math.sqrt(low)), total + math.sqrt(high)
 
 
@@ -319,6 +350,7 @@ def _of_deviation(variance: float, freedom: float) -> tuple[float, float]:
 def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
     name, text = one.name, one.unit
     s, u = _of_deviation(split.within, split.within_freedom)
+    scale = CoefficientRole.SCALE
     where = "within groups" if math.isfinite(split.between) else "from repeat to repeat"
     found = [
         Coefficient(
@@ -330,20 +362,26 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
             f"{name}: mean",
             one.period,
         ),
-        Coefficient(f"s_{name}", s, text, u, split.within_freedom, f"{name}: standard deviation {where}"),
+        Coefficient(f"s_{name}", s, text, u, split.within_freedom, f"{name}: standard deviation {where}", role=scale),
     ]
-    if split.mean and math.isinf(one.period):
-        relative = 1e6 / abs(split.mean)
-        own = relative * math.hypot(u, s * split.mean_uncertainty / split.mean)
+    foreseen = not math.isnan(one.expected)
+    if (split.mean or foreseen) and math.isinf(one.period):
+        # What is expected to be zero has no relative scatter to expect.
+        zero = foreseen and abs(split.mean) <= split.mean_uncertainty
+        mean = math.nan if zero else split.mean
+        relative = 1e6 / abs(mean)
+        own = relative * math.hypot(u, s * split.mean_uncertainty / mean)
         words = f"{name}: standard deviation {where} over mean"
-        found.append(Coefficient(f"repeatability_{name}", s * relative, "ppm", own, split.within_freedom, words))
+        found.append(
+            Coefficient(f"repeatability_{name}", s * relative, "ppm", own, split.within_freedom, words, role=scale)
+        )
     if math.isfinite(split.between):
         value, spread = root_of(split.between, split.between_uncertainty)
         words = f"{name}: standard deviation between groups"
-        found.append(Coefficient(f"s_between_{name}", value, text, spread, split.mean_freedom, words))
+        found.append(Coefficient(f"s_between_{name}", value, text, spread, split.mean_freedom, words, role=scale))
         total, u_total = _of_deviation(split.total, split.total_freedom)
         words = f"{name}: standard deviation within and between groups together (intermediate precision)"
-        found.append(Coefficient(f"s_total_{name}", total, text, u_total, split.total_freedom, words))
+        found.append(Coefficient(f"s_total_{name}", total, text, u_total, split.total_freedom, words, role=scale))
     return found
 
 
@@ -384,8 +422,7 @@ def _variances(one: Repeats, split: Variance) -> Table:
                 "both together",
                 math.sqrt(split.total),
                 split.total_freedom,
-                math.sqrt(split.total_low),
-                math.sqrt(split.total_high),
+                *map(math.sqrt, split.total_interval),
             )
         )
     return Table(f"Scatter of {one.name}", columns, tuple(rows))

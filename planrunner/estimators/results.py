@@ -15,7 +15,7 @@ import numpy as np
 from planrunner.archive.recording import RecordedSegment
 from planrunner.dataclass import dataclass
 from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
-from planrunner.estimators.interface import Coefficient, Estimate, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.instruments.models import Origin
 from planrunner.plan.findings import InputError, Mark
@@ -168,7 +168,10 @@ def _estimate_from(data: Mapping[str, Any]) -> Estimate:
     return Estimate(
         name=data["name"],
         estimator=data["estimator"],
-        coefficients=tuple(Coefficient(**item) for item in data["coefficients"]),
+        coefficients=tuple(
+            Coefficient(**{**item, "role": CoefficientRole(item.get("role", CoefficientRole.LOCATION))})
+            for item in data["coefficients"]
+        ),
         covariance=np.array(data["covariance"], dtype=float),
         settings={name: value for name, value in data["settings"].items() if name != TERMINAL_TABLES},
         tables=tables,

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.flicker import drift_span, flicker_effects
@@ -20,17 +22,17 @@ from planrunner.estimators.interface import (
     Coefficient,
     Design,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
     Role,
     Table,
     TableColumn,
 )
+from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import expected_covariance, planned_blocks
+from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
@@ -80,9 +82,20 @@ class ScaleFactorParameters(Record):
     drift_span: Quantity = drift_span()
 
 
-class ScaleFactor:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineQuantities(Quantities):
+    """rates: (n,), rad/s. common: whether the plan states what all rates have wrong alike."""
+
+    observations: Observations
+    rates: Array
+    fit: OutputsFit
+    common: bool
+
+
+class ScaleFactor(Method[LineQuantities]):
     """The plug-in."""
 
+    name = "scale_factor"
     summary = "Scale factor, bias, nonlinearity and asymmetry from recordings at known rates"
     Parameters = ScaleFactorParameters
 
@@ -95,31 +108,15 @@ class ScaleFactor:
         blocks = planned_blocks(request, names, TERMS, matrix, magnitudes)
         named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
         shares = shares_by_name(request, named)
-        across = not_turned(request, named, shares)
-        predicted = []
-        for block in () if across else blocks:
-            name, sigma = block.output, block.sigma
-            output = request.sensor.output(name)
-            assert output is not None  # each block is of an output that the sensor has
-            rate_unit, output_unit = rate_and_output(request.parameters.rate_unit, output.unit)
-            nominal = request.sensor.nominal.get(f"K_{name}", math.nan) / output_unit.factor
-            if np.unique(rates).size > 1 and np.all(sigma > 0) and math.isfinite(nominal):
-                shown, factor = slope_unit(rate_unit, output_unit)
-                slope = np.array([nominal])
-                held = _held(request, slope, rates)
-                gains, covariance = expected_covariance(request, block, request.parameters.drift_span.value, held)
-                stated = _common(request, gains[1:, None], slope, rates)
-                variance = covariance[1, 1] + sum(float(one.covariance[0, 0]) for one in stated)
-                predicted.append(Coefficient(f"K_{name}", nominal * factor, shown, math.sqrt(variance) * factor))
         remarks = (
             *beyond_full_scale(request, named, shares),
-            *across,
+            *not_turned(request, named, shares),
             *planned_basis(request, blocks, request.parameters.uncertainty),
         )
-        return Design(blocks, tuple(predicted), remarks=remarks)
+        return Design(blocks, remarks=remarks)
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
-        """Lines through the recorded means. Raises `EstimationError`."""
+    def quantities(self, request: EstimateRequest) -> LineQuantities:
+        """Lines through the means. Raises `EstimationError`."""
         parameters: ScaleFactorParameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
@@ -140,7 +137,34 @@ class ScaleFactor:
         equal = parameters.weights == "equal"
         fit = fit_outputs(matrix, observations, magnitudes, TERMS, parameters.uncertainty, equal=equal, effects=effects)
         require_basis(fit, parameters.uncertainty, request.name)
-        return _assemble(request, observations, rates, fit)
+        return _found(request, observations, rates, fit)
+
+    def words(self, request: EstimateRequest, found: LineQuantities) -> Words:
+        """Means and residuals by rate."""
+        parameters: ScaleFactorParameters = request.parameters
+        observations, rates, fit = found.observations, found.rates, found.fit
+        rate = rate_and_output(parameters.rate_unit, observations.units[0])[0]
+        shown = tuple(float(value / rate.factor) for value in rates)
+        notes, warnings = judge(fit, parameters.uncertainty)
+        if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
+            notes.append(
+                "All rates have one sign, so asymmetry cannot be determined, and an offset that depends on the sense of rotation is in F0."
+            )
+        if not (found.common or request.setup.inputs.get("table rate")):
+            notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
+        return Words(
+            headline=tuple(item.name for item in found.coefficients),
+            settings={
+                "uncertainty": parameters.uncertainty,
+                "weights": parameters.weights,
+                "rate_uncertainty": parameters.rate_uncertainty.value if parameters.rate_uncertainty else 0.0,
+            },
+            tables=(_table(observations, shown, fit, rate),),
+            plots=(residual_plot(observations, fit, "Residuals from the straight line", f"rate [{rate.text}]", shown),),
+            notes=tuple(notes),
+            warnings=tuple(warnings),
+            segments=observations.labels,
+        )
 
 
 def _is_rate(request: DesignRequest, name: str) -> bool:
@@ -158,7 +182,7 @@ def _rates(segments: Sequence[Segment]) -> Array:
     return np.array([segment.rate for segment in segments], dtype=float)
 
 
-def _assemble(request: EstimateRequest, observations: Observations, rates: Array, fit: OutputsFit) -> Estimate:
+def _found(request: EstimateRequest, observations: Observations, rates: Array, fit: OutputsFit) -> LineQuantities:
     parameters: ScaleFactorParameters = request.parameters
     basis = parameters.uncertainty
     m = len(observations.channels)
@@ -186,47 +210,26 @@ def _assemble(request: EstimateRequest, observations: Observations, rates: Array
     full = np.zeros((2 * m + len(metrics), 2 * m + len(metrics)))
     full[: 2 * m, : 2 * m] = covariance
     full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item, _, _ in metrics]
-    rate = units[0][0]
-    shown = tuple(float(value / rate.factor) for value in rates)
-    notes, warnings = judge(fit, basis)
-    if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
-        notes.append(
-            "All rates have one sign, so asymmetry cannot be determined, and an offset that depends on the sense of "
-            "rotation is in F0."
-        )
     stated = _common(request, functionals, fit.coefficients[:, 1], rates)
-    if not (stated or request.setup.inputs.get("table rate")):
-        notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
     recorded = resolution_influences(request, observations.channels, functionals)
-    return Estimate(
-        request.name,
-        "scale_factor",
-        tuple(coefficients),
-        full,
-        tuple(item.name for item in coefficients),
-        {
-            "uncertainty": basis,
-            "weights": parameters.weights,
-            "rate_uncertainty": parameters.rate_uncertainty.value if parameters.rate_uncertainty else 0.0,
-        },
-        (_table(observations, shown, fit, rate),),
-        (residual_plot(observations, fit, "Residuals from the straight line", f"rate [{rate.text}]", shown),),
-        tuple(notes),
-        tuple(warnings),
-        observations.labels,
+    return LineQuantities(
+        coefficients=tuple(coefficients),
+        covariance=full,
         influences=(*stated, *recorded, *fit.influences(basis, functionals)),
+        observations=observations,
+        rates=rates,
+        fit=fit,
+        common=bool(stated),
     )
 
 
-def _held(request: EstimateRequest | DesignRequest, slopes: Array, rates: Array) -> tuple[Effect, ...]:
+def _held(request: EstimateRequest, slopes: Array, rates: Array) -> tuple[Effect, ...]:
     """How well the bench says that each rate is held, on outputs of these slopes (m,)."""
     stated = request.setup.inputs.get("table rate")
     return rate_effects(stated, np.outer(slopes, rates), rates) if stated else ()
 
 
-def _common(
-    request: EstimateRequest | DesignRequest, functionals: Array, slopes: Array, rates: Array
-) -> tuple[Influence, ...]:
+def _common(request: EstimateRequest, functionals: Array, slopes: Array, rates: Array) -> tuple[Influence, ...]:
     """What the plan says that all rates have wrong alike, such as the table's clock: it is in the slope and leaves no scatter.
 
     functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); slopes: (m,), output unit per rad/s.
@@ -252,10 +255,10 @@ def _metrics(
     observed = fit.observed(k, basis)
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
-    full_scale = float(np.abs(observations.mean[:, k]).max())
+    full_scale = float(np.abs(observations.mean[:, k]).max()) or (math.nan if observations.expected else 0.0)
     freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
     found = []
-    if full_scale > 0 and fit.freedom:
+    if full_scale != 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
         words = f"{name}: largest residual over the largest output"
         residual = (np.arange(len(rates)) == worst) - matrix[worst] @ fit.gains[k]
@@ -264,12 +267,14 @@ def _metrics(
         u = math.sqrt(factor * float(noise[worst] + beside)) / full_scale * 1e6
         answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
         found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words), answers))
-    responds = np.ptp(observations.mean[:, k]) > 0
+    responds = np.ptp(observations.mean[:, k]) > 0 or observations.expected
     if responds and np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
         halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])
         mixed = fit.observed(k, "residual")
         names = ("offset", "rate forward", "rate backward")
         half = least_squares.fit(halves, observations.mean[:, k], names=names, covariance=mixed)
+        if observations.expected:
+            half = replace(half, chi_squared=float(half.degrees_of_freedom))
         plus, minus = half.coefficients[1:]
         gradient = 4e6 / (plus + minus) ** 2 * np.array([0.0, minus, -plus])
         left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor

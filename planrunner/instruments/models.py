@@ -18,6 +18,9 @@ __all__ = ["ChamberModel", "NoiseModel", "Origin", "OutputModel", "SensorModel",
 Origin = Literal["measured", "simulated", "replayed"]
 """Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
 
+Senses = Literal["angular rate", "acceleration"]
+"""What an inertial output responds to; also the names of these dimensions."""
+
 _SHORT = 1e-3  # s; a lag too short to be felt
 
 
@@ -95,6 +98,11 @@ class NoiseModel:
     resolution: float = 0.0
     counted: bool = False
 
+    def dithers(self, variance: float) -> bool:
+        """Whether a mean is not rounded to counts as its samples are: noise of this variance [unit²] between them carries it past the
+        counts, or what a sample leaves of a count goes into the next."""
+        return self.counted or variance > (self.resolution / 2) ** 2
+
     def standard_error(self, seconds: float, rate_hz: float) -> float:
         """Standard uncertainty of the mean over `seconds` of samples at `rate_hz`."""
         samples = max(1.0, seconds * rate_hz)
@@ -127,13 +135,15 @@ class NoiseModel:
 @dataclass(frozen=True, slots=True)
 class OutputModel:
     """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise. constant: whether it does
-    not change at all while the table stands, as a simulated encoder of the table does."""
+    not change at all while the table stands, as a simulated encoder of the table does. senses: what it responds to, where the unit alone
+    does not say so."""
 
     name: str
     unit: str
     full_scale: float = math.inf
     noise: NoiseModel = field(default_factory=NoiseModel)
     constant: bool = False
+    senses: Senses | None = None
 
 
 @dataclass(frozen=True, slots=True)

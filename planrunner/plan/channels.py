@@ -30,6 +30,11 @@ def check_channels(parameters: Record, outputs: Collection[str] | None, log: Fin
         seen.add(channel)
 
 
+def channels_of(parameters: Record) -> tuple[str, ...]:
+    """The channels that parameters name, their defaults included."""
+    return tuple(dict.fromkeys(channel for _, _, channel in _named(parameters)))
+
+
 def _named(parameters: Record) -> Iterator[tuple[str, str, str]]:
     """Key, place in the file and channel."""
     for key, item in keys_of(type(parameters)).items():

@@ -17,6 +17,7 @@ from planrunner.estimators.accelerometer.accelerometer_multi_position import (
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, fit_magnitude
 from planrunner.estimators.accelerometer.still_detection import still_spans
 from planrunner.estimators.interface import DesignRequest, EstimateRequest, EstimationError
+from planrunner.estimators.method import designed
 from planrunner.physics.earth import Site
 from planrunner.plan.orientation import rotation
 from planrunner.plan.quantity import parse_quantity
@@ -196,14 +197,14 @@ def test_still_detection_refusals() -> None:
 def test_design_of_known_and_unknown_attitudes() -> None:
     planned = tuple(segment(f"A{n}", attitude) for n, attitude in enumerate(attitudes(6)))
     model = sensor(*CHANNELS, unit="m/s^2")
-    known = AccelerometerMultiPosition().design(
-        DesignRequest("a", planned, AccelerometerMultiPositionParameters(), SITE, model)
+    known = designed(
+        AccelerometerMultiPosition(), DesignRequest("a", planned, AccelerometerMultiPositionParameters(), SITE, model)
     )
     assert known is not None
     assert known.blocks[2].terms == ("bias", "accel_x", "accel_y", "accel_z")
     unknown = AccelerometerMultiPositionParameters(reference="gravity_magnitude")
     unplanned = tuple(replace(one, attitude=None) for one in planned)
     for poses in (planned, unplanned):
-        few = AccelerometerMultiPosition().design(DesignRequest("a", poses, unknown, SITE, model))
+        few = designed(AccelerometerMultiPosition(), DesignRequest("a", poses, unknown, SITE, model))
         assert few is not None
         assert [(one.code, one.error) for one in few.remarks] == [("physics-poses", True)]

@@ -14,6 +14,7 @@ from planrunner.estimators.allan import phase as allan_phase
 from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
 from planrunner.estimators.allan.phase import read_phase
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.method import designed
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
@@ -170,15 +171,18 @@ def test_design_expects_what_the_record_then_gives() -> None:
     model = SensorModel("gyro", (output,), 2.0)
     parameters = AllanDeviationParameters(outputs=("gyro",), terms=("N", "K"))
     planned = segment("rest", dwell=1000.0)
-    design = AllanDeviation().design(DesignRequest("noise", (planned,), parameters, SITE, model))
-    assert design is not None
+    design = designed(AllanDeviation(), DesignRequest("noise", (planned,), parameters, SITE, model))
     (expected,) = design.predicted
+    (unknown,) = design.unpredicted
+    assert (unknown.name, unknown.unit) == ("K_gyro", "pulse/s/sqrt(s)")
     assert expected.name == "N_gyro"
     assert expected.value == pytest.approx(math.sqrt(0.5))
     scatter = np.std([run(record(white(2000, k), rows=4000), terms=("N", "K"))["N_gyro"].value for k in range(120)])
     assert 0.6 < scatter / expected.standard_uncertainty < 1.25
     wrong = AllanDeviationParameters(outputs=("other",))
     with pytest.raises(EstimationError, match="no output 'other'"):
-        AllanDeviation().design(DesignRequest("noise", (planned,), wrong, SITE, model))
+        designed(AllanDeviation(), DesignRequest("noise", (planned,), wrong, SITE, model))
     quiet = SensorModel("gyro", (OutputModel("gyro", "pulse/s"),), 2.0)
-    assert AllanDeviation().design(DesignRequest("noise", (planned,), parameters, SITE, quiet)) is None
+    silent = designed(AllanDeviation(), DesignRequest("noise", (planned,), parameters, SITE, quiet))
+    assert silent.predicted == ()
+    assert [one.name for one in silent.unpredicted] == ["N_gyro", "K_gyro"]

@@ -19,6 +19,7 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
 )
+from planrunner.estimators.method import designed
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
@@ -92,7 +93,8 @@ def test_an_output_that_is_not_analysed() -> None:
 def test_what_is_expected_is_in_the_same_unit() -> None:
     model = SensorModel("gyro", (OutputModel("gyro", "pulse/s", noise=NoiseModel(white=0.9)),), 10.0)
     parameters = AllanDeviationParameters(outputs=("gyro",), scale_factors={"gyro": "drift.SF_Y"})
-    design = AllanDeviation().design(
+    design = designed(
+        AllanDeviation(),
         DesignRequest(
             "noise",
             (segment("rest", dwell=3600.0),),
@@ -100,7 +102,7 @@ def test_what_is_expected_is_in_the_same_unit() -> None:
             SITE,
             model,
             uses={"drift": Design((), DRIFT.coefficients)},
-        )
+        ),
     )
     assert design is not None
     (expected,) = design.predicted

@@ -13,6 +13,7 @@ from planrunner.estimators.flexure_gyro.compensation_residual import (
 )
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.method import designed
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 
 TRADITIONAL = {
@@ -109,13 +110,13 @@ def test_design_predicts_the_same_ratio() -> None:
         return tuple(segment(label, attitude(words)) for label, words in positions.items())
 
     designs = {
-        name: FlexureGyroStatic().design(
-            DesignRequest(name, planned(positions), FlexureGyroStaticParameters(), SITE, model)
+        name: designed(
+            FlexureGyroStatic(), DesignRequest(name, planned(positions), FlexureGyroStaticParameters(), SITE, model)
         )
         for name, positions in (("drift", OPTIMAL), ("traditional", TRADITIONAL))
     }
     request = DesignRequest("r", planned(VERIFY), CompensationResidualParameters(), SITE, model, designs)
-    design = CompensationResidual().design(request)
+    design = designed(CompensationResidual(), request)
     check = np.array([_row(attitude(words)) for words in VERIFY.values()])
     expected = []
     for positions in (OPTIMAL, TRADITIONAL):

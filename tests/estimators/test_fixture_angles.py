@@ -16,6 +16,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.design.identifiability import identify
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
+from planrunner.estimators.method import designed
 from planrunner.estimators.tilted.fixture_angles import FixtureAngles, FixtureAnglesParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.schedule import Spin
@@ -130,7 +131,7 @@ def test_check_refuses_mountings_that_do_not_tell_the_angles(
         SensorModel("gyro-triad", outputs, 10.0),
         setup=Setup(None, plan_mounting(STATED)),
     )
-    design = FixtureAngles().design(request)
+    design = designed(FixtureAngles(), request)
     assert all(judged.sound is sound for judged in identify(design))
     assert bool(design.remarks) is not sound
     assert bool(design.predicted) is sound

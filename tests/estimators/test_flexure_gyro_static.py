@@ -12,6 +12,7 @@ from recorded import from_means, segment, sensor
 
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.method import designed
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Spin
@@ -230,9 +231,9 @@ def test_design_predicts_what_simulated_experiments_scatter_by() -> None:
     nominal = {"SF_X": 0.031 * per_pulse, "SF_Y": 0.029 * per_pulse, "epsilon": 0.0, "xi": 0.0}
     planned = tuple(segment(label, attitude(words)) for label, words in OPTIMAL.items())
     model = SensorModel("flexure-gyro", outputs, 10.0, nominal)
-    design = FlexureGyroStatic().design(DesignRequest("d", planned, FlexureGyroStaticParameters(), SITE, model))
+    design = designed(FlexureGyroStatic(), DesignRequest("d", planned, FlexureGyroStaticParameters(), SITE, model))
     predicted = {item.name: item for item in design.predicted}
-    assert len(predicted) == 12
+    assert len(predicted) == 24  # the physical ones, and U0 … V5
     sigma = white / math.sqrt(120)
     matrix = np.array([_row(attitude(words)) for words in OPTIMAL.values()])
     cofactor = np.linalg.inv(matrix.T @ matrix)

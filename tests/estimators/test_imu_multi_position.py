@@ -13,6 +13,7 @@ from recorded import from_means, sensor
 from scipy.stats import binom
 
 from planrunner.design.identifiability import identify
+from planrunner.estimators import method
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPosition, ImuMultiPositionParameters
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -42,8 +43,9 @@ def designed(segments: list[Segment], **keys: object) -> Design:
     outputs = [OutputModel(name, "rad/s", noise=noisy) for name in imu.GYROS]
     outputs += [OutputModel(name, "m/s^2", noise=noisy) for name in imu.ACCELS]
     parameters = ImuMultiPositionParameters(**(keys or BOTH))
-    return ImuMultiPosition().design(
-        DesignRequest("imu", tuple(segments), parameters, imu.SITE, SensorModel("imu", tuple(outputs), 100.0))
+    return method.designed(
+        ImuMultiPosition(),
+        DesignRequest("imu", tuple(segments), parameters, imu.SITE, SensorModel("imu", tuple(outputs), 100.0)),
     )
 
 

@@ -24,6 +24,7 @@ from planrunner.estimators.interface import (
     EstimationError,
     Setup,
 )
+from planrunner.estimators.method import designed
 from planrunner.estimators.modulation.fit import TooLittleError, free_rates, periodic_part
 from planrunner.estimators.modulation.modulation_residual import ModulationResidual, ModulationResidualParameters
 from planrunner.estimators.modulation.prediction import errors_over_time, periodic_amplitudes
@@ -280,10 +281,10 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
     asked = DesignRequest(
         "rotation", segments, ModulationResidualParameters(), SITE, sensor("o"), setup=Setup(table=TABLE)
     )
-    (remark,) = ModulationResidual().design(asked).remarks
+    (remark,) = designed(ModulationResidual(), asked).remarks
     assert remark.error and remark.code == "physics-modulation" and remark.key == "uses"
     both: Any = {"a": None, "b": None}
-    design = ModulationResidual().design(replace(asked, uses=both))
+    design = designed(ModulationResidual(), replace(asked, uses=both))
     assert not design.remarks
     assert "1.47 %" in design.notes[0]
     declared = parse_quantity("0.02 deg/h", "angular rate"), parse_quantity("0 deg/h", "angular rate")
@@ -291,12 +292,12 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
         asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[1], declared[1], declared[0]))
     )
     assert all(
-        "make 0 m rms" in note for note in ModulationResidual().design(upright).notes
+        "make 0 m rms" in note for note in designed(ModulationResidual(), upright).notes
     )  # about the vertical alone
     level = replace(
         asked, uses=both, parameters=ModulationResidualParameters(gyro_errors=(declared[0], declared[1], declared[1]))
     )
-    assert not any("make 0 m rms" in note for note in ModulationResidual().design(level).notes)
+    assert not any("make 0 m rms" in note for note in designed(ModulationResidual(), level).notes)
 
 
 @pytest.mark.parametrize(

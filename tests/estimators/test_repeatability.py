@@ -10,6 +10,7 @@ import pytest
 from recorded import from_means, segment, sensor
 
 from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.method import designed
 from planrunner.estimators.repeatability import (
     Repeatability,
     RepeatabilityParameters,
@@ -119,7 +120,7 @@ def test_truth_within_the_stated_uncertainty() -> None:
     assert inside == pytest.approx(0.95, abs=scatter)
     bounds = [deviation_interval(one.within, one.within_freedom) for one in splits]
     assert np.mean([low**2 <= 4 <= high**2 for low, high in bounds]) == pytest.approx(0.95, abs=scatter)
-    together = np.mean([one.total_low <= 13 <= one.total_high for one in splits])
+    together = np.mean([low <= 13 <= high for low, high in (one.total_interval for one in splits)])
     assert together == pytest.approx(0.95, abs=scatter + 0.005)  # Graybill and Wang's is approximate
     assert np.mean([one.between for one in splits]) == pytest.approx(9.0, abs=0.3)
     assert np.mean([one.between_uncertainty**2 for one in splits]) == pytest.approx(
@@ -197,7 +198,7 @@ def test_a_plan_without_repeats_is_refused_before_the_run() -> None:
         "again", (segment("r1"),), RepeatabilityParameters(channels=("gyro",)), SITE, sensor("gyro")
     )
     with pytest.raises(EstimationError, match="one segment cannot show"):
-        Repeatability().design(request)
+        designed(Repeatability(), request)
 
 
 def test_angles_on_either_side_of_zero_are_near_each_other() -> None:

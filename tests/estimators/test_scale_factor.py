@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from recorded import from_means, segment, sensor
 
+from planrunner.estimators import method
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError, Setup
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
@@ -153,7 +154,7 @@ def test_rates_beyond_the_full_scale_are_refused(output: str, unit: str, K: floa
     model = SensorModel("gyro", (OutputModel(output, unit, 400.0),), 100.0, {} if K is None else {f"K_{output}": K})
     planned = tuple(segment(f"R{n}", np.eye(3), Spin(one * DEG)) for n, one in enumerate((10.0, rate, 5.0)))
     parameters = ScaleFactorParameters(outputs=(output,))
-    found = ScaleFactor().design(DesignRequest("s", planned, parameters, SITE, model)).remarks
+    found = method.designed(ScaleFactor(), DesignRequest("s", planned, parameters, SITE, model)).remarks
     across = [("physics-input-axis", False)] if output == "gyro_x" else []
     assert [(one.code, one.error) for one in found] == ([("physics-full-scale", True)] if words else across)
     assert all(words in one.message for one in found)
@@ -167,13 +168,13 @@ def test_design_is_sound_only_with_two_rates() -> None:
 
     def designed(rates: list[float]) -> Design:
         planned = tuple(segment(f"R{n}", motion=Spin(rate * DEG)) for n, rate in enumerate(rates))
-        return ScaleFactor().design(DesignRequest("s", planned, ScaleFactorParameters(), SITE, model))
+        return method.designed(ScaleFactor(), DesignRequest("s", planned, ScaleFactorParameters(), SITE, model))
 
     (sound,) = identify(designed([-100, 0, 100]))
     assert sound.sound
     (poor,) = identify(designed([100, 100]))
     assert poor.unidentifiable == ("offset", "rate")
-    predicted = designed([-100, 0, 100]).predicted[0]
+    predicted = next(one for one in designed([-100, 0, 100]).predicted if one.name == "K_gyro")
     assert predicted.standard_uncertainty == pytest.approx(0.1 / math.sqrt(120) / (100 * math.sqrt(2)), rel=1e-9)
 
 
@@ -229,6 +230,7 @@ def test_check_foresees_the_rates_errors() -> None:
     )
     segments = tuple(segment(f"R{n}", motion=Spin(rate)) for n, rate in enumerate(rates))
     parameters = ScaleFactorParameters(outputs=("gyro",), rate_uncertainty=parse_quantity("20 ppm"))
-    (predicted,) = ScaleFactor().design(DesignRequest("s", segments, parameters, SITE, model, setup=HELD)).predicted
+    design = method.designed(ScaleFactor(), DesignRequest("s", segments, parameters, SITE, model, setup=HELD))
+    predicted = next(one for one in design.predicted if one.name == "K_gyro")
     expected = math.sqrt(0.02**2 / 2 + (500 * 1e-5) ** 2 / 2 + (500 * 2e-5) ** 2)
     assert predicted.standard_uncertainty == pytest.approx(expected, rel=1e-6)

@@ -25,6 +25,7 @@ from planrunner.estimators.flexure_gyro.compensation_residual import (
 )
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import DesignRequest, Estimate, EstimateRequest, Setup
+from planrunner.estimators.method import designed
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
 from planrunner.physics.kinematics import TableAxis, joint_angles
 from planrunner.uncertainty.budget import merged
@@ -253,9 +254,9 @@ def test_check_foresees_what_the_estimate_will_state() -> None:
     model = SensorModel("flexure-gyro", outputs, 100.0, nominal)
     segments = tuple(replace(segment(label, attitude(words)), orientation=words) for label, words in OPTIMAL.items())
     parameters = FlexureGyroStaticParameters()
-    stated = FlexureGyroStatic().design(DesignRequest("d", segments, parameters, SITE, model, setup=SETUP))
+    stated = designed(FlexureGyroStatic(), DesignRequest("d", segments, parameters, SITE, model, setup=SETUP))
     found = combined(fitted(PLANNED, SETUP, error=0.9 / math.sqrt(120)))
-    assert len(stated.predicted) == 12
+    assert [item.name for item in stated.predicted] == [item.name for item in found.coefficients]
     for item in stated.predicted:
         assert item.standard_uncertainty == pytest.approx(found[item.name].standard_uncertainty, rel=1e-3), item.name
 

@@ -11,7 +11,9 @@ import pytest
 from recorded import figure, from_samples
 from standing_unit import DEG_H, RATE, SITE, recorded, request, samples, sensor
 
+from planrunner.estimators import method
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
+from planrunner.estimators.method import designed
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation, StrapdownNavigationParameters
 from planrunner.physics.earth import Site
@@ -288,7 +290,7 @@ def test_expected_errors_are_those_of_repetitions() -> None:
     stated = StrapdownNavigationParameters(
         gyro_uncertainty=parse_quantity("0.02 deg/h"), accelerometer_uncertainty=parse_quantity("40 ug")
     )
-    expected = StrapdownNavigation().design(planned(parameters=stated))
+    expected = method.designed(StrapdownNavigation(), planned(parameters=stated))
     draw, found = np.random.default_rng(5), []
     for seed in range(30):
         errors = tuple(draw.normal(0, 1, 6) * [0.02, 0.02, 0.02, 40, 40, 40])
@@ -315,13 +317,13 @@ def test_a_long_alignment_is_foreseen_in_coarser_knots_with_the_same_result(monk
         found = []
         for knots in (100_000, 1800):
             monkeypatch.setattr("planrunner.estimators.strapdown.design._KNOTS", knots)
-            found.append(StrapdownNavigation().design(plan).predicted)
+            found.append(designed(StrapdownNavigation(), plan).predicted)
         for fine, coarse in zip(*found, strict=True):
             assert coarse.standard_uncertainty == pytest.approx(fine.standard_uncertainty, rel=0.1), fine.name
 
 
 def test_names_foreseen_are_those_estimated() -> None:
-    expected = [item.name for item in StrapdownNavigation().design(planned()).predicted]
+    expected = [item.name for item in designed(StrapdownNavigation(), planned()).predicted]
     assert expected == [item.name for item in navigated((0,) * 6, seconds=600).coefficients]
 
 
@@ -341,7 +343,7 @@ def test_names_foreseen_are_those_estimated() -> None:
     ],
 )
 def test_plans_that_cannot_work_are_refused(changes: dict[str, Any], code: str, words: str) -> None:
-    remarks = [item for item in StrapdownNavigation().design(planned(**changes)).remarks if item.error]
+    remarks = [item for item in method.designed(StrapdownNavigation(), planned(**changes)).remarks if item.error]
     assert [remark.code for remark in remarks if words in remark.message] == [code]
 
 
@@ -350,7 +352,7 @@ def test_cycles_beyond_a_gyros_full_scale_are_refused() -> None:
     turning = planned(run={"motion": Cycle({"A": 0.0}, (Move("A", 2 * np.pi, "A"),), math.radians(12), 30.0)})
     limits = {"gyro_x": 36_000.0, "gyro_y": 36_000.0, "gyro_z": 39_600.0}  # deg/h
     outputs = tuple(replace(item, full_scale=limits.get(item.name, math.inf)) for item in turning.sensor.outputs)
-    design = StrapdownNavigation().design(replace(turning, sensor=replace(turning.sensor, outputs=outputs)))
+    design = designed(StrapdownNavigation(), replace(turning, sensor=replace(turning.sensor, outputs=outputs)))
     assert [(remark.code, remark.message.split(",")[0]) for remark in design.remarks if remark.error] == [
         ("physics-full-scale", "'gyro_z' would show 4.32e+04 deg/h in 'navigate'")
     ]
@@ -359,9 +361,9 @@ def test_cycles_beyond_a_gyros_full_scale_are_refused() -> None:
 def test_doubtful_plans_are_remarked() -> None:
     design = planned(run={"motion": Cycle({"A": 0.0}, (Move("A", 2 * np.pi, "A"),), 1.0, 30.0)})
     short = replace(design, segments=(design.segments[0], replace(design.segments[1], dwell=1800.0)))
-    codes = {remark.code for remark in StrapdownNavigation().design(short).remarks}
+    codes = {remark.code for remark in designed(StrapdownNavigation(), short).remarks}
     assert codes == {"physics-navigation-short", "physics-navigation-rate"}
-    assert not any(remark.error for remark in StrapdownNavigation().design(short).remarks)
+    assert not any(remark.error for remark in designed(StrapdownNavigation(), short).remarks)
 
 
 @pytest.mark.parametrize("turned", [False, True])

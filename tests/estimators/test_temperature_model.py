@@ -17,6 +17,7 @@ from recorded import figure, from_means, from_samples, real, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.checking import check_plan
+from planrunner.estimators import method
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import (
     Coefficient,
@@ -26,6 +27,7 @@ from planrunner.estimators.interface import (
     EstimationError,
     Setup,
 )
+from planrunner.estimators.method import designed
 from planrunner.estimators.temperature.curve import (
     HeldOut,
     chosen,
@@ -287,12 +289,13 @@ def test_too_few_planned_temperatures_are_an_error_before_the_run() -> None:
         TemperatureModelParameters(channels=("gyro",), order=2),
     )
     for parameters, needed in ((plain, 3), (square, 3)):
-        design = TemperatureModel().design(DesignRequest("curve", held, parameters, SITE, sensor("gyro")))
+        design = method.designed(TemperatureModel(), DesignRequest("curve", held, parameters, SITE, sensor("gyro")))
         assert design is not None
         (remark,) = design.remarks
         assert remark.code == "physics-temperatures" and remark.error and f"needs {needed}" in remark.message
-    design = TemperatureModel().design(
-        DesignRequest("curve", held, TemperatureModelParameters(channels=("gyro",), order=1), SITE, sensor("gyro"))
+    design = designed(
+        TemperatureModel(),
+        DesignRequest("curve", held, TemperatureModelParameters(channels=("gyro",), order=1), SITE, sensor("gyro")),
     )
     assert design is not None and not design.remarks
 

@@ -13,6 +13,7 @@ from tilted_recording import SITE, Gyro, estimate, plan_mounting, series
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
+from planrunner.estimators.method import designed
 from planrunner.estimators.tilted.evaluation import Group
 from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
@@ -100,7 +101,7 @@ def test_what_is_planned_is_expected_with_flicker() -> None:
     model = SensorModel("gyro", (OutputModel("gyro_x", "deg/s", noise=NoiseModel(1e-4)),), 10.0)
     setup = Setup(None, plan_mounting(AXIS), DECLARED)
     parameters = ScaleFactorTiltedParameters(earth_rate="averaged")
-    design = ScaleFactorTilted().design(DesignRequest("scale", planned, parameters, SITE, model, setup=setup))
+    design = designed(ScaleFactorTilted(), DesignRequest("scale", planned, parameters, SITE, model, setup=setup))
     expected = {one.name: one.standard_uncertainty for one in design.predicted}
     covariance = 1e-8 / DWELL * np.eye(len(planned)) + B**2 * kernel(len(planned))
     for name, own in weights(2).items():

@@ -12,6 +12,7 @@ import pytest
 from tilted_recording import DEG, RATES, SITE, THETA, TRIAD, Gyro, inputs, plan_mounting, series, whole_turns
 
 from planrunner.checking import check_plan
+from planrunner.estimators import method
 from planrunner.estimators.interface import Design, DesignRequest, Setup
 from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -40,7 +41,7 @@ def designed(
     model = SensorModel("gyro-triad", outputs, 10.0)
     setup = Setup(None, plan_mounting(axes), stated or Inputs())
     parameters = ScaleFactorTiltedParameters(**keys)
-    return ScaleFactorTilted().design(DesignRequest("scale", planned, parameters, SITE, model, setup=setup))
+    return method.designed(ScaleFactorTilted(), DesignRequest("scale", planned, parameters, SITE, model, setup=setup))
 
 
 def test_a_sound_plan_is_not_remarked_on_and_predicted_by_hand() -> None:

@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.accelerometer import by_magnitude, by_orientation
+from planrunner.estimators.accelerometer.by_magnitude import MagnitudeQuantities
+from planrunner.estimators.accelerometer.by_orientation import AxesQuantities
 from planrunner.estimators.basis_judgement import planned_basis
 from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
 )
+from planrunner.estimators.method import Foresight, Method, Words, by_expectation
 from planrunner.estimators.outputs_fit import BASES
 from planrunner.estimators.planned import planned_blocks
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
@@ -63,9 +65,10 @@ class AccelerometerMultiPositionParameters(Record):
     drift_span: Quantity = drift_span()
 
 
-class AccelerometerMultiPosition:
+class AccelerometerMultiPosition(Method[AxesQuantities | MagnitudeQuantities]):
     """The plug-in."""
 
+    name = "accelerometer_multi_position"
     summary = "Bias, scale factor and misalignment of an accelerometer triad from many positions"
     Parameters = AccelerometerMultiPositionParameters
     finds_spans = True
@@ -82,14 +85,26 @@ class AccelerometerMultiPosition:
         blocks = planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes)
         return Design(blocks, remarks=planned_basis(request, blocks, parameters.uncertainty))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
-        """Coefficients from the recorded positions or still spans. Raises `EstimationError`."""
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """The general way, where the attitudes are planned."""
+        if request.parameters.reference == "gravity_magnitude":
+            return by_magnitude.foresee(request, lambda: by_expectation(self, request))
+        return by_expectation(self, request)
+
+    def quantities(self, request: EstimateRequest) -> AxesQuantities | MagnitudeQuantities:
+        """Coefficients from the positions or still spans. Raises `EstimationError`."""
         parameters: AccelerometerMultiPositionParameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":
-            return by_magnitude.estimate(request)
+            return by_magnitude.quantities(request)
         _no_spans(request.detection)
-        return by_orientation.estimate(request)
+        return by_orientation.quantities(request)
+
+    def words(self, request: EstimateRequest, found: AxesQuantities | MagnitudeQuantities) -> Words:
+        """Residuals by position or pose."""
+        if isinstance(found, MagnitudeQuantities):
+            return by_magnitude.words(request, found)
+        return by_orientation.words(request, found)
 
 
 def _no_spans(detection: Detection | None) -> None:

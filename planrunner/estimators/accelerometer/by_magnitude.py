@@ -7,12 +7,13 @@ How a table stands does not matter: |f| is g in any attitude.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.still_detection import detection_limits, longest_span, still_spans
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
@@ -23,7 +24,6 @@ from planrunner.estimators.interface import (
     Coefficient,
     Design,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
     Plot,
@@ -32,7 +32,9 @@ from planrunner.estimators.interface import (
     Table,
     TableColumn,
     UnfitDataError,
+    Unpredicted,
 )
+from planrunner.estimators.method import Foresight, Quantities, Words
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations, observe, recorded_times
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
@@ -49,6 +51,7 @@ _WORDS = {
     "gamma": "Non-orthogonality of the axes {} and {}: 90° less their angle",
 }
 _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
+_SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 
 def design(request: DesignRequest) -> Design:
@@ -82,64 +85,92 @@ def design(request: DesignRequest) -> Design:
     return Design(())
 
 
-def estimate(request: EstimateRequest) -> Estimate:
+def foresee(request: DesignRequest, general: Callable[[], Foresight]) -> Foresight:
+    """The general way where all poses are planned; else the names alone, as which poses will be found is not known."""
+    if all(segment.attitude is not None for segment in request.segments):
+        seen = general()
+        if seen.known:
+            return seen
+    why = "the attitudes of the poses are not planned"
+    rows = zip(NAMES, _UNITS, strict=True)
+    return Foresight(unpredicted=tuple(Unpredicted(name, text, why, _describe(name)) for name, text in rows))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MagnitudeQuantities(Quantities):
+    """values: (9,), SI; residuals: of |f|, (n,), m/s^2."""
+
+    poses: Observations
+    sphere: GravityFit
+    fit: OutputsFit
+    values: Array
+    residuals: Array
+
+
+def quantities(request: EstimateRequest) -> MagnitudeQuantities:
     """The nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
-    poses = _found(request) if request.detection is not None else _recorded(request)
+    expected = all(recorded.expected for recorded in request.segments)
+    poses = _recorded(request) if request.detection is None or expected else _found(request)
     found, fit = _fitted(request, poses, basis)
     values, residuals = found.values + fit.coefficients[0], -fit.fits[0].residuals
-    scale = 1 / np.array([unit(text).factor for text in _UNITS])
-    covariance = fit.covariance(basis) * np.outer(scale, scale)
-    gradients = np.diag(scale)
+    covariance = fit.covariance(basis) * np.outer(_SCALE, _SCALE)
+    gradients = np.diag(_SCALE)
     coefficients = tuple(
         Coefficient(name, float(v), text, float(u), float(freedom), _describe(name))
         for name, v, text, u, freedom in zip(
             NAMES,
-            values * scale,
+            values * _SCALE,
             _UNITS,
             np.sqrt(np.diag(covariance)),
             fit.degrees_of_freedom(gradients, basis),
             strict=True,
         )
     )
-    size = float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
+    influences = (*_gravity(values, request), *fit.influences(basis))
+    return MagnitudeQuantities(
+        coefficients=coefficients,
+        covariance=covariance,
+        influences=tuple(one.through(gradients) for one in influences),
+        extra={"root_mean_square": _size(fit, residuals), "poses": len(poses.labels), "condition": found.condition},
+        poses=poses,
+        sphere=found,
+        fit=fit,
+        values=values,
+        residuals=residuals,
+    )
+
+
+def words(request: EstimateRequest, found: MagnitudeQuantities) -> Words:
+    """Poses and residuals."""
+    basis, poses, fit, residuals = request.parameters.uncertainty, found.poses, found.fit, found.residuals
     notes, warnings = judge(fit, basis, poses.channels)
     notes = [
-        f"{len(poses.labels)} poses; residuals of |f| {size * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} "
-        "degrees of freedom; "
-        f"condition {found.condition:.3g}.",
+        f"{len(poses.labels)} poses; residuals of |f| {_size(fit, residuals) * 1e3:.3g} mm/s² rms, corrected for {fit.freedom} degrees "
+        f"of freedom; condition {found.sphere.condition:.3g}.",
         f"Scale factors are relative to the site's gravity of {request.site.gravity:.6g} m/s².",
         *notes,
     ]
-    influences = (*_gravity(values, request), *fit.influences(basis))
-    return Estimate(
-        request.name,
-        "accelerometer_multi_position",
-        coefficients,
-        covariance,
-        NAMES,
-        {
+    series = {"|f| − g": tuple(map(float, residuals))}
+    return Words(
+        headline=NAMES,
+        settings={
             "reference": "gravity_magnitude",
             "uncertainty": basis,
             "gravity": request.site.gravity,
             **_detection(request),
         },
-        (_bases_table(values * scale, scale, fit), _pose_table(poses, residuals)),
-        (
-            Plot(
-                "Residuals of |f| per pose",
-                "pose",
-                "residual [m/s^2]",
-                poses.labels,
-                {"|f| − g": tuple(map(float, residuals))},
-            ),
-        ),
-        tuple(notes),
-        tuple(warnings),
-        tuple(recorded.label for recorded in request.segments),
-        {"root_mean_square": size, "poses": len(poses.labels), "condition": found.condition},
-        tuple(one.through(gradients) for one in influences),
+        tables=(_bases_table(found.values * _SCALE, _SCALE, fit), _pose_table(poses, residuals)),
+        plots=(Plot("Residuals of |f| per pose", "pose", "residual [m/s^2]", poses.labels, series),),
+        notes=tuple(notes),
+        warnings=tuple(warnings),
+        segments=tuple(recorded.label for recorded in request.segments),
     )
+
+
+def _size(fit: OutputsFit, residuals: Array) -> float:
+    """Root mean square of the residuals, corrected for degrees of freedom."""
+    return float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
 
 
 def _weighted(request: EstimateRequest, poses: Observations, found: GravityFit) -> OutputsFit:
@@ -227,8 +258,13 @@ def _found(request: EstimateRequest) -> Observations:
 
 
 def _recorded(request: EstimateRequest) -> Observations:
-    """Whole segments as poses."""
-    return observe(request.segments, request.parameters.outputs, request.sensor)
+    """Whole segments as poses; of a schedule, those in which one will be found."""
+    poses = [
+        recorded
+        for recorded in request.segments
+        if not recorded.expected or _gives_pose(recorded.segment, request.detection, request.sensor.sample_rate)
+    ]
+    return observe(poses, request.parameters.outputs, request.sensor)
 
 
 def _factors(poses: Observations) -> Array:

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.dataclass import dataclass
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.error_model import error_model
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
-    Estimate,
     EstimateRequest,
     EstimationError,
     Role,
@@ -26,6 +26,7 @@ from planrunner.estimators.interface import (
     TableColumn,
     UnfitDataError,
 )
+from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit
@@ -56,7 +57,17 @@ def matrix_of(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Arr
     return matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
 
 
-def estimate(request: EstimateRequest) -> Estimate:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxesQuantities(Quantities):
+    """The fit of the three axes."""
+
+    observations: Observations
+    units: tuple[Unit, ...]
+    model: ErrorModel
+    fit: OutputsFit
+
+
+def quantities(request: EstimateRequest) -> AxesQuantities:
     """Bias, scale factor and misalignments of three axes. Raises `EstimationError`."""
     parameters = request.parameters
     basis = parameters.uncertainty
@@ -83,32 +94,42 @@ def estimate(request: EstimateRequest) -> Estimate:
         *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
         *fit.influences(basis),
     )
+    scatter = [float(np.sqrt(np.sum(one.residuals**2) / max(1, fit.freedom))) for one in fit.fits]
+    return AxesQuantities(
+        coefficients=coefficients,
+        covariance=covariance,
+        influences=tuple(one.through(gradients) for one in stated),
+        extra={"root_mean_square": scatter},
+        observations=observations,
+        units=tuple(units),
+        model=model,
+        fit=fit,
+    )
+
+
+def words(request: EstimateRequest, found: AxesQuantities) -> Words:
+    """Residuals by position."""
+    fit, observations, basis = found.fit, found.observations, request.parameters.uncertainty
     notes, warnings = judge(fit, basis)
-    left_out = [name for name in TERMS if name not in model.names]
+    left_out = [name for name in TERMS if name not in found.model.names]
     if left_out:
         notes.append(f"Left out of the model by the plan: {', '.join(left_out)}.")
     for axis, name in enumerate(observations.channels):
-        rms = np.sqrt(np.sum(fit.fits[axis].residuals ** 2) / max(1, fit.freedom)) * units[axis].factor
+        rms = np.sqrt(np.sum(fit.fits[axis].residuals ** 2) / max(1, fit.freedom)) * found.units[axis].factor
         notes.append(f"{name}: residuals of {rms / unit('mg').factor:.3g} mg rms, corrected for degrees of freedom.")
-    return Estimate(
-        request.name,
-        "accelerometer_multi_position",
-        coefficients,
-        covariance,
-        tuple(item.name for item in coefficients),
-        {
+    return Words(
+        headline=tuple(item.name for item in found.coefficients),
+        settings={
             "reference": "orientation",
             "uncertainty": basis,
-            "terms": list(model.names),
+            "terms": list(found.model.names),
             "weights": [n.weighting for n in fit.noises],
         },
-        (_table(observations, fit),),
-        (residual_plot(observations, fit),),
-        tuple(notes),
-        tuple(warnings),
-        observations.labels,
-        {"root_mean_square": [float(np.sqrt(np.sum(one.residuals**2) / max(1, fit.freedom))) for one in fit.fits]},
-        tuple(one.through(gradients) for one in stated),
+        tables=(_table(observations, fit),),
+        plots=(residual_plot(observations, fit),),
+        notes=tuple(notes),
+        warnings=tuple(warnings),
+        segments=observations.labels,
     )
 
 

@@ -26,6 +26,7 @@ from planrunner.estimators.allan.table import KINDS, Deviation, deviations, octa
 from planrunner.estimators.allan.units import coefficient_units, squares_to_coefficients
 from planrunner.estimators.interface import (
     Coefficient,
+    CoefficientRole,
     Design,
     DesignRequest,
     Estimate,
@@ -36,7 +37,9 @@ from planrunner.estimators.interface import (
     Table,
     TableColumn,
     UnfitDataError,
+    Unpredicted,
 )
+from planrunner.estimators.method import Foresight
 from planrunner.estimators.root_of_square import root_of
 from planrunner.plan.findings import closest
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
@@ -110,14 +113,13 @@ class AllanDeviation:
     summary = "Allan deviations with confidence intervals, and noise coefficients N, B, K, Q with uncertainties"
     Parameters = AllanDeviationParameters
 
-    def design(self, request: DesignRequest) -> Design | None:
-        """Uncertainty to expect of the declared noise; None where the dwell or the noise is not declared. Raises `EstimationError`."""
+    def design(self, request: DesignRequest) -> Design:
+        """Whether the planned record can serve. Raises `EstimationError`."""
         parameters: AllanDeviationParameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
         notes = [f"'{label}' moves: what the motion does to the outputs is taken for noise." for label in moving]
         _known_scale_factors(parameters, names)
-        predicted: list[Coefficient] = []
         for name in names:
             output = request.sensor.output(name)
             if output is None:
@@ -125,9 +127,21 @@ class AllanDeviation:
                 raise EstimationError(f"the bench's sensor has no output '{name}'; it has {known}")
             if output.constant and not moving:
                 raise EstimationError(_never_changes(name))
-            predicted += _predicted(request, name)
         remarks = planned_averaging(request, names, parameters.taus, parameters.fit_up_to)
-        return Design((), tuple(predicted), tuple(notes), remarks=remarks) if predicted or notes or remarks else None
+        return Design((), notes=tuple(notes), remarks=remarks)
+
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """From the noise that is declared and the record that is planned: the samples themselves are not simulated. Raises
+        `EstimationError` for scale factors that do not fit their outputs."""
+        parameters: AllanDeviationParameters = request.parameters
+        names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
+        predicted: list[Coefficient] = []
+        unpredicted: list[Unpredicted] = []
+        for name in names:
+            sure, unsure = _foreseen(request, name)
+            predicted += sure
+            unpredicted += unsure
+        return Foresight(tuple(predicted), tuple(unpredicted))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Deviations and coefficients from the samples. Raises `EstimationError`."""
@@ -259,7 +273,14 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         value, spread = root_of(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
         scale = roots[term] * factor
         spreads.append(spread * scale)
-        found = Coefficient(f"{term}_{result.name}", value * scale, text, spread * scale, description=WORDS[term])
+        found = Coefficient(
+            f"{term}_{result.name}",
+            value * scale,
+            text,
+            spread * scale,
+            description=WORDS[term],
+            role=CoefficientRole.SCALE,
+        )
         result.coefficients.append(found)
         if fit.squares[k] < _SIGNIFICANT * math.sqrt(fit.covariance[k, k]) * widening:
             bound = (value + 2 * spread) * scale
@@ -358,27 +379,41 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
         )
 
 
-def _predicted(request: DesignRequest, name: str) -> list[Coefficient]:
-    """N and B as declared, with what the planned record would leave uncertain of them."""
+def _foreseen(request: DesignRequest, name: str) -> tuple[list[Coefficient], list[Unpredicted]]:
+    """N and B as declared, with what the planned record would leave uncertain of them; the other terms, and these without a declaration,
+    as unpredicted."""
     parameters: AllanDeviationParameters = request.parameters
     output = request.sensor.output(name)
-    assert output is not None
-    record = planned_record(request)
-    if output.noise.white <= 0 or record is None or record.lengths.max() < 64:
-        return []
-    interval, lengths = record.interval, record.lengths
-    factors = octave_factors(lengths)[: -1 if not parameters.taus else None]
-    squares = np.array([0.0, output.noise.white**2 / interval, output.noise.bias_instability**2, 0.0])
-    spread = np.sqrt(np.diag(expected_covariance(factors, squares, lengths, parameters.terms)))
+    assert output is not None  # design refuses others
     stated = parameters.scale_factors.get(name)
-    units = sensed_by(stated, name, output.unit, request.uses).units if stated else coefficient_units(output.unit)
-    roots = squares_to_coefficients(interval)
-    found = []
-    for term in ("N", "B"):
-        k = TERMS.index(term)
-        if term in parameters.terms and squares[k] > 0:
-            text, factor = units[term]
+    if isinstance(stated, str) and not request.uses.get(stated.partition(".")[0], Design(())).known:
+        return [], []
+    sensed = sensed_by(stated, name, output.unit, request.uses) if stated else None
+    units = sensed.units if sensed else coefficient_units(output.unit)
+    record = planned_record(request)
+    long_enough = record is not None and record.lengths.max() >= 64
+    declared = {"N": output.noise.white, "B": output.noise.bias_instability}
+    squares, spread, roots = np.zeros(4), np.zeros(4), {}
+    if record is not None and long_enough and output.noise.white > 0:
+        interval, lengths = record.interval, record.lengths
+        factors = octave_factors(lengths)[: -1 if not parameters.taus else None]
+        squares = np.array([0.0, output.noise.white**2 / interval, output.noise.bias_instability**2, 0.0])
+        spread = np.sqrt(np.diag(expected_covariance(factors, squares, lengths, parameters.terms)))
+        roots = squares_to_coefficients(interval)
+    found, without = [], []
+    for k, term in enumerate(TERMS):
+        if term not in parameters.terms:
+            continue
+        (text, factor), label, words = units[term], f"{term}_{name}", WORDS[term]
+        if squares[k] > 0 and (sensed is None or math.isfinite(sensed.quantity.standard_uncertainty)):
             value, u = root_of(squares[k], float(spread[k]))
             scale = roots[term] * factor
-            found.append(Coefficient(f"{term}_{name}", value * scale, text, u * scale, description=WORDS[term]))
-    return found
+            found.append(
+                Coefficient(label, value * scale, text, u * scale, description=words, role=CoefficientRole.SCALE)
+            )
+            continue
+        why = f"the bench declares no such noise of '{name}'"
+        if declared.get(term):
+            why = "the planned record is too short, or its length is not known"
+        without.append(Unpredicted(label, text, why, words, CoefficientRole.SCALE))
+    return found, without

@@ -88,12 +88,17 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
     if estimate not in uses:
         raise EstimationError(f"scale factor '{stated}': write `uses: {estimate}`, so that this estimate comes first")
     used = uses[estimate]
-    coefficients = used.coefficients if isinstance(used, Estimate) else used.predicted
+    coefficients = used.coefficients if isinstance(used, Estimate) else _foreseen(used)
     for item in coefficients:
         if item.name == wanted:
             return item
     hint = closest(wanted, [item.name for item in coefficients])
     raise EstimationError(f"scale factor '{stated}': '{estimate}' has no coefficient '{wanted}': {hint}")
+
+
+def _foreseen(used: Design) -> tuple[Coefficient, ...]:
+    """What a run will give; of what cannot be predicted, the unit is right and the value one."""
+    return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 
 def _product(recorded: Unit, scale: Unit, power: int) -> tuple[tuple[str, float], ...]:

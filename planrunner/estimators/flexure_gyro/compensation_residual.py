@@ -40,7 +40,9 @@ from planrunner.estimators.interface import (
     Table,
     TableColumn,
     UnfitDataError,
+    Unpredicted,
 )
+from planrunner.estimators.method import Foresight
 from planrunner.estimators.observation_effects import explained
 from planrunner.estimators.observations import Observations, observe, within_segment_noise
 from planrunner.physics import flexure_gyro
@@ -100,13 +102,20 @@ class CompensationResidual:
         maps = noise_maps(matrix, sets, np.array([np.diag(one) for one in variances]))
         expected = {name: expected_sum(own) for name, own in maps.items()}
         first, *others = expected
-        ratios = {f"ratio_{name}_to_{first}": expected[name] / expected[first] for name in others}
+        ratios = {_ratio(name, first)[0]: expected[name] / expected[first] for name in others}
         notes = [
             f"Expected residual sum of squares of {name} over that of {first}: "
             f"{expected[name] / expected[first]:.3g}, with equal noise."
             for name in others
         ]
         return Design((), (), (*notes, _CLAIM), ratios)
+
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """The coefficients' names: sums of a few squared residuals scatter as widely as they are large, and the notes give their ratio."""
+        first, *others = request.uses
+        why = "the noise of a few verification positions decides it"
+        named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]
+        return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in named))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Residuals of each set in `uses`. Raises `EstimationError`."""
@@ -194,18 +203,15 @@ def _assemble(
     coefficients, covariance = [], []
     for name in names:
         spread = sums[name] * prediction.relative_spread[name]
-        coefficients.append(
-            Coefficient(
-                f"RSS_{name}", sums[name], "(deg/h)^2", spread, description=f"Residual sum of squares of {name}"
-            )
-        )
+        label, text, words = _sum(name)
+        coefficients.append(Coefficient(label, sums[name], text, spread, description=words))
         covariance.append(spread**2)
     rows = []
     for name in names[1:]:
         (low, middle, high), spread = prediction.ratios[name], prediction.ratio_spread[name]
         measured = sums[name] / sums[first]
-        words = f"Residual sum of squares of {name} over that of {first}"
-        coefficients.append(Coefficient(f"ratio_{name}_to_{first}", measured, "1", spread, description=words))
+        label, text, words = _ratio(name, first)
+        coefficients.append(Coefficient(label, measured, text, spread, description=words))
         covariance.append(spread**2)
         expected = prediction.expected[name] / prediction.expected[first]
         rows.append((f"{name} over {first}", measured, expected, middle, low, high))
@@ -243,6 +249,16 @@ def _assemble(
         (),
         tuple(labels),
     )
+
+
+def _sum(name: str) -> tuple[str, str, str]:
+    """Name, unit and description of the residual sum of squares of a set."""
+    return f"RSS_{name}", "(deg/h)^2", f"Residual sum of squares of {name}"
+
+
+def _ratio(name: str, first: str) -> tuple[str, str, str]:
+    """The same of the ratio of two."""
+    return f"ratio_{name}_to_{first}", "1", f"Residual sum of squares of {name} over that of {first}"
 
 
 def _residual_table(labels: Sequence[str], residuals: Mapping[str, Array]) -> Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,28 +10,28 @@ from numpy.typing import NDArray
 from planrunner.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.expected import Responses
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro import tables
 from planrunner.estimators.flexure_gyro.draws import physical_draws
-from planrunner.estimators.flicker import drift_span, planned_flicker
+from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
-    DesignBlock,
     DesignRequest,
     Estimate,
     EstimateRequest,
     EstimationError,
 )
+from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.planned import expected_fit, matrix_at_rest, planned_blocks
+from planrunner.estimators.planned import matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
-from planrunner.estimators.table_effects import table_effects
 from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
 from planrunner.physics.terms import ErrorModel
@@ -94,9 +93,22 @@ class PhysicalSet:
     factors: Array
 
 
-class FlexureGyroStatic:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StaticQuantities(Quantities):
+    """stated: influences on SI [U; V], output after output."""
+
+    observations: Observations
+    model: ErrorModel
+    matrix: Array
+    fit: OutputsFit
+    found: PhysicalSet
+    stated: tuple[Influence, ...]
+
+
+class FlexureGyroStatic(Method[StaticQuantities]):
     """The plug-in."""
 
+    name = "flexure_gyro_static"
     summary = "Static coefficients of a two-axis flexure gyro from positions at rest"
     Parameters = FlexureGyroStaticParameters
 
@@ -115,87 +127,84 @@ class FlexureGyroStatic:
         determinant = float(np.linalg.det(scaled.T @ scaled))
         note = tables.determinant_note(determinant, sight.condition, len(matrix))
         return Design(
-            blocks,
-            _predicted(request, blocks),
-            (note,),
-            {"determinant": determinant, "condition": sight.condition},
-            remarks,
+            blocks, notes=(note,), extra={"determinant": determinant, "condition": sight.condition}, remarks=remarks
         )
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
-        """Coefficients from the recorded positions. Raises `EstimationError`."""
-        made = _make(request)
-        fit, found, matrix, observations = made.fit, made.found, made.matrix, made.observations
-        basis = request.parameters.uncertainty
+    def responses(self, request: DesignRequest) -> Responses:
+        """U and V of the physical coefficients that the sensor declares; without them, of a gyro without drift."""
+        parameters: FlexureGyroStaticParameters = request.parameters
+        nominal, names = request.sensor.nominal, flexure_gyro.physical_names(parameters.terms)
+        if any(name not in nominal for name in names[:4]):
+            return {}
+        outputs = flexure_gyro.output_coefficients(np.array([nominal.get(name, 0.0) for name in names]))
+        model = flexure_gyro.static_model(parameters.terms)
+        return {name: (model, own) for name, own in zip(parameters.outputs, outputs, strict=True)}
+
+    def quantities(self, request: EstimateRequest) -> StaticQuantities:
+        """Coefficients from the means of the positions. Raises `EstimationError`."""
+        parameters: FlexureGyroStaticParameters = request.parameters
+        basis = parameters.uncertainty
+        observations = observe(request.segments, _two(parameters.outputs), request.sensor)
+        model = flexure_gyro.static_model(parameters.terms)
+        segments = [recorded.segment for recorded in request.segments]
+        matrix = static_matrix(model, segments, request.site)
+        magnitudes = local_magnitudes(model, request.site)
+        fit = fit_positions(request, model, segments, observations, matrix, magnitudes, parameters.pool_outputs)
+        require_basis(fit, basis, request.name)
+        try:
+            found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
+        except ValueError as error:
+            raise EstimationError(f"{request.name}: {error}") from None
+        stated = (
+            *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
+            *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
+            *fit.influences(basis),
+        )
         covariance = found.gradients @ fit.covariance(basis) @ found.gradients.T
         spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
         freedom = fit.degrees_of_freedom(found.gradients, basis)
+        return StaticQuantities(
+            coefficients=_coefficients(found, spreads, freedom),
+            covariance=covariance,
+            influences=tuple(one.through(found.gradients) for one in stated),
+            extra=_extra(observations, model, matrix, fit, parameters),
+            observations=observations,
+            model=model,
+            matrix=matrix,
+            fit=fit,
+            found=found,
+            stated=stated,
+        )
+
+    def words(self, request: EstimateRequest, found: StaticQuantities) -> Words:
+        """Residuals, both bases of uncertainty, and the determinant of the positions."""
+        fit, basis = found.fit, request.parameters.uncertainty
         notes, warnings = judge(fit, basis)
-        scaled = matrix / local_magnitudes(made.model, request.site)
+        scaled = found.matrix / local_magnitudes(found.model, request.site)
         condition = float(np.linalg.cond(scaled))
-        notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(matrix)))
-        return Estimate(
-            request.name,
-            "flexure_gyro_static",
-            _coefficients(found, spreads, freedom),
-            covariance,
-            found.names[: found.physical],
-            {
+        notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(found.matrix)))
+        return Words(
+            headline=found.found.names[: found.found.physical],
+            settings={
                 "uncertainty": basis,
                 "pool_outputs": fit.pooled,
-                "terms": list(made.model.names),
+                "terms": list(found.model.names),
                 "weights": [noise.weighting for noise in fit.noises],
             },
-            (
-                residual_table("Residuals per position", "position", observations, fit),
-                tables.both_bases(found, fit, basis),
+            tables=(
+                residual_table("Residuals per position", "position", found.observations, fit),
+                tables.both_bases(found.found, fit, basis),
             ),
-            (residual_plot(observations, fit),),
-            tuple(notes),
-            tuple(warnings),
-            observations.labels,
-            _extra(made, request.parameters),
-            tuple(one.through(found.gradients) for one in made.stated),
+            plots=(residual_plot(found.observations, fit),),
+            notes=tuple(notes),
+            warnings=tuple(warnings),
+            segments=found.observations.labels,
         )
 
     def chain(self, request: EstimateRequest, estimate: Estimate) -> Draws:
         """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse: exact but for the inputs' first order."""
-        made = _make(request)
+        made = self.quantities(request)
         return physical_draws(made.fit, request.parameters.uncertainty, made.found.factors, made.stated)
-
-
-@dataclass(frozen=True, slots=True)
-class _Made:
-    """What the recording gives. stated: influences on SI [U; V], output after output."""
-
-    observations: Observations
-    model: ErrorModel
-    matrix: Array
-    fit: OutputsFit
-    found: PhysicalSet
-    stated: tuple[Influence, ...]
-
-
-def _make(request: EstimateRequest) -> _Made:
-    parameters: FlexureGyroStaticParameters = request.parameters
-    basis = parameters.uncertainty
-    observations = observe(request.segments, _two(parameters.outputs), request.sensor)
-    model = flexure_gyro.static_model(parameters.terms)
-    segments = [recorded.segment for recorded in request.segments]
-    matrix = static_matrix(model, segments, request.site)
-    magnitudes = local_magnitudes(model, request.site)
-    fit = fit_positions(request, model, segments, observations, matrix, magnitudes, parameters.pool_outputs)
-    require_basis(fit, basis, request.name)
-    try:
-        found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
-    except ValueError as error:
-        raise EstimationError(f"{request.name}: {error}") from None
-    stated = (
-        *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
-        *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
-        *fit.influences(basis),
-    )
-    return _Made(observations, model, matrix, fit, found, stated)
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -250,51 +259,22 @@ def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[C
     )
 
 
-def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
-    """The coefficients at the sensor's declared values with the uncertainty that its declared noise and the bench's stated
-    inputs give: noise as each dwell averages it, and what the table has wrong beside it."""
-    products = request.parameters.terms
-    model = flexure_gyro.static_model(products)
-    names = flexure_gyro.physical_names(products)
-    nominal = request.sensor.nominal
-    if any(name not in nominal for name in names[:4]):
-        return ()
-    outputs = flexure_gyro.output_coefficients(np.array([nominal.get(name, 0.0) for name in names]))
-    units = [output.unit for block in blocks if (output := request.sensor.output(block.output))]
-    try:
-        found = physical_set(outputs, units, model, products)
-    except ValueError:
-        return ()
-    n, p = blocks[0].matrix.shape
-    gains = np.zeros((2, p, n))
-    covariance = np.zeros((2, p, 2, p))
-    parameters, inputs = request.parameters, request.setup.inputs
-    effects = (
-        *planned_flicker(request.segments, parameters.outputs, inputs, parameters.drift_span.value),
-        *table_effects(model, request.segments, request.site, request.setup, outputs),
-    )
-    for k, block in enumerate(blocks):
-        gains[k], covariance[k, :, k] = expected_fit(request, block, effects, k)
-    stated = [
-        *stated_influences(model, request.segments, request.site, inputs, outputs, gains),
-        *(one.through(functionals_of(gains)) for one in effects),
-    ]
-    whole = covariance.reshape(2 * p, 2 * p) + sum((one.covariance for one in stated), np.zeros((2 * p, 2 * p)))
-    variance = np.einsum("qi,ij,qj->q", found.gradients, whole, found.gradients).clip(min=0.0)
-    return _coefficients(found, np.sqrt(variance), np.full(len(variance), math.inf))[: found.physical]
-
-
-def _extra(made: _Made, parameters: FlexureGyroStaticParameters) -> dict[str, object]:
+def _extra(
+    observations: Observations,
+    model: ErrorModel,
+    matrix: Array,
+    fit: OutputsFit,
+    parameters: FlexureGyroStaticParameters,
+) -> dict[str, object]:
     """What an estimate that compensates with these coefficients needs, in SI: coefficients, covariance on either basis, the design, and
     when and how noisily it was observed (bias instability: 0.0 where it is not in the weights)."""
-    fit, observations = made.fit, made.observations
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),
-        "terms": list(made.model.names),
+        "terms": list(model.names),
         "coefficients": fit.coefficients.tolist(),
         "covariance": {basis: fit.covariance(basis).tolist() for basis in BASES if fit.available(basis)},
-        "matrix": made.matrix.tolist(),
+        "matrix": matrix.tolist(),
         "gains": fit.gains.tolist(),
         "sigma": [noise.sigma.tolist() for noise in fit.noises],
         "start": observations.start.tolist(),

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.error_model import error_model, term_names
@@ -29,14 +28,14 @@ from planrunner.estimators.interface import (
     Design,
     DesignBlock,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
     Remark,
 )
+from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.planned import expected_covariance, planned_blocks
+from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_influences import mean_stimulus, stated_influences
 from planrunner.physics.earth import Site
@@ -109,9 +108,19 @@ class Triad:
     fit: OutputsFit
 
 
-class ImuMultiPosition:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuQuantities(Quantities):
+    """frame: the responses in the frame that they are reported in; found: what is reported of them."""
+
+    triads: tuple[Triad, ...]
+    frame: Framed
+    found: Reported
+
+
+class ImuMultiPosition(Method[ImuQuantities]):
     """The plug-in."""
 
+    name = "imu_multi_position"
     summary = "Bias, scale factor, misalignment and g-sensitivity of IMU triads from positions and rates"
     Parameters = ImuMultiPositionParameters
 
@@ -129,18 +138,13 @@ class ImuMultiPosition:
             remarks += planned_basis(its_own, made, parameters.uncertainty)
             if kind == "gyro":
                 remarks += _earth_rate_alone(request, made)
-        predicted = _predicted(request, blocks)
-        held = _held({segment.temperature for segment in request.segments})
-        told: dict[str, object] = {"temperatures": () if held is None else (held,)}
-        if predicted:
-            told["names_by_temperature"] = tuple(item.name for item in predicted)
-        return Design(tuple(blocks), predicted, extra=told, remarks=tuple(remarks))
+        return Design(tuple(blocks), remarks=tuple(remarks))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
-        """Coefficients from the recorded segments. Raises `EstimationError`."""
+    def quantities(self, request: EstimateRequest) -> ImuQuantities:
+        """Coefficients from the means of the segments. Raises `EstimationError`."""
         parameters: ImuMultiPositionParameters = request.parameters
         basis = parameters.uncertainty
-        triads = [_fit(request, *one) for one in _triads(parameters)]
+        triads = tuple(_fit(request, *one) for one in _triads(parameters))
         frame = framed([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
         found = reported(frame)
         u, freedom = spread(found, triads, basis)
@@ -152,6 +156,21 @@ class ImuMultiPosition:
                 found.names, found.values, found.units, u, freedom, found.words, strict=True
             )
         )
+        return ImuQuantities(
+            coefficients=coefficients,
+            covariance=covariance,
+            influences=_influences(request, triads, found),
+            extra=_extra(request, frame, found, u),
+            triads=triads,
+            frame=frame,
+            found=found,
+        )
+
+    def words(self, request: EstimateRequest, made: ImuQuantities) -> Words:
+        """Matrices, residuals, and both bases of uncertainty."""
+        parameters: ImuMultiPositionParameters = request.parameters
+        basis = parameters.uncertainty
+        triads, frame, found = made.triads, made.frame, made.found
         notes: list[str] = [tables.formula(frame)]
         warnings: list[str] = []
         for one in triads:
@@ -164,19 +183,15 @@ class ImuMultiPosition:
         if len(triads) == 2 and len(triads[0].segments) > len(triads[1].segments):
             notes.append("The accelerometers are fitted from the segments at rest alone.")
         spreads = {other: spread(found, triads, other) for other in bases_shown(basis, [one.fit for one in triads])}
-        return Estimate(
-            request.name,
-            "imu_multi_position",
-            coefficients,
-            covariance,
-            found.names,
-            {
+        return Words(
+            headline=found.names,
+            settings={
                 "uncertainty": basis,
                 "misalignment": parameters.misalignment,
                 "terms": {one.kind: list(one.model.names) for one in triads},
                 "weights": {one.kind: [noise.weighting for noise in one.fit.noises] for one in triads},
             },
-            (
+            tables=(
                 *(table for one in frame.responses for table in tables.matrices(one)),
                 *(
                     residual_table(f"Residuals of the {one.kind} triad", "segment", one.observations, one.fit)
@@ -184,12 +199,12 @@ class ImuMultiPosition:
                 ),
                 basis_table(found.names, found.units, found.values, spreads),
             ),
-            tuple(residual_plot(one.observations, one.fit, f"Residuals of the {one.kind} triad") for one in triads),
-            tuple(dict.fromkeys(notes)),
-            tuple(warnings),
-            tuple(recorded.label for recorded in request.segments),
-            _extra(request, frame, found, u),
-            _influences(request, triads, found),
+            plots=tuple(
+                residual_plot(one.observations, one.fit, f"Residuals of the {one.kind} triad") for one in triads
+            ),
+            notes=tuple(dict.fromkeys(notes)),
+            warnings=tuple(warnings),
+            segments=tuple(recorded.label for recorded in request.segments),
         )
 
 
@@ -316,34 +331,6 @@ def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> 
     )
     hint = "add segments with a rate about each axis, in both directions; the predicted uncertainties show the effect of these positions"
     return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
-
-
-def _predicted(request: DesignRequest, blocks: Sequence[DesignBlock]) -> tuple[Coefficient, ...]:
-    """Coefficients of an ideal IMU with the uncertainty that the declared noise gives; nothing for outputs of other units."""
-    parameters: ImuMultiPositionParameters = request.parameters
-    responses, covariances = [], []
-    for place, (kind, channels, terms) in enumerate(_triads(parameters)):
-        model = error_model(terms)
-        outputs = [output for name in channels if (output := request.sensor.output(name))]
-        units = tuple(unit(output.unit) for output in outputs)
-        if any(own.dimension != DIMENSIONS["angular rate" if kind == "gyro" else "acceleration"] for own in units):
-            return ()
-        values = np.zeros((3, len(model.names)))
-        for axis, term in enumerate(_RATES if kind == "gyro" else _FORCES):
-            if term in model.names:
-                values[axis, model.names.index(term)] = 1 / units[axis].factor
-        responses.append(Response(kind, units, model, values))
-        its_own = replace(request, segments=tuple(_usable(kind, request.segments)))
-        for block in blocks[3 * place : 3 * place + 3]:
-            if rank.look(block.matrix / block.magnitudes).rank < len(block.terms) or not np.all(block.sigma > 0):
-                return ()
-            covariances.append(expected_covariance(its_own, block, parameters.drift_span.value)[1])
-    found = reported(framed(responses, parameters.misalignment == "lower_triangular"))
-    variance = np.einsum("qi,ij,qj->q", found.gradients, independent(covariances), found.gradients)
-    rows = zip(found.names, found.values, found.units, np.sqrt(variance), found.words, strict=True)
-    return tuple(
-        Coefficient(name, float(value), text, float(u), math.inf, words) for name, value, text, u, words in rows
-    )
 
 
 def _extra(request: EstimateRequest, frame: Framed, found: Reported, u: Array) -> dict[str, object]:

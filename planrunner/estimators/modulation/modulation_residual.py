@@ -27,7 +27,9 @@ from planrunner.estimators.interface import (
     Table,
     TableColumn,
     UnfitDataError,
+    Unpredicted,
 )
+from planrunner.estimators.method import Foresight
 from planrunner.estimators.modulation.fit import PeriodicPart, TooLittleError, periodic_part
 from planrunner.estimators.modulation.navigations import Navigation, compared, rotation
 from planrunner.estimators.modulation.prediction import errors_over_time, horizontal, periodic_amplitudes
@@ -38,6 +40,8 @@ from planrunner.plan.schedule import Segment
 
 Array = NDArray[np.float64]
 
+_AMPLITUDE = "modulation_{}"
+_AMPLITUDE_WORDS = "Amplitude of {}'s position error that repeats with its cycle"
 LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted for
 
 
@@ -88,6 +92,18 @@ class ModulationResidual:
         ]  # an alignment belongs to what follows
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """The coefficients' names: what they compare are the errors of single navigations."""
+        designs = list(request.uses.items())
+        if not all("turned" in design.extra for _, design in designs):
+            return Foresight()
+        turned = [name for name, design in designs if design.extra["turned"]]
+        still = next((name for name, design in designs if not design.extra["turned"]), "")
+        why = "it compares errors of single navigations, which chance decides"
+        rows = [row for name in turned for row in _compared(name, still)]
+        rows += [(_AMPLITUDE.format(name), "m", _AMPLITUDE_WORDS.format(name)) for name in turned]
+        return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
+
     def estimate(self, request: EstimateRequest) -> Estimate:
         """The comparison. Raises `EstimationError`."""
         navigations = compared(request)
@@ -97,8 +113,7 @@ class ModulationResidual:
         periodic, notes = _periodic(turned, request)
         amplitudes = tuple(
             Coefficient(
-                f"modulation_{name}", part.largest_position(), "m", part.position_noise(),
-                description=f"Amplitude of {name}'s position error that repeats with its cycle",
+                _AMPLITUDE.format(name), part.largest_position(), "m", part.position_noise(), description=_AMPLITUDE_WORDS.format(name),
             )
             for name, part in periodic.items()
         )  # fmt: skip
@@ -146,6 +161,14 @@ def _lacks(request: DesignRequest) -> Remark | None:
     )
 
 
+def _compared(name: str, still: str) -> tuple[tuple[str, str, str], tuple[str, str, str]]:
+    """Name, unit and description of the two ratios of a navigation with rotation."""
+    return (
+        (f"cep_rate_ratio_{name}", "1", f"CEP rate of {name} over that of {still}"),
+        (f"suppression_{name}", "1", f"Rms radial error of {still} over that of {name}"),
+    )
+
+
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
     """Ratios of CEP rates and suppression, with covariance: the navigation at rest is in all of them."""
     if still.rms == 0.0:
@@ -158,18 +181,12 @@ def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coef
             raise UnfitDataError(f"'{item.name}' has no position error at all, so that no suppression can be stated")
         own = np.zeros(len(turned))
         own[number] = item.spread
-        for name, value, sign, words in (
-            (f"cep_rate_ratio_{item.name}", ratio, 1.0, f"CEP rate of {item.name} over that of {still.name}"),
-            (
-                f"suppression_{item.name}",
-                suppression,
-                -1.0,
-                f"Rms radial error of {still.name} over that of {item.name}",
-            ),
+        for (name, text, words), value, sign in zip(
+            _compared(item.name, still.name), (ratio, suppression), (1.0, -1.0), strict=True
         ):
             row = value * sign * np.append(own, -still.spread)
             rows.append(row)
-            coefficients.append(Coefficient(name, value, "1", float(np.linalg.norm(row)), description=words))
+            coefficients.append(Coefficient(name, value, text, float(np.linalg.norm(row)), description=words))
     matrix = np.array(rows)
     return tuple(coefficients), matrix @ matrix.T
 

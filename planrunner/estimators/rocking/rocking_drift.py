@@ -23,7 +23,9 @@ from planrunner.estimators.interface import (
     EstimateRequest,
     EstimationError,
     UnfitDataError,
+    Unpredicted,
 )
+from planrunner.estimators.method import Foresight
 from planrunner.estimators.rocking.angle_curves import curve_plots, drift_curves
 from planrunner.estimators.rocking.checks import count_in_words, count_seconds, remarks, span
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, conditions_of, drifts_of, influences_of
@@ -57,7 +59,7 @@ class RockingDrift:
     Parameters = RockingDriftParameters
 
     def design(self, request: DesignRequest) -> Design:
-        """What is wrong or doubtful, and the uncertainty to expect. Raises `EstimationError` for segments that are no rocking test."""
+        """What is wrong or doubtful. Raises `EstimationError` for segments that are no rocking test."""
         parameters: RockingDriftParameters = request.parameters
         runs = find_runs(request.segments, parameters.rotation_order)
         found = remarks(request, runs)
@@ -66,10 +68,12 @@ class RockingDrift:
         if count is not None:
             name, size, seconds = count
             notes.append(f"{name}: {count_in_words(size, seconds, parameters, request.site.gravity)}.")
-        dwell = span(runs)
-        if dwell is None or any(remark.error for remark in found):
-            return Design((), notes=tuple(notes), remarks=tuple(found))
-        return Design((), _predicted(request, by_state(quadruples(runs)), dwell), tuple(notes), remarks=tuple(found))
+        return Design((), notes=tuple(notes), remarks=tuple(found))
+
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """From stated stability, declared noise and counts, and the table's position: runs of minutes are not simulated."""
+        runs = find_runs(request.segments, request.parameters.rotation_order)
+        return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Steps 1 to 6 and both methods. Raises `EstimationError` for data that cannot serve."""
@@ -182,15 +186,9 @@ def _encoders(request: EstimateRequest) -> tuple[bool, str]:
 
 
 def _coefficient(combined: Combined, m: int) -> Coefficient:
-    axis, gimbals = AXES[combined.axes[m]], combined.by_gimbals[m]
-    return Coefficient(
-        f"gimbal_drift_{axis}" if gimbals else f"drift_{axis}",
-        float(combined.values[m]),
-        UNIT,
-        math.sqrt(max(float(combined.covariance[m, m]), 0.0)),
-        combined.degrees_of_freedom[m],
-        f"rocking drift about {axis}" + (", from gimbal and ring angles" if gimbals else ""),
-    )
+    name, words = _name(combined.axes[m], combined.by_gimbals[m])
+    spread = math.sqrt(max(float(combined.covariance[m, m]), 0.0))
+    return Coefficient(name, float(combined.values[m]), UNIT, spread, combined.degrees_of_freedom[m], words)
 
 
 def _settings(parameters: RockingDriftParameters, windows: Windows, states: Sequence[StateDrifts]) -> dict[str, object]:
@@ -253,10 +251,36 @@ def _extra(
     }
 
 
-def _predicted(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwell: float) -> tuple[Coefficient, ...]:
-    """Standard uncertainties to expect of stated stability, declared noise and counts, and the table's position."""
+def _foreseen(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwell: float | None) -> Foresight:
+    """dwell: s, None where it is not known."""
     parameters: RockingDriftParameters = request.parameters
-    seconds = parameters.second(dwell) - parameters.release.value
+    table = request.setup.table
+    angles = {False: _angle_by_gravity(request)}
+    encoders = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
+    if encoders and table is not None and len(table.axes) == len(parameters.rings):
+        angles[True] = math.sqrt(2) * table.position_uncertainty
+    predicted, unpredicted = [], []
+    for by_gimbals, angle in angles.items():
+        for axis in range(3):
+            counts = [len(group) for group in groups if axis in group[0].runs[0].state.level]
+            if not counts:
+                continue
+            name, words = _name(axis, by_gimbals)
+            if dwell is None:
+                why = "how long the runs last is not planned"
+                unpredicted.append(Unpredicted(name, UNIT, why, words))
+                continue
+            seconds = parameters.second(dwell) - parameters.release.value
+            share = math.sqrt(sum(1 / count for count in counts)) / len(counts)
+            freedom = float(max(1, sum(count - 1 for count in counts)))
+            spread = angle / seconds * DEG_PER_HOUR * share
+            predicted.append(Coefficient(name, 0.0, UNIT, spread, freedom, words))
+    return Foresight(tuple(predicted), tuple(unpredicted))
+
+
+def _angle_by_gravity(request: DesignRequest) -> float:
+    """Standard uncertainty of a change of tilt [rad]."""
+    parameters: RockingDriftParameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     stability = parameters.accelerometer_stability.value if parameters.accelerometer_stability else 0.0
     noise = 0.0
@@ -265,16 +289,12 @@ def _predicted(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dw
         assert output is not None  # count_seconds has asked for each
         rate = request.sensor.sample_rate
         noise = max(noise, output.noise.standard_error(averaging, rate) * unit(output.unit).factor)
-    by_gravity = math.hypot(stability, math.sqrt(2) * noise) / request.site.gravity
-    table = request.setup.table
-    by_gimbals = math.sqrt(2) * table.position_uncertainty if table else 0.0
-    found = []
-    for prefix, angle in (("drift", by_gravity), ("gimbal_drift", by_gimbals)):
-        for axis in range(3):
-            counts = [len(group) for group in groups if axis in group[0].runs[0].state.level]
-            if counts:
-                share = math.sqrt(sum(1 / count for count in counts)) / len(counts)
-                freedom = float(max(1, sum(count - 1 for count in counts)))
-                spread = angle / seconds * DEG_PER_HOUR * share
-                found.append(Coefficient(f"{prefix}_{AXES[axis]}", 0.0, UNIT, spread, freedom))
-    return tuple(found)
+    return math.hypot(stability, math.sqrt(2) * noise) / request.site.gravity
+
+
+def _name(axis: int, by_gimbals: bool) -> tuple[str, str]:
+    """Name and description of a drift."""
+    letter = AXES[axis]
+    if by_gimbals:
+        return f"gimbal_drift_{letter}", f"rocking drift about {letter}, from gimbal and ring angles"
+    return f"drift_{letter}", f"rocking drift about {letter}"

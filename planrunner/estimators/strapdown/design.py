@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
-from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark
+from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark, Unpredicted
+from planrunner.estimators.method import Foresight
 from planrunner.estimators.strapdown.alignment import (
     HIGHEST_LATITUDE,
     SHORTEST,
@@ -45,7 +46,7 @@ _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculli
 
 
 def design(request: DesignRequest) -> Design:
-    """Remarks and expected errors. Raises `EstimationError` for segments or outputs that make no sense."""
+    """Remarks. Raises `EstimationError` for segments or outputs that make no sense."""
     parameters: StrapdownNavigationParameters = request.parameters
     for name in (*parameters.gyros, *parameters.accelerometers):
         if request.sensor.output(name) is None:
@@ -65,10 +66,19 @@ def design(request: DesignRequest) -> Design:
     )
     if any(remark.error for remark in remarks):
         return Design((), remarks=remarks)
-    predicted, notes = _expected(request, stop, moving)
     last = moving[-1]
     told = {"navigated": last.label, "turned": isinstance(last.motion, Spin | Cycle)}
-    return Design((), predicted, notes, told, remarks)
+    return Design((), extra=told, remarks=remarks)
+
+
+def foresee(request: DesignRequest) -> Foresight:
+    """Errors to expect by the linear error equations: hours of navigation are not simulated."""
+    labels = [segment.label for segment in request.segments]
+    predicted, note = _expected(request, *parts(request.segments, labels, request.parameters.align))
+    if predicted:
+        return Foresight(predicted, notes=(note,))
+    unpredicted = tuple(Unpredicted(name, text, note, words) for name, (text, words) in NAMES.items())
+    return Foresight(unpredicted=unpredicted, notes=(f"No errors are predicted: {note}.",))
 
 
 def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
@@ -143,21 +153,18 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
     return found
 
 
-def _expected(
-    request: DesignRequest, stop: Segment, moving: Sequence[Segment]
-) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
+def _expected(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> tuple[tuple[Coefficient, ...], str]:
+    """And a note on them; without any, why there are none."""
     parameters: StrapdownNavigationParameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
     if not white.any() and not constant.any():
-        return (), (
-            "No errors are predicted: neither noise nor gyro_uncertainty and accelerometer_uncertainty are known.",
-        )
+        return (), "neither noise nor gyro_uncertainty and accelerometer_uncertainty are known"
     if stop.attitude is None or any(dwell is None for dwell in dwells):
         what = "orientation" if stop.attitude is None else "dwell"
-        return (), (f"No errors are predicted: the plan leaves the {what} of a segment open.",)
+        return (), f"the plan leaves the {what} of a segment open"
     if sum(dwell or 0.0 for dwell in dwells) > _LONGEST:
-        return (), (f"No errors are predicted for navigations of more than {_LONGEST / 86400:g} days.",)
+        return (), f"the navigation lasts more than {_LONGEST / 86400:g} days"
     equations = ErrorEquations.at(request.site)
     rotation = np.asarray(stop.attitude, dtype=float).T
     density = to_navigation(rotation, white**2)
@@ -181,7 +188,7 @@ def _expected(
         "gyro_uncertainty and "
         "accelerometer_uncertainty as far as they are stated."
     )
-    return _coefficients(rotation, angles, covariances), (note,)
+    return _coefficients(rotation, angles, covariances), note
 
 
 def _declared(request: DesignRequest) -> Array:

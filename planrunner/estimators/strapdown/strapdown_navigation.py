@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.dataclass import dataclass
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.method import Foresight
 from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, same_attitude
 from planrunner.estimators.strapdown.navigation_errors import ErrorRecord, Truth, difference, stride
 from planrunner.estimators.strapdown.reading import (
@@ -126,10 +127,16 @@ class StrapdownNavigation:
     Parameters = StrapdownNavigationParameters
 
     def design(self, request: DesignRequest) -> Design:
-        """Remarks on the planned segments, and errors to expect of what is declared. Raises `EstimationError`."""
+        """Remarks on the planned segments. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.design import design
 
         return design(request)
+
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """Errors to expect of what is declared."""
+        from planrunner.estimators.strapdown.design import foresee
+
+        return foresee(request)
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Errors of the navigation. Raises `EstimationError`."""

@@ -8,14 +8,15 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Design, DesignRequest, Remark
+from planrunner.estimators.interface import DesignRequest, Remark
 from planrunner.estimators.temperature.curve import FEWEST, groups_of
+from planrunner.estimators.temperature.points import given_by_temperature
 from planrunner.plan.findings import closest
+from planrunner.plan.units import ZERO_CELSIUS
 
 
 def remarks(request: DesignRequest) -> tuple[Remark, ...]:
-    """Errors for what no recording could give; nothing where it is not known: ramps, and estimates whose designs do not say what they
-    give by temperature (`interface.Design`)."""
+    """Errors for what no recording could give; nothing where it is not known: ramps, and estimates of which nothing is expected."""
     if request.uses:
         return tuple(_of_estimates(request))
     if any(segment.ramp_to is not None or segment.temperature is None for segment in request.segments):
@@ -25,20 +26,19 @@ def remarks(request: DesignRequest) -> tuple[Remark, ...]:
 
 
 def _of_estimates(request: DesignRequest) -> list[Remark]:
-    none = [name for name, used in request.uses.items() if _given(used) == ()]
+    given = {name: given_by_temperature(used.expected[0]) for name, used in request.uses.items() if used.expected}
+    none = [name for name, own in given.items() if not own]
     if none:
         message = f"'{none[0]}' gives no coefficients by temperature: its segments have no temperature, or not one for all of them"
         hint = "choose segments of one stated temperature for it, or use another estimate"
         return [Remark("physics-temperatures", message, hint, "uses", error=True)]
-    designs = [used for used in request.uses.values() if _given(used) is not None]
-    if len(designs) < len(request.uses):
+    if len(given) < len(request.uses):
         return []
-    if not all("names_by_temperature" in used.extra for used in designs):
-        return _too_few(request, "", [kelvin for used in designs for kelvin in used.extra["temperatures"]], "uses")
     held: dict[str, list[float]] = {}
-    for used in designs:
-        for name in used.extra["names_by_temperature"]:
-            held.setdefault(name, []).extend(used.extra["temperatures"])
+    for own in given.values():
+        for name, data in own.items():
+            celsius = np.atleast_1d(np.asarray(data["temperature_degC"], dtype=float))
+            held.setdefault(name, []).extend((celsius + ZERO_CELSIUS).tolist())
     return _of_names(request, held)
 
 
@@ -54,11 +54,6 @@ def _of_names(request: DesignRequest, held: Mapping[str, Sequence[float]]) -> li
             if found:
                 return found
     return []
-
-
-def _given(used: Design | None) -> tuple[float, ...] | None:
-    """Temperatures at which an estimate gives its coefficients; None where its design does not say."""
-    return None if used is None else used.extra.get("temperatures")
 
 
 def _too_few(request: DesignRequest, what: str, kelvin: Sequence[float], key: str) -> list[Remark]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -23,7 +24,7 @@ _LEAST_IN_BIN = 3  # samples that a scatter about a line can be taken from
 @dataclass(frozen=True)
 class Points:
     """One quantity at n temperatures. temperature: (n,), degC. uncertainty: (n,), standard, NaN where not known. direction: (n,), +1 on a
-    rising ramp, −1 on a falling one, 0 at a held temperature. labels: where each comes from."""
+    rising ramp, −1 on a falling one, 0 at a held temperature. labels: where each comes from. expected: of a schedule, without scatter."""
 
     name: str
     unit: str
@@ -32,6 +33,7 @@ class Points:
     uncertainty: Array
     direction: NDArray[np.int64]
     labels: tuple[str, ...]
+    expected: bool = False
 
     @property
     def series(self) -> NDArray[np.int64]:
@@ -57,8 +59,8 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
     """
     gathered: dict[str, list[tuple[str, Mapping[str, object]]]] = {}
     for used, estimate in uses.items():
-        by_temperature = estimate.extra.get("by_temperature")
-        if not isinstance(by_temperature, Mapping) or not by_temperature:
+        by_temperature = given_by_temperature(estimate)
+        if not by_temperature:
             raise EstimationError(
                 f"'{used}' ({estimate.estimator}) gives no coefficients by temperature: state one temperature for "
                 "all of its segments, "
@@ -70,7 +72,14 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
         if not any(fnmatchcase(name, pattern) for name in gathered):
             raise EstimationError(f"no coefficient is named like '{pattern}': {closest(pattern, gathered)}")
     wanted = [name for name in gathered if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
-    return [_joined(name, gathered[name]) for name in wanted]
+    expected = all(estimate.expected for estimate in uses.values())
+    return [replace(_joined(name, gathered[name]), expected=expected) for name in wanted]
+
+
+def given_by_temperature(estimate: Estimate) -> Mapping[str, Mapping[str, object]]:
+    """The coefficients that an estimate gives by temperature, as `interface.Estimate` says; empty where it gives none."""
+    found = estimate.extra.get("by_temperature")
+    return found if isinstance(found, Mapping) else {}
 
 
 def _joined(name: str, data: Sequence[tuple[str, Mapping[str, object]]]) -> Points:
@@ -101,7 +110,8 @@ def from_channels(
                 raise EstimationError(
                     f"segment '{recorded.label}' has no channel '{channel}': {closest(channel, recorded.units)}"
                 )
-    return [_channel(segments, channel, thermometer, width) for channel in channels]
+    expected = all(recorded.expected for recorded in segments)
+    return [replace(_channel(segments, channel, thermometer, width), expected=expected) for channel in channels]
 
 
 def _channel(segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float) -> Points:

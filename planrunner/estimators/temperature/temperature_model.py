@@ -6,6 +6,7 @@ Values come from `temperature_points`, curves and the choice of their order from
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +15,21 @@ from planrunner.dataclass import dataclass
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.interface import (
     Coefficient,
+    CoefficientRole,
     Design,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
     Plot,
     Role,
     Table,
     TableColumn,
+    Unpredicted,
 )
+from planrunner.estimators.method import Foresight, Method, Quantities, Words, by_expectation
 from planrunner.estimators.temperature.curve import FORMS, RULES, CurveFit, fit_curve, groups_of
 from planrunner.estimators.temperature.planning import remarks
-from planrunner.estimators.temperature.points import Points, from_channels, from_estimates
+from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.units import ZERO_CELSIUS
@@ -112,9 +115,17 @@ class Modelled:
     fit: CurveFit
 
 
-class TemperatureModel:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curves(Quantities):
+    """The curve of every quantity."""
+
+    models: tuple[Modelled, ...]
+
+
+class TemperatureModel(Method[Curves]):
     """The plug-in."""
 
+    name = "temperature_model"
     summary = "Coefficients or outputs over temperature: polynomial or spline, order chosen by held-out error"
     Parameters = TemperatureModelParameters
 
@@ -125,7 +136,32 @@ class TemperatureModel:
         _one_source(parameters, bool(request.uses))
         return Design((), remarks=remarks(request))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def foresee(self, request: DesignRequest) -> Foresight:
+        """The curves of expected values where their order is stated; else the coefficients of all orders that may be chosen, without
+        uncertainties, as along ramps, whose temperatures only a recording shows."""
+        parameters: TemperatureModelParameters = request.parameters
+        ramps = parameters.temperature_channel is not None
+        if parameters.order is not None and not ramps:
+            seen = by_expectation(self, request)
+            if seen.known:
+                return seen
+        units = _planned_units(request)
+        why = (
+            "the order is chosen from the data"
+            if parameters.order is None
+            else "only a recording shows the temperatures"
+        )
+        highest = parameters.highest_order if parameters.order is None else parameters.order
+        found = []
+        for name, text in units.items():
+            for k in range(highest + 1):
+                label, own = _label(parameters.form, name, text, k)
+                found.append(Unpredicted(label, own, why))
+            if ramps:
+                found.append(Unpredicted(f"hysteresis_{name}", text, why, role=CoefficientRole.MAXIMUM))
+        return Foresight(unpredicted=tuple(found))
+
+    def quantities(self, request: EstimateRequest) -> Curves:
         """Curves through all values. Raises `EstimationError`."""
         parameters: TemperatureModelParameters = request.parameters
         _one_source(parameters, bool(request.uses))
@@ -134,29 +170,53 @@ class TemperatureModel:
             found = from_channels(request.segments, parameters.channels, parameters.temperature_channel, width)
         else:
             found = from_estimates(request.uses, parameters.coefficients)
-        models = [_model(points, parameters) for points in found]
+        models = tuple(_model(points, parameters) for points in found)
         coefficients, covariance, slopes = _coefficients(models)
-        return Estimate(
-            request.name,
-            "temperature_model",
-            coefficients,
-            covariance,
-            tuple(item.name for item in coefficients),
-            {
+        return Curves(
+            coefficients=coefficients,
+            covariance=covariance,
+            influences=_influences(request, slopes),
+            extra={"curves": {one.points.name: _plain(one) for one in models}},
+            models=models,
+        )
+
+    def words(self, request: EstimateRequest, found: Curves) -> Words:
+        """The curves, and how their orders were chosen."""
+        parameters: TemperatureModelParameters = request.parameters
+        models = found.models
+        return Words(
+            headline=tuple(item.name for item in found.coefficients),
+            settings={
                 "form": parameters.form,
                 "order": {one.points.name: one.fit.curve.order for one in models},
                 "rule": parameters.rule if parameters.order is None else "given",
                 "folds": parameters.folds,
                 "uncertainty": parameters.uncertainty,
             },
-            tuple(table for one in models for table in _tables(one)),
-            tuple(plot for one in models for plot in _plots(one)),
-            tuple(dict.fromkeys(note for one in models for note in _notes(one, parameters))),
-            tuple(warning for one in models for warning in _warnings(one)),
-            tuple(recorded.label for recorded in request.segments),
-            {"curves": {one.points.name: _plain(one) for one in models}},
-            _influences(request, slopes),
+            tables=tuple(table for one in models for table in _tables(one)),
+            plots=tuple(plot for one in models for plot in _plots(one)),
+            notes=tuple(dict.fromkeys(note for one in models for note in _notes(one, parameters))),
+            warnings=tuple(warning for one in models for warning in _warnings(one)),
+            segments=tuple(recorded.label for recorded in request.segments),
         )
+
+
+def _planned_units(request: DesignRequest) -> dict[str, str]:
+    """Name → unit of what will be modelled; empty where that is not known."""
+    parameters: TemperatureModelParameters = request.parameters
+    if parameters.channels:
+        outputs = [request.sensor.output(name) for name in parameters.channels]
+        return {output.name: output.unit for output in outputs if output is not None}
+    if not all(used.expected for used in request.uses.values()):
+        return {}
+    given = [given_by_temperature(used.expected[0]) for used in request.uses.values()]
+    patterns = parameters.coefficients
+    return {
+        name: str(data["unit"])
+        for own in given
+        for name, data in own.items()
+        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+    }
 
 
 def _one_source(parameters: TemperatureModelParameters, uses: bool) -> None:
@@ -178,7 +238,7 @@ def _one_source(parameters: TemperatureModelParameters, uses: bool) -> None:
 
 
 def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
-    scatter = parameters.uncertainty == "residual"
+    scatter = parameters.uncertainty == "residual" and not points.expected
     if not scatter and not points.known:
         raise EstimationError(f"'{points.name}' does not have an uncertainty everywhere: write `uncertainty: residual`")
     try:
@@ -211,10 +271,10 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
         made, name, text = one.fit.curve, one.points.name, one.points.unit
         spread = np.sqrt(np.diag(one.fit.covariance))
         for k, (value, u) in enumerate(zip(one.fit.coefficients, spread, strict=True)):
+            label, own = _label(made.form, name, text, k)
             if made.form == "spline":
-                label, own, words = f"{name}_knot_{k + 1}", text, f"{name} at {made.knots[k]:.6g} degC"
+                words = f"{name} at {made.knots[k]:.6g} degC"
             else:
-                label, own = f"{name}_T{k}", _per_kelvin(text, k)
                 words = (
                     f"{name} at {made.reference:.6g} degC"
                     if k == 0
@@ -226,7 +286,9 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
         if (loop := hysteresis(one.points)) is not None:
             largest, u, celsius = loop
             words = f"{name}: largest difference between rising and falling temperature, at {celsius:.4g} degC"
-            rows.append(Coefficient(f"hysteresis_{name}", largest, text, u, description=words))
+            rows.append(
+                Coefficient(f"hysteresis_{name}", largest, text, u, description=words, role=CoefficientRole.MAXIMUM)
+            )
             blocks.append(np.array([[u**2]]))
             slopes.append(np.zeros(1))
     return tuple(rows), independent(blocks), np.concatenate(slopes)
@@ -239,6 +301,11 @@ def _influences(request: EstimateRequest, slopes: Array) -> tuple[Influence, ...
     if stated is None or request.parameters.temperature_channel is not None:
         return ()
     return (Influence(stated, slopes[:, None]),)
+
+
+def _label(form: str, name: str, text: str, k: int) -> tuple[str, str]:
+    """Name and unit of the k-th coefficient of a curve. text: the unit of its values."""
+    return (f"{name}_knot_{k + 1}", text) if form == "spline" else (f"{name}_T{k}", _per_kelvin(text, k))
 
 
 def _per_kelvin(text: str, power: int) -> str:

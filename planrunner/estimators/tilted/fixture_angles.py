@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.flicker import SPAN, flicker_effects
@@ -26,18 +25,17 @@ from planrunner.estimators.interface import (
     Design,
     DesignBlock,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
-    Plot,
     Remark,
     Role,
     Table,
     TableColumn,
 )
-from planrunner.estimators.observations import observe
+from planrunner.estimators.method import Method, Quantities, Words
+from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.estimators.planned import expected_fit, planned_blocks
+from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.tilted.fixture_gains import (
@@ -55,7 +53,6 @@ from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
-from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -104,9 +101,19 @@ class AxisAngles:
     scale: Array
 
 
-class FixtureAngles:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixtureQuantities(Quantities):
+    """By axis: its angles, its observations and their fit."""
+
+    axes: MountedAxes
+    angles: tuple[AxisAngles, ...]
+    fits: tuple[tuple[Observations, OutputsFit], ...]
+
+
+class FixtureAngles(Method[FixtureQuantities]):
     """The plug-in."""
 
+    name = "fixture_angles"
     summary = "Angles of the axes in a fixture, from spins about one axis in two or more orientations of the fixture"
     Parameters = FixtureAnglesParameters
 
@@ -118,26 +125,14 @@ class FixtureAngles:
         seconds = [segment.dwell for segment in request.segments]
         model = gain_model(request.segments, seconds, request.site, request.setup)
         blocks: list[DesignBlock] = []
-        predicted: list[AxisAngles] = []
         for k, name in enumerate(axes.outputs):
             basis = gain_basis(axes, k, how)
-            (block,) = planned_blocks(request, [name], model.terms(how), model.matrix(basis), model.magnitudes(basis))
-            blocks.append(block)
-            expected = _expected(request, model, axes, k, block)
-            predicted += [expected] if expected is not None else []
+            blocks += planned_blocks(request, [name], model.terms(how), model.matrix(basis), model.magnitudes(basis))
         remarks = (*_remarks(model, how), *planned_basis(request, blocks, request.parameters.uncertainty))
-        if len(predicted) < len(axes.names):
-            return Design(tuple(blocks), remarks=remarks)
-        covariance, influences = independent([one.covariance for one in predicted]), _padded(predicted)
-        whole = np.sqrt(np.diag(covariance + sum(item.covariance for item in merged(influences))))
-        data = [item for one in predicted for item in one.coefficients]
-        shown = tuple(replace(item, standard_uncertainty=float(u)) for item, u in zip(data, whole, strict=True))
-        # An estimate that builds on this one takes what the data show and what is stated apart, as it will be in the end.
-        extra = {"covariance": covariance, "influences": influences}
-        return Design(tuple(blocks), shown, extra=extra, remarks=remarks)
+        return Design(tuple(blocks), remarks=remarks)
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
-        """From the recorded means. Raises `EstimationError`."""
+    def quantities(self, request: EstimateRequest) -> FixtureQuantities:
+        """From the means. Raises `EstimationError`."""
         parameters: FixtureAnglesParameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
@@ -145,9 +140,7 @@ class FixtureAngles:
         seconds = [recorded_seconds(one) for one in request.segments]
         model = gain_model([one.segment for one in request.segments], seconds, request.site, request.setup)
         found: list[AxisAngles] = []
-        plots: list[Plot] = []
-        notes: list[str] = []
-        warnings: list[str] = []
+        fits: list[tuple[Observations, OutputsFit]] = []
         for k, name in enumerate(axes.outputs):
             basis = gain_basis(axes, k, parameters.azimuth)
             observations = observe(request.segments, [name], request.sensor)
@@ -158,24 +151,36 @@ class FixtureAngles:
             fit = fit_outputs(*asked, parameters.uncertainty, effects=effects)
             require_basis(fit, parameters.uncertainty, request.name)
             found.append(_found(request, model, axes, k, fit, observations.units[0]))
-            plots.append(residual_plot(observations, fit, f"Residuals of {name}", "segment"))
+            fits.append((observations, fit))
+        return FixtureQuantities(
+            coefficients=tuple(item for axis in found for item in axis.coefficients),
+            covariance=independent([axis.covariance for axis in found]),
+            influences=_padded(found),
+            axes=axes,
+            angles=tuple(found),
+            fits=tuple(fits),
+        )
+
+    def words(self, request: EstimateRequest, found: FixtureQuantities) -> Words:
+        """Angles found and stated, and residuals."""
+        parameters: FixtureAnglesParameters = request.parameters
+        notes: list[str] = []
+        warnings: list[str] = []
+        for _, fit in found.fits:
             own_notes, own_warnings = judge(fit, parameters.uncertainty)
             notes += [text for text in own_notes if text not in notes]
             warnings += own_warnings
-        coefficients = tuple(item for axis in found for item in axis.coefficients)
-        return Estimate(
-            request.name,
-            "fixture_angles",
-            coefficients,
-            independent([axis.covariance for axis in found]),
-            tuple(item.name for item in coefficients),
-            {"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},
-            (_table(axes, found),),
-            tuple(plots),
-            tuple(notes),
-            tuple(warnings),
-            tuple(one.label for one in request.segments),
-            influences=_padded(found),
+        return Words(
+            headline=tuple(item.name for item in found.coefficients),
+            settings={"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},
+            tables=(_table(found.axes, found.angles),),
+            plots=tuple(
+                residual_plot(observations, fit, f"Residuals of {name}", "segment")
+                for name, (observations, fit) in zip(found.axes.outputs, found.fits, strict=True)
+            ),
+            notes=tuple(notes),
+            warnings=tuple(warnings),
+            segments=tuple(one.label for one in request.segments),
         )
 
 
@@ -200,34 +205,8 @@ def _with_effects(shown: AxisAngles, effects: Sequence[Influence]) -> AxisAngles
     return replace(shown, influences=(*shown.influences, *scaled))
 
 
-def _expected(
-    request: DesignRequest, model: GainModel, axes: MountedAxes, k: int, block: DesignBlock
-) -> AxisAngles | None:
-    """From the noise that the sensor declares and all that is stated; None where the orientations do not tell the angles."""
-    output = request.sensor.output(axes.outputs[k])
-    assert output is not None  # a block is of an output that the sensor has
-    pair = rate_and_output(request.parameters.rate_unit, output.unit)
-    nominal = request.sensor.nominal.get(f"K_{output.name}", 1.0 if slope_unit(*pair)[0] == "1" else math.nan)
-    if not math.isfinite(nominal) or not np.all(block.sigma > 0):
-        return None
-    basis = gain_basis(axes, k, request.parameters.azimuth)
-    try:
-        least_squares.fit(block.matrix, np.zeros(len(block.matrix)), block.sigma, block.magnitudes, block.terms)
-        gain = np.linalg.pinv(basis) @ axes.directions[k] * nominal / pair[1].factor
-        shape = polar(gain, basis, axes, k)
-    except EstimationError:
-        return None
-    effects = held_rates(model, request.setup, basis @ gain)
-    gradient = np.column_stack([np.zeros((len(shape.values), len(model.orientations))), shape.gradient])
-    gains, data = expected_fit(request, block, effects)
-    freedom, answers = np.full(len(gradient), math.inf), gradient @ gains
-    covariance = gradient @ data @ gradient.T
-    shown = _shown(request, model, axes, k, shape, gain, answers, covariance, freedom, output.unit)
-    return _with_effects(shown, [one.through(answers[:, None]) for one in effects])
-
-
 def _shown(
-    request: EstimateRequest | DesignRequest,
+    request: EstimateRequest,
     model: GainModel,
     axes: MountedAxes,
     k: int,

@@ -31,24 +31,19 @@ def calibrated_axes(axes: MountedAxes, uses: Mapping[str, Estimate]) -> tuple[Mo
     if not uses:
         return axes, ()
     name, used = _only(uses)
-    rows = _rows(axes, used.coefficients, name)
+    rows = _rows(axes, [item.name for item in used.coefficients], name)
     covariance = used.covariance if used.data_covariance is None else used.data_covariance
     freedom = [_data_freedom(used, used.coefficients[row]) for row in rows]
     influences = _carried(axes, used.coefficients, rows, covariance, used.influences, freedom, name)
     return seeing(_at(axes, used.coefficients)), influences
 
 
-def planned_axes(axes: MountedAxes, uses: Mapping[str, Design]) -> tuple[MountedAxes, tuple[Influence, ...]]:
-    """The same before anything is recorded: the angles as stated, with the uncertainty that the calibration lets one expect."""
-    if not uses:
-        return axes, ()
-    name, used = _only(uses)
-    if not used.predicted:
-        return axes, ()
-    rows = _rows(axes, used.predicted, name)
-    freedom = [math.inf] * len(rows)
-    acting = used.extra["influences"]
-    return axes, _carried(axes, used.predicted, rows, used.extra["covariance"], acting, freedom, name)
+def require_calibration(axes: MountedAxes, uses: Mapping[str, Design]) -> None:
+    """Raises `EstimationError` for an estimate that will be no calibration of the fixture, or not of all axes."""
+    if uses:
+        name, used = _only(uses)
+        if used.known:
+            _rows(axes, [item.name for item in (*used.predicted, *used.unpredicted)], name)
 
 
 def _only(uses: Mapping[str, Used]) -> tuple[str, Used]:
@@ -57,8 +52,7 @@ def _only(uses: Mapping[str, Used]) -> tuple[str, Used]:
     return next(iter(uses.items()))
 
 
-def _rows(axes: MountedAxes, coefficients: Sequence[Coefficient], used: str) -> list[int]:
-    names = [item.name for item in coefficients]
+def _rows(axes: MountedAxes, names: Sequence[str], used: str) -> list[int]:
     wanted = [_ANGLE.format(axis) for axis in axes.names]
     missing = [name for name in wanted if name not in names]
     if missing:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.interface import Cell, Estimate, Plot, Role, Table, TableColumn
+from planrunner.estimators.interface import Cell, Plot, Role, Table, TableColumn
+from planrunner.estimators.method import Words
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
 from planrunner.estimators.tilted.influences import Situation
@@ -29,7 +29,6 @@ HALF = 0.5  # of the change expected: where threshold and resolution are reached
 
 
 def report(
-    made: Estimate,
     situation: Situation,
     units: Units,
     scatter: Scatter,
@@ -37,8 +36,8 @@ def report(
     noise: Noise,
     acting: Sequence[Influence],
     parameters: Any,
-) -> Estimate:
-    """The estimate with its tables, plots, notes and warnings."""
+) -> Words:
+    """Tables, plots, notes and warnings."""
     spread = _spread(scatter, situation)
     tables = (
         _per_axis(situation, units, spread),
@@ -50,12 +49,11 @@ def report(
         ),
     )
     plots = (_residual_plot(situation, units), *_temperature_plot(situation, spread))
-    return replace(
-        made,
+    return Words(
         tables=tables,
         plots=plots,
-        notes=(*made.notes, *_notes(situation, scatter, acting, parameters)),
-        warnings=(*made.warnings, *_warnings(situation)),
+        notes=tuple(_notes(situation, scatter, acting, parameters)),
+        warnings=tuple(_warnings(situation)),
     )
 
 

@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.dataclass import dataclass
 from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
-    Estimate,
     EstimateRequest,
     EstimationError,
     UnfitDataError,
 )
+from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.observation_effects import Effect, explained
 from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.estimators.slope_units import rate_and_output
@@ -37,6 +38,7 @@ from planrunner.estimators.tilted.rate_series import RateSeries, by_temperature,
 from planrunner.estimators.tilted.report import report
 from planrunner.estimators.tilted.results import (
     HEADLINE,
+    Item,
     coefficients,
     items,
     over_temperature,
@@ -45,18 +47,21 @@ from planrunner.estimators.tilted.results import (
 )
 from planrunner.estimators.tilted.scatter import (
     BASES,
+    Noise,
+    Scatter,
     gradient_of,
     noise_of_means,
     scatter_between_repeats,
     scatter_of_means,
     whole,
+    with_expected_repeatability,
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
 from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
-from planrunner.plan.units import unit
+from planrunner.plan.units import Unit, unit
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -125,18 +130,36 @@ class ScaleFactorTiltedParameters(Record):
     )
 
 
-class ScaleFactorTilted:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TiltedQuantities(Quantities):
+    """kept: labels of the segments of whole series; units: of the rate and of each output. within: scatter by the noise within the segments
+    alone; acting: influences on `Findings.vector`; doubts: warnings of what was left out or moved too far."""
+
+    situation: Situation
+    kept: tuple[str, ...]
+    units: tuple[tuple[Unit, Unit], ...]
+    shown: tuple[Item, ...]
+    scatter: Scatter
+    within: Scatter
+    noise: Noise
+    acting: tuple[Influence, ...]
+    doubts: tuple[str, ...]
+    calibrated: bool
+
+
+class ScaleFactorTilted(Method[TiltedQuantities]):
     """The plug-in."""
 
+    name = "scale_factor_tilted"
     summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"
     Parameters = ScaleFactorTiltedParameters
 
     def design(self, request: DesignRequest) -> Design:
-        """Lines through the planned rates, what uncertainties to expect, and what the plan lacks. Raises `EstimationError`."""
+        """Lines through the planned rates, and what the plan lacks. Raises `EstimationError`."""
         return tilted_planning.design(request)
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
-        """From the recorded means. Raises `EstimationError`."""
+    def quantities(self, request: EstimateRequest) -> TiltedQuantities:
+        """From the means. Raises `EstimationError`."""
         parameters: ScaleFactorTiltedParameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
@@ -148,8 +171,10 @@ class ScaleFactorTilted:
         observations = observe(kept, axes.outputs, request.sensor)
         situation = _situation(request, axes, fixture, kept, series, observations)
         groups, found = situation.groups, situation.found
+        # What is expected does not scatter: there the declared noise says how repeats and residuals will.
+        basis = "within_segment" if observations.expected else parameters.uncertainty
         # The scatter between repeats shows flicker by itself, but for what all of them share.
-        seen = parameters.uncertainty == "repeats"
+        seen = basis == "repeats"
         stated = flicker_effects(observations, request.setup.inputs, SPAN.value)
         flicker = () if seen else stated
         sigma, freedom_of_sigma = _sigma(request, observations, flicker)
@@ -158,42 +183,67 @@ class ScaleFactorTilted:
         scatter = (
             scatter_between_repeats(found, groups, situation.answers, stated)
             if seen
-            else scatter_of_means(groups, found, situation.answers, noise, parameters.uncertainty, flicker)
+            else scatter_of_means(groups, found, situation.answers, noise, basis, flicker)
         )
-        further = moved_alike(groups) if seen else moved_further(groups, sigma, flicker)
+        if observations.expected:
+            found = with_expected_repeatability(found, groups, scatter)
+            situation = replace(situation, found=found)
+            further: set[int] = set()
+        else:
+            further = moved_alike(groups) if seen else moved_further(groups, sigma, flicker)
         declared = {axis for effect in flicker for axis in effect.changes}
         covariance, freedom = whole(found, groups, scatter, situation.gradient)
-        acting = influences(
-            situation,
-            request.setup.inputs,
-            common_rate(request.name, parameters.rate_uncertainty),
-            parameters.uncertainty,
-            _rounding(request, kept, axes),
-            flicker,
-            {axis: half_drift(groups, axis, sigma[:, axis], seen) for axis in further},
+        acting = tuple(
+            influences(
+                situation,
+                request.setup.inputs,
+                common_rate(request.name, parameters.rate_uncertainty),
+                basis,
+                _rounding(request, kept, axes),
+                flicker,
+                {axis: half_drift(groups, axis, sigma[:, axis], seen) for axis in further},
+            )
         )
-        units = [rate_and_output(parameters.rate_unit, text) for text in observations.units]
+        units = tuple(rate_and_output(parameters.rate_unit, text) for text in observations.units)
         shown = items(found, groups, axes, units, situation.reference)
         learnt = coefficients(found, shown, covariance, freedom)
         held = over_temperature(shown, learnt, groups, axes, situation.reference)
-        made = Estimate(
-            request.name,
-            "scale_factor_tilted",
-            learnt,
-            shown_covariance(shown, covariance),
-            tuple(item.name for word in HEADLINE for item in shown if item.reference and item.quantity == word),
-            {
-                "uncertainty": parameters.uncertainty,
-                "earth_rate": parameters.earth_rate,
-                "reference_temperature": groups[situation.reference].label or "not stated",
-                "fixture_angles": "calibrated" if fixture else "as stated",
-            },
-            warnings=(*warnings, *_further_than_declared(axes, further & declared)),
-            segments=tuple(one.label for one in kept),
+        return TiltedQuantities(
+            coefficients=learnt,
+            covariance=shown_covariance(shown, covariance),
             influences=shown_influences(shown, acting),
             extra={"by_temperature": held} if held else {},
+            situation=situation,
+            kept=tuple(one.label for one in kept),
+            units=units,
+            shown=shown,
+            scatter=scatter,
+            within=within,
+            noise=noise,
+            acting=acting,
+            doubts=(*warnings, *_further_than_declared(axes, further & declared)),
+            calibrated=bool(fixture),
         )
-        return report(made, situation, units, scatter, within, noise, acting, parameters)
+
+    def words(self, request: EstimateRequest, found: TiltedQuantities) -> Words:
+        """Tables over rates, repeats and temperatures."""
+        parameters: ScaleFactorTiltedParameters = request.parameters
+        situation = found.situation
+        said = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
+        return replace(
+            said,
+            headline=tuple(
+                item.name for word in HEADLINE for item in found.shown if item.reference and item.quantity == word
+            ),
+            settings={
+                "uncertainty": parameters.uncertainty,
+                "earth_rate": parameters.earth_rate,
+                "reference_temperature": situation.groups[situation.reference].label or "not stated",
+                "fixture_angles": "calibrated" if found.calibrated else "as stated",
+            },
+            warnings=(*found.doubts, *said.warnings),
+            segments=found.kept,
+        )
 
 
 def _situation(
@@ -307,7 +357,7 @@ def _groups(
 
 
 def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
-    """Raises `EstimationError` for an output that is the same at all rates, as of a sensor without power."""
+    """Raises `UnfitDataError` for an output that is the same at all rates, as of a sensor without power."""
     for group in groups:
         silent = np.flatnonzero(np.any(np.ptp(group.outputs, axis=1) == 0, axis=0))
         if silent.size:

@@ -8,6 +8,7 @@ within_segment   noise within the segments alone
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,6 +210,15 @@ def whole(found: Findings, groups: Sequence[Group], scatter: Scatter, gradient: 
             covariance[at, at] = found.repeatability[k, axis] ** 2 / (2 * (q - 1)) if q > 1 else np.nan
             freedom[at] = q - 1
     return covariance, freedom
+
+
+def with_expected_repeatability(found: Findings, groups: Sequence[Group], scatter: Scatter) -> Findings:
+    """The repeatability that the scatter of the means lets one expect, where nothing was recorded."""
+    g, m, p = found.means.shape
+    spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(g, m, p)[..., K]
+    repeats = np.array([len(group.names) for group in groups])
+    expected = np.abs(spread * np.sqrt(repeats)[:, None] / found.means[..., K])
+    return replace(found, repeatability=np.where(repeats[:, None] > 1, expected, np.nan))
 
 
 def _temperature_gradients(rows: Array, found: Findings, kelvin: Array, reference: int, worst: Worst) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.instruments.models import NoiseModel, OutputModel
+from planrunner.instruments.models import NoiseModel, OutputModel, Senses
 from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.imu_keys import (
     FRAME,
@@ -70,7 +70,8 @@ class InertialAxis:
         noise = NoiseModel(
             self.white * self.nominal, self.bias_instability * self.nominal, self.step_of_sample(rate), self.counted
         )
-        return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise)
+        senses: Senses = "angular rate" if self.turns else "acceleration"
+        return OutputModel(self.name, self.unit, self.full_scale * self.nominal, noise, senses=senses)
 
     def step_of_sample(self, rate: float) -> float:
         """Smallest step of one sample, in `unit`."""

@@ -1,0 +1,147 @@
+"""The recording that a schedule leads one to expect: segments with the means of a nominal sensor and the noise that is declared.
+
+An estimator's own formula on it gives every coefficient that a run will give, at its nominal value (`planrunner.estimators.method`). What
+neither plan nor bench says is assumed, in one of two ways: a coefficient that both ways give alike does not rest on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import BATCHES, RecordedSegment, Statistics, expected_segment
+from planrunner.dataclass import dataclass
+from planrunner.estimators.full_scale import input_direction
+from planrunner.estimators.interface import DesignRequest
+from planrunner.instruments.models import OutputModel
+from planrunner.physics.stimulus import Poses, Stimulus
+from planrunner.physics.terms import ErrorModel
+from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+Responses = Mapping[str, tuple[ErrorModel, Array]]
+"""By output: an error model and the coefficients (p,) that the sensor declares, in the output's unit per SI column."""
+
+_ALONG_UP = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Assumption:
+    """What stands in for what is not stated. noise: of a mean, in the output's unit; gain: output per SI unit of what it senses; kelvin;
+    attitude: (3, 3)."""
+
+    noise: float
+    gain: float
+    kelvin: float
+    attitude: Array
+
+
+ASSUMPTIONS = (
+    Assumption(1e-3, 1.0, 298.15, _ALONG_UP),
+    Assumption(2e-3, 1.5, 313.15, np.array([[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]])),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """segments: as if they were recorded. assumed: in words, what had to be assumed of the outputs that are used; empty where plan and
+    bench say all."""
+
+    segments: tuple[RecordedSegment, ...]
+    assumed: tuple[str, ...]
+
+
+def expected_recording(
+    request: DesignRequest, responses: Responses, used: Sequence[str], assumption: Assumption
+) -> Expected:
+    """responses: what the sensor declares in an estimator's own terms; units say the rest. used: the outputs that matter."""
+    outputs = request.sensor.outputs
+    felt, assumed = _felt(request, assumption)
+    means, errors, variances = (np.zeros((len(request.segments), len(outputs))) for _ in range(3))
+    seconds = np.array([segment.dwell or 1.0 for segment in request.segments])
+    rates = np.array([segment.sample_rate or request.sensor.sample_rate for segment in request.segments])
+    counts = np.maximum(1, np.round(seconds * rates)).astype(int)
+    for k, output in enumerate(outputs):
+        means[:, k], nominal = _means(request, output, responses.get(output.name), felt, assumption)
+        noise = output.noise
+        variances[:, k] = noise.white**2 * rates
+        dithered = np.array([noise.dithers(variance) for variance in variances[:, k].tolist()])
+        rounding = noise.resolution**2 / 12 / counts * dithered
+        if noise.counted:
+            rounding = noise.resolution**2 / 6 / counts**2
+        errors[:, k] = np.sqrt(noise.white**2 / np.maximum(seconds, 1 / rates) + rounding)
+        silent = not noise.white and not noise.resolution
+        if silent:
+            errors[:, k] = assumption.noise
+        if output.name in used:
+            assumed += [f"the bench declares no noise of '{output.name}'"] if silent else []
+            assumed += [] if nominal else [f"the bench declares no scale factor of '{output.name}'"]
+    names, units = tuple(output.name for output in outputs), {output.name: output.unit for output in outputs}
+    made = []
+    for row, segment in enumerate(request.segments):
+        count, period = int(counts[row]), 1 / float(rates[row])
+        statistics = Statistics(
+            names, count, 0, means[row], means[row], means[row], np.diag(variances[row]), errors[row], min(BATCHES, count),
+            segment.start, segment.start + (count - 1) * period, period if count > 1 else 0.0,
+        )  # fmt: skip
+        made.append(expected_segment(segment, units, statistics))
+    return Expected(tuple(made), tuple(dict.fromkeys(assumed)))
+
+
+def _felt(request: DesignRequest, assumption: Assumption) -> tuple[Stimulus, list[str]]:
+    """The mean stimulus of each segment; of one that rocks or follows a cycle, that of its first attitude."""
+    assumed: list[str] = []
+    segments: list[Segment] = []
+    for segment in request.segments:
+        if segment.attitude is None:
+            # A spin of unknown orientation is one about the sensor's z axis, from which mountings count.
+            segment = replace(
+                segment,
+                attitude=_along(segment.motion.about) if isinstance(segment.motion, Spin) else assumption.attitude,
+            )
+            if not isinstance(segment.motion, Spin):
+                assumed = [f"the orientation of segment '{segment.label}' is unknown"]
+        segments.append(segment if isinstance(segment.motion, Rest | Spin) else replace(segment, motion=Rest()))
+    return Poses.of(segments).felt(request.site), assumed
+
+
+def _along(about: Sequence[float]) -> Array:
+    """An attitude with z along a direction."""
+    z = np.asarray(about, dtype=float) / np.linalg.norm(about)
+    x = np.eye(3)[int(np.abs(z).argmin())]
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    return np.array([x, np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]]), z])
+
+
+def _means(
+    request: DesignRequest,
+    output: OutputModel,
+    declared: tuple[ErrorModel, Array] | None,
+    felt: Stimulus,
+    assumption: Assumption,
+) -> tuple[Array | float, bool]:
+    """The means (n,) of one output, and whether they follow from what is declared."""
+    if declared is not None:
+        model, coefficients = declared
+        return model.columns(felt) @ coefficients, True
+    try:
+        own = unit(output.unit)
+    except UnknownUnitError:
+        return assumption.gain, False
+    if own.dimension == DIMENSIONS["temperature"]:
+        kelvin = np.where(np.isfinite(felt.temperature), felt.temperature, assumption.kelvin)
+        return (kelvin - own.offset) / own.factor, True
+    turns, forced = (own.dimension == DIMENSIONS[name] for name in ("angular rate", "acceleration"))
+    if not (turns or forced or output.senses or own.dimension == unit("pulse/s").dimension):
+        return 0.0, True  # an encoder, a position: nothing that an inertial effect moves
+    input_ = felt.specific_force if forced or output.senses == "acceleration" else felt.omega
+    direction = input_direction(request.setup.mounting, output.name)
+    along = input_ @ (np.array([0.0, 0.0, 1.0]) if direction is None else direction)
+    gain = request.sensor.nominal.get(f"K_{output.name}", 1.0 if turns or forced else math.nan) / own.factor
+    return along * (gain if math.isfinite(gain) else assumption.gain), math.isfinite(gain)

@@ -1,0 +1,261 @@
+"""One method behind every estimator: a result is a function of observations, and what a run will give follows from it beforehand.
+
+    found = method.quantities(request)           the formula: coefficients, their covariance and what they depend on
+    words = method.words(request, found)         tables, plots and notes for people
+
+`estimate` is both. `foresight` is the first alone, on the observations that the schedule leads one to expect: so whoever checks a plan
+knows every coefficient that a run will print, with its uncertainty, by the formula that prints it. Where that would cost too much, or
+the samples themselves are needed, an estimator has a foresight of its own (`Foresees`), which tests hold against a run.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field, replace
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.dataclass import dataclass
+from planrunner.estimators.expected import ASSUMPTIONS, Expected, Responses, expected_recording
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+    Plot,
+    Table,
+    Unpredicted,
+)
+from planrunner.plan.channels import channels_of
+from planrunner.plan.findings import InputError
+from planrunner.uncertainty.budget import merged
+from planrunner.uncertainty.influences import Influence
+
+Array = NDArray[np.float64]
+
+_ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what is assumed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantities:
+    """What a formula gives. covariance: (m, m), of what the data show, in the products of the coefficients' units; influences: of what they
+    do not. extra: plain data for estimates that build on this one, as `interface.Estimate` says."""
+
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    influences: tuple[Influence, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Words:
+    """What a reader needs to judge an estimate; the fields are those of `interface.Estimate`."""
+
+    headline: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    tables: tuple[Table, ...] = ()
+    plots: tuple[Plot, ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    segments: tuple[str, ...] = ()
+
+
+Q = TypeVar("Q", bound=Quantities)
+
+
+class Method(ABC, Generic[Q]):
+    """An estimator as a formula and its words."""
+
+    name: str
+    """By which plans know it."""
+
+    @abstractmethod
+    def quantities(self, request: EstimateRequest) -> Q:
+        """The formula. Raises `EstimationError`."""
+
+    @abstractmethod
+    def words(self, request: EstimateRequest, found: Q) -> Words:
+        """What is said of it."""
+
+    def responses(self, request: DesignRequest) -> Responses:
+        """What the sensor declares in the terms of this method, by output; the outputs' units say the rest."""
+        return {}
+
+    def estimate(self, request: EstimateRequest) -> Estimate:
+        """Raises `EstimationError`."""
+        found = self.quantities(request)
+        words = self.words(request, found)
+        return Estimate(
+            request.name,
+            self.name,
+            found.coefficients,
+            found.covariance,
+            words.headline,
+            words.settings,
+            words.tables,
+            words.plots,
+            words.notes,
+            words.warnings,
+            words.segments,
+            found.extra,
+            found.influences,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Foresight:
+    """What a run will give: `predicted` at its nominal value with the uncertainty to expect, `unpredicted` without. expected: estimates of
+    the expected observations, one for each way of assuming what is not stated, for those that build on this one. notes: on the prediction.
+    """
+
+    predicted: tuple[Coefficient, ...] = ()
+    unpredicted: tuple[Unpredicted, ...] = ()
+    expected: tuple[Estimate, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known which coefficients a run will give."""
+        return bool(self.predicted or self.unpredicted)
+
+
+@runtime_checkable
+class Foresees(Protocol):
+    """An estimator with a foresight of its own."""
+
+    def foresee(self, request: DesignRequest) -> Foresight: ...
+
+
+def designed(estimator: Any, request: DesignRequest) -> Design:
+    """What an estimator says of planned segments, and what a run of them will give. Raises `EstimationError` where they make no sense."""
+    design: Design = estimator.design(request) or Design(())
+    if design.known or any(remark.error for remark in design.remarks):
+        return design
+    seen = foresight(estimator, request)
+    return replace(
+        design,
+        predicted=seen.predicted,
+        unpredicted=seen.unpredicted,
+        expected=seen.expected,
+        notes=(*design.notes, *seen.notes),
+    )
+
+
+def foresight(estimator: object, request: DesignRequest) -> Foresight:
+    """What a run of the planned segments will give; nothing where the estimator cannot evaluate what they lead one to expect."""
+    if isinstance(estimator, Foresees):
+        return estimator.foresee(request)
+    return by_expectation(estimator, request)
+
+
+def by_expectation(estimator: Any, request: DesignRequest) -> Foresight:
+    """The general way, for any estimator: its formula on the expected recording."""
+    used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
+    responses = estimator.responses(request) if isinstance(estimator, Method) else {}
+    first, *others = ASSUMPTIONS
+    expected = expected_recording(request, responses, used, first)
+    tried = [_evaluated(estimator, request, expected, 0)]
+    if expected.assumed or any(len(design.expected) > 1 for design in request.uses.values()):
+        for number, other in enumerate(others, start=1):
+            tried.append(_evaluated(estimator, request, expected_recording(request, responses, used, other), number))
+    made = [one for one in tried if one is not None]
+    if len(made) < len(tried):
+        return Foresight()
+    why = " and ".join(expected.assumed[:2]) or "an estimate that it uses has none"
+    if not isinstance(estimator, Method):
+        why = "its estimator predicts none"
+    predicted, unpredicted = [], []
+    for k, item in enumerate(made[0].coefficients):
+        alike = isinstance(estimator, Method) and all(_alike(item, one.coefficients[k : k + 1]) for one in made[1:])
+        if alike and math.isfinite(item.value) and math.isfinite(item.standard_uncertainty):
+            predicted.append(replace(item, degrees_of_freedom=math.inf))
+        else:
+            reason = "the planned segments do not show it" if alike else why
+            unpredicted.append(Unpredicted(item.name, item.unit, reason, item.description, item.role))
+    return Foresight(tuple(predicted), tuple(unpredicted), tuple(made))
+
+
+def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
+    return bool(others) and all(
+        other.name == one.name
+        and math.isclose(other.standard_uncertainty, one.standard_uncertainty, rel_tol=_ALIKE)
+        and math.isclose(other.value, one.value, rel_tol=_ALIKE, abs_tol=one.standard_uncertainty)
+        for other in others
+    )
+
+
+def _evaluated(estimator: Any, request: DesignRequest, expected: Expected, number: int) -> Estimate | None:
+    """The estimate of an expected recording, with all of its uncertainty; None where the estimator cannot make it."""
+    uses = {
+        name: design.expected[min(number, len(design.expected) - 1)]
+        for name, design in request.uses.items()
+        if design.expected
+    }
+    if len(uses) < len(request.uses):
+        return None
+    asked = EstimateRequest(
+        request.name,
+        expected.segments,
+        request.parameters,
+        request.site,
+        request.sensor,
+        uses,
+        request.detection,
+        request.setup,
+    )
+    try:
+        with np.errstate(all="ignore"):
+            if not isinstance(estimator, Method):
+                made: Estimate = estimator.estimate(asked)
+                return made
+            found: Quantities = estimator.quantities(asked)
+            return _whole(
+                Estimate(
+                    request.name,
+                    estimator.name,
+                    found.coefficients,
+                    found.covariance,
+                    extra=found.extra,
+                    influences=found.influences,
+                )
+            )
+    except (EstimationError, InputError):
+        return None
+    except Exception:  # an estimator may come from anywhere
+        if isinstance(estimator, Method):
+            raise
+        return None
+
+
+def _whole(made: Estimate) -> Estimate:
+    """With the influences added to what the data show."""
+    covariance = np.array(made.covariance, dtype=float)
+    for item in merged(made.influences):
+        if not item.in_scatter:
+            covariance = covariance + item.covariance
+    spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
+    coefficients = tuple(
+        replace(item, standard_uncertainty=float(u)) for item, u in zip(made.coefficients, spreads, strict=True)
+    )
+    return replace(
+        made, coefficients=coefficients, covariance=covariance, data_covariance=made.covariance, expected=True
+    )
+
+
+def jacobian(formula: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
+    """∂formula/∂x, (q, p), at x (p,) by central differences of the fourth order. sizes: (p,), of the steps: a thousandth of how far each x
+    must go to change the formula by as much as itself, where the error is some 1e-12 of the derivative."""
+    columns = []
+    for k, step in enumerate(np.asarray(sizes, dtype=float)):
+        change = np.zeros(len(at))
+        change[k] = step
+        near = formula(at + change) - formula(at - change)
+        far = formula(at + 2 * change) - formula(at - 2 * change)
+        columns.append((8 * near - far) / (12 * step))
+    return np.column_stack(columns)
