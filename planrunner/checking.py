@@ -23,7 +23,7 @@ from planrunner.certificates import check_certificate
 from planrunner.dataclass import dataclass
 from planrunner.design.identifiability import Identifiability, identify
 from planrunner.estimators.analysis import design_of
-from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup, Unpredicted
+from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup
 from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
@@ -329,7 +329,7 @@ def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> 
     design = designs.get(estimate)
     if design is None or not design.known:
         return
-    known: dict[str, Coefficient | Unpredicted] = {item.name: item for item in (*design.predicted, *design.unpredicted)}
+    known = design.foreseen
     if name not in known:
         message = f"'{estimate}' has no coefficient '{name}'"
         log.error("meaning-unknown-quantity", limit.at("quantity"), message, closest(name, known))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,15 @@ Responses = Mapping[str, tuple[ErrorModel, Array]]
 """By output: an error model and the coefficients (p,) that the sensor declares, in the output's unit per SI column."""
 
 _ALONG_UP = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What an estimator knows of outputs, by name. responses: in its own terms, as the sensor declares them; directions: their input axes
+    in the sensor's frame, (3,), where its keys say which is which."""
+
+    responses: Responses = field(default_factory=dict)
+    directions: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +65,8 @@ class Expected:
     assumed: tuple[str, ...]
 
 
-def expected_recording(
-    request: DesignRequest, responses: Responses, used: Sequence[str], assumption: Assumption
-) -> Expected:
-    """responses: what the sensor declares in an estimator's own terms; units say the rest. used: the outputs that matter."""
+def expected_recording(request: DesignRequest, known: Known, used: Sequence[str], assumption: Assumption) -> Expected:
+    """known: what an estimator knows of the outputs; their names and units say the rest. used: the outputs that matter."""
     outputs = request.sensor.outputs
     felt, assumed = _felt(request, assumption)
     means, errors, variances = (np.zeros((len(request.segments), len(outputs))) for _ in range(3))
@@ -67,7 +74,7 @@ def expected_recording(
     rates = np.array([segment.sample_rate or request.sensor.sample_rate for segment in request.segments])
     counts = np.maximum(1, np.round(seconds * rates)).astype(int)
     for k, output in enumerate(outputs):
-        means[:, k], nominal = _means(request, output, responses.get(output.name), felt, assumption)
+        means[:, k], nominal = _means(request, output, known, felt, assumption)
         noise = output.noise
         variances[:, k] = noise.white**2 * rates
         dithered = np.array([noise.dithers(variance) for variance in variances[:, k].tolist()])
@@ -122,12 +129,12 @@ def _along(about: Sequence[float]) -> Array:
 def _means(
     request: DesignRequest,
     output: OutputModel,
-    declared: tuple[ErrorModel, Array] | None,
+    known: Known,
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
     """The means (n,) of one output, and whether they follow from what is declared."""
-    if declared is not None:
+    if (declared := known.responses.get(output.name)) is not None:
         model, coefficients = declared
         return model.columns(felt) @ coefficients, True
     try:
@@ -141,7 +148,9 @@ def _means(
     if not (turns or forced or output.senses or own.dimension == unit("pulse/s").dimension):
         return 0.0, True  # an encoder, a position: nothing that an inertial effect moves
     input_ = felt.specific_force if forced or output.senses == "acceleration" else felt.omega
-    direction = input_direction(request.setup.mounting, output.name)
+    direction = known.directions.get(output.name)
+    if direction is None:
+        direction = input_direction(request.setup.mounting, output.name)
     along = input_ @ (np.array([0.0, 0.0, 1.0]) if direction is None else direction)
     gain = request.sensor.nominal.get(f"K_{output.name}", 1.0 if turns or forced else math.nan) / own.factor
     return along * (gain if math.isfinite(gain) else assumption.gain), math.isfinite(gain)

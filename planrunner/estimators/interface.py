@@ -297,6 +297,12 @@ class Design:
     expected: tuple[Estimate, ...] = ()
 
     @property
+    def foreseen(self) -> Mapping[str, Coefficient | Unpredicted]:
+        """What a run will give, by name; empty where that is not known."""
+        predicted: dict[str, Coefficient | Unpredicted] = {item.name: item for item in self.predicted}
+        return predicted | {item.name: item for item in self.unpredicted}
+
+    @property
     def known(self) -> bool:
         """Whether it is known which coefficients a run will give."""
         return bool(self.predicted or self.unpredicted)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.estimators.expected import ASSUMPTIONS, Expected, Responses, expected_recording
+from planrunner.estimators.expected import ASSUMPTIONS, Expected, Known, expected_recording
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -83,9 +83,9 @@ class Method(ABC, Generic[Q]):
     def words(self, request: EstimateRequest, found: Q) -> Words:
         """What is said of it."""
 
-    def responses(self, request: DesignRequest) -> Responses:
-        """What the sensor declares in the terms of this method, by output; the outputs' units say the rest."""
-        return {}
+    def known(self, request: DesignRequest) -> Known:
+        """What this method knows of the outputs; their names and units say the rest."""
+        return Known()
 
     def estimate(self, request: EstimateRequest) -> Estimate:
         """Raises `EstimationError`."""
@@ -157,13 +157,13 @@ def foresight(estimator: object, request: DesignRequest) -> Foresight:
 def by_expectation(estimator: Any, request: DesignRequest) -> Foresight:
     """The general way, for any estimator: its formula on the expected recording."""
     used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
-    responses = estimator.responses(request) if isinstance(estimator, Method) else {}
+    known = estimator.known(request) if isinstance(estimator, Method) else Known()
     first, *others = ASSUMPTIONS
-    expected = expected_recording(request, responses, used, first)
+    expected = expected_recording(request, known, used, first)
     tried = [_evaluated(estimator, request, expected, 0)]
     if expected.assumed or any(len(design.expected) > 1 for design in request.uses.values()):
         for number, other in enumerate(others, start=1):
-            tried.append(_evaluated(estimator, request, expected_recording(request, responses, used, other), number))
+            tried.append(_evaluated(estimator, request, expected_recording(request, known, used, other), number))
     made = [one for one in tried if one is not None]
     if len(made) < len(tried):
         return Foresight()

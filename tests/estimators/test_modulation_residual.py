@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 from planrunner.checking import check_plan
 from planrunner.estimators.interface import (
     Coefficient,
+    Design,
     DesignRequest,
     Estimate,
     EstimateRequest,
@@ -283,7 +284,7 @@ def test_design_says_what_cycles_leave_and_what_is_missing() -> None:
     )
     (remark,) = designed(ModulationResidual(), asked).remarks
     assert remark.error and remark.code == "physics-modulation" and remark.key == "uses"
-    both: Any = {"a": None, "b": None}
+    both: Any = {"a": Design(()), "b": Design(())}
     design = designed(ModulationResidual(), replace(asked, uses=both))
     assert not design.remarks
     assert "1.47 %" in design.notes[0]

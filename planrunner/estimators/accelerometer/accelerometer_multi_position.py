@@ -15,6 +15,7 @@ from planrunner.estimators.accelerometer import by_magnitude, by_orientation
 from planrunner.estimators.accelerometer.by_magnitude import MagnitudeQuantities
 from planrunner.estimators.accelerometer.by_orientation import AxesQuantities
 from planrunner.estimators.basis_judgement import planned_basis
+from planrunner.estimators.expected import Known
 from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Design,
@@ -84,6 +85,10 @@ class AccelerometerMultiPosition(Method[AxesQuantities | MagnitudeQuantities]):
         matrix = by_orientation.matrix_of(model, request.segments, request.site)
         blocks = planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes)
         return Design(blocks, remarks=planned_basis(request, blocks, parameters.uncertainty))
+
+    def known(self, request: DesignRequest) -> Known:
+        """The axes of the channels, in the order in which the plan names them."""
+        return Known(directions=dict(zip(request.parameters.outputs, np.eye(3), strict=True)))
 
     def foresee(self, request: DesignRequest) -> Foresight:
         """The general way, where the attitudes are planned."""

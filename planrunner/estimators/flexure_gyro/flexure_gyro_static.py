@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planrunner.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
-from planrunner.estimators.expected import Responses
+from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro import tables
@@ -130,15 +130,15 @@ class FlexureGyroStatic(Method[StaticQuantities]):
             blocks, notes=(note,), extra={"determinant": determinant, "condition": sight.condition}, remarks=remarks
         )
 
-    def responses(self, request: DesignRequest) -> Responses:
+    def known(self, request: DesignRequest) -> Known:
         """U and V of the physical coefficients that the sensor declares; without them, of a gyro without drift."""
         parameters: FlexureGyroStaticParameters = request.parameters
         nominal, names = request.sensor.nominal, flexure_gyro.physical_names(parameters.terms)
         if any(name not in nominal for name in names[:4]):
-            return {}
+            return Known()
         outputs = flexure_gyro.output_coefficients(np.array([nominal.get(name, 0.0) for name in names]))
         model = flexure_gyro.static_model(parameters.terms)
-        return {name: (model, own) for name, own in zip(parameters.outputs, outputs, strict=True)}
+        return Known({name: (model, own) for name, own in zip(parameters.outputs, outputs, strict=True)})
 
     def quantities(self, request: EstimateRequest) -> StaticQuantities:
         """Coefficients from the means of the positions. Raises `EstimationError`."""

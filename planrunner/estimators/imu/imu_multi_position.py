@@ -18,6 +18,7 @@ from planrunner.dataclass import dataclass
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.error_model import error_model, term_names
+from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
 from planrunner.estimators.flicker import drift_span
@@ -139,6 +140,11 @@ class ImuMultiPosition(Method[ImuQuantities]):
             if kind == "gyro":
                 remarks += _earth_rate_alone(request, made)
         return Design(tuple(blocks), remarks=tuple(remarks))
+
+    def known(self, request: DesignRequest) -> Known:
+        """The axes of the channels, in the order in which the plan names them."""
+        triads = _triads(request.parameters)
+        return Known(directions={name: np.eye(3)[axis] for _, names, _ in triads for axis, name in enumerate(names)})
 
     def quantities(self, request: EstimateRequest) -> ImuQuantities:
         """Coefficients from the means of the segments. Raises `EstimationError`."""

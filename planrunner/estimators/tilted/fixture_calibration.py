@@ -43,7 +43,7 @@ def require_calibration(axes: MountedAxes, uses: Mapping[str, Design]) -> None:
     if uses:
         name, used = _only(uses)
         if used.known:
-            _rows(axes, [item.name for item in (*used.predicted, *used.unpredicted)], name)
+            _rows(axes, list(used.foreseen), name)
 
 
 def _only(uses: Mapping[str, Used]) -> tuple[str, Used]:
