@@ -245,6 +245,7 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
 
 def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
     assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
+    setup = checked.setup
     outputs = None if checked.models.replays else [output.name for output in checked.models.sensor.outputs]
     shared = (*plan.origin.parts("segments"), *plan.origin.parts("defaults"), *plan.origin.parts("mounting"))
     parts: dict[str, tuple[Mark, ...]] = {}
@@ -252,14 +253,16 @@ def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
         used = [part for other in spec.uses for part in parts.get(other, ())]
         parts[name] = (spec.origin.mark, *used)
         with log.resting_on(*shared, *parts[name]):
-            _check_estimate(name, spec, outputs, checked, log)
+            _check_estimate(name, spec, outputs, checked, setup, log)
     for limit in plan.limits:
         estimate = limit.quantity.partition(".")[0]
         with log.resting_on(limit.origin.mark, *shared, *parts.get(estimate, ())):
             _check_limit(limit, checked.designs, log)
 
 
-def _check_estimate(name: str, spec: EstimateSpec, outputs: list[str] | None, checked: Checked, log: Findings) -> None:
+def _check_estimate(
+    name: str, spec: EstimateSpec, outputs: list[str] | None, checked: Checked, setup: Setup, log: Findings
+) -> None:
     assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
     before = log.raised
     check_channels(spec.parameters, outputs, log)
@@ -273,7 +276,7 @@ def _check_estimate(name: str, spec: EstimateSpec, outputs: list[str] | None, ch
             checked.models.site,
             checked.models.sensor,
             checked.designs,
-            checked.setup,
+            setup,
         )
     except EstimationError as error:
         at = spec.at(error.key) if error.key else spec.origin.mark

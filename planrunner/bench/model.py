@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -366,6 +366,7 @@ def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
     return bench, log
 
 
+@cache
 def shipped_benches() -> Mapping[str, Path]:
     """Name → file of the benches that planrunner ships."""
     return {path.stem: path for path in sorted((shipped("plans") / "benches").glob("*.yaml"))}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,8 +35,16 @@ class Identifiability:
 
 
 def identify(design: Design) -> tuple[Identifiability, ...]:
-    """One result for each output of a design."""
-    return tuple(identify_block(block) for block in design.blocks)
+    """One result for each output of a design. Outputs that share a design matrix are judged once."""
+    found: list[Identifiability] = []
+    for place, block in enumerate(design.blocks):
+        alike = [k for k, other in enumerate(design.blocks[:place]) if _alike(other, block)]
+        found.append(replace(found[alike[0]], output=block.output) if alike else identify_block(block))
+    return tuple(found)
+
+
+def _alike(one: DesignBlock, other: DesignBlock) -> bool:
+    return one.matrix is other.matrix and one.magnitudes is other.magnitudes and one.terms == other.terms
 
 
 def identify_block(block: DesignBlock) -> Identifiability:

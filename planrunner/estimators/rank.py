@@ -79,6 +79,8 @@ def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
 
 def explain(null: Array, names: Sequence[str]) -> str:
     """The null space in words, for a quality engineer; empty when every term can be identified."""
+    if not len(null):
+        return ""
     sentences = []
     found = combinations(null, names)
     zero = [combination[0][0] for combination in found if len(combination) == 1]

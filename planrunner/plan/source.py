@@ -7,7 +7,7 @@ events without recursion, within limits on size, depth, nodes and aliases, so th
 from __future__ import annotations
 
 import re
-from dataclasses import field, replace
+from dataclasses import field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -256,11 +256,11 @@ class _Builder:
                 self._stack.append(_Open(mark, event.anchor))
             case yaml.SequenceEndEvent():
                 done = self._stack.pop()
-                whole = replace(done.mark, end=mark.end)
+                whole = Mark(self.file, done.mark.line, done.mark.column, mark.end, self.text)
                 self._put(Sequence(whole, tuple(done.items)), done.anchor, done.size)
             case yaml.MappingEndEvent():
                 done = self._stack.pop()
-                whole = replace(done.mark, end=mark.end)
+                whole = Mark(self.file, done.mark.line, done.mark.column, mark.end, self.text)
                 self._put(self._mapping(whole, done.items), done.anchor, done.size)
             case yaml.AliasEvent():
                 self._alias(str(event.anchor), mark)

@@ -8,10 +8,12 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from planrunner import running
+from planrunner.archive import verifying
 from planrunner.archive.origin import made_here
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
@@ -99,6 +101,19 @@ def test_a_run_that_is_not_sealed_is_read_and_says_so(run: Path, capsys: pytest.
 def test_a_folder_made_here_goes_on_also_when_it_was_moved(run: Path) -> None:
     assert running.resume(cut(run), stop=StopRequest()).ok
     assert verify(run) == []
+
+
+def test_resuming_looks_a_folder_over_once(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[bool] = []
+    check = verifying._check_samples
+
+    def counted(found: verifying.Examined, recorded: Any, samples: bool) -> None:
+        looked.append(samples)
+        check(found, recorded, samples)
+
+    monkeypatch.setattr(verifying, "_check_samples", counted)
+    assert running.resume(cut(run), stop=StopRequest()).ok
+    assert looked == [True]
 
 
 @pytest.fixture

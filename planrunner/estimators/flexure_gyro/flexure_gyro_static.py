@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,7 +221,16 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
 
 def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> PhysicalSet:
     """Everything that is reported, from SI [U; V], shape (2, p). Raises ValueError where the relation cannot be inverted."""
-    i_x, i_y = units
+    return _physical_set(np.ascontiguousarray(outputs, dtype=float).tobytes(), tuple(units), model, products)
+
+
+# Checks ask for that of the same declared values again and again: every estimate, and every plan on that bench.
+@lru_cache(maxsize=16)
+def _physical_set(
+    si: bytes, units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
+) -> PhysicalSet:
+    outputs = np.frombuffer(si).reshape(2, -1)
+    i_x, i_y = units_of_outputs
     if i_x != i_y:
         raise ValueError(f"the two outputs are recorded in different units ({i_x} and {i_y}): record both in one")
     physical = flexure_gyro.physical_coefficients(outputs)
@@ -241,6 +251,8 @@ def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, produc
     values = np.concatenate([physical, outputs.ravel()]) / factors
     gradients = np.vstack([gradient, np.eye(outputs.size)]) / factors[:, None]
     names = (*flexure_gyro.physical_names(products), *names_u, *names_v)
+    for array in (values, gradients, factors):
+        array.flags.writeable = False
     return PhysicalSet(names, values, all_units, gradients, len(physical), factors)
 
 
