@@ -31,6 +31,7 @@ from planrunner.plan.kinds import Record
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection
+from planrunner.uncertainty.decision import CoefficientRole as CoefficientRole
 from planrunner.uncertainty.influences import Budget, Influence, Inputs
 
 Array = NDArray[np.float64]
@@ -50,19 +51,6 @@ class EstimationError(Exception):
 
 class UnfitDataError(EstimationError):
     """The plan asks for what can be estimated, and what was recorded does not give it: the item or the recording is in question."""
-
-
-class CoefficientRole(StrEnum):
-    """What kind of quantity a coefficient is, which decides how its value scatters about the true one.
-
-    LOCATION: a constant, a slope, an angle; Student's t about the value.
-    SCALE: a standard deviation or another size of scatter; its square over the true one, times the degrees of freedom, is χ².
-    MAXIMUM: the largest of several sizes, such as a nonlinearity or a hysteresis; never below zero.
-    """
-
-    LOCATION = "location"
-    SCALE = "scale"
-    MAXIMUM = "maximum"
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,7 +53,7 @@ def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom
     both = math.isfinite(lower) and math.isfinite(upper)
     value = coefficient.near((lower + upper) / 2) if both else coefficient.value
-    decision = decide(value, u, freedom, lower, upper, limit.rule, limit.guard_band, limit.coverage)
+    decision = decide(value, u, freedom, lower, upper, limit.rule, limit.guard_band, limit.coverage, coefficient.role)
     band = decision.guard_band
     risk = _global(limit, coefficient, (lower, upper), (lower + band, upper - band))
     return LimitVerdict(

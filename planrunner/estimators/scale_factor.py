@@ -20,6 +20,7 @@ from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shar
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
+    CoefficientRole,
     Design,
     DesignRequest,
     EstimateRequest,
@@ -266,7 +267,8 @@ def _metrics(
         beside = residual @ (observed - np.diag(noise)) @ residual  # of the effects what is not taken up by the line
         u = math.sqrt(factor * float(noise[worst] + beside)) / full_scale * 1e6
         answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
-        found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words), answers))
+        maximum = CoefficientRole.MAXIMUM
+        found.append((Coefficient(f"nonlinearity_{name}", value, "ppm", u, freedom, words, role=maximum), answers))
     responds = np.ptp(observations.mean[:, k]) > 0 or observations.expected
     if responds and np.any(rates > 0) and np.any(rates < 0) and np.unique(rates).size >= 3:
         halves = np.column_stack([np.ones(len(rates)), np.maximum(rates, 0), np.minimum(rates, 0)])

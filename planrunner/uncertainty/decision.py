@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from functools import lru_cache
 from typing import Literal
 
@@ -11,6 +12,20 @@ from planrunner.dataclass import dataclass
 CONFIDENCE = 0.95
 
 Rule = Literal["simple", "guarded"]
+_LEAST_FREEDOM = 0.5  # of χ², below which a size of scatter is not known well enough to have a distribution of its own
+
+
+class CoefficientRole(StrEnum):
+    """What kind of quantity a coefficient is, which decides how its value scatters about the true one.
+
+    LOCATION: a constant, a slope, an angle; Student's t about the value.
+    SCALE: a standard deviation or another size of scatter; its square over the true one, times the degrees of freedom, is χ².
+    MAXIMUM: the largest of several sizes, such as a nonlinearity or a hysteresis; never below zero.
+    """
+
+    LOCATION = "location"
+    SCALE = "scale"
+    MAXIMUM = "maximum"
 
 
 @lru_cache(maxsize=4096)
@@ -62,11 +77,13 @@ def decide(
     rule: Rule = "guarded",
     factor: float = 1.0,
     confidence: float = CONFIDENCE,
+    role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> Decision:
-    """The verdict on lower ≤ true value ≤ upper, all in one unit.
+    """The verdict on lower ≤ true value ≤ upper, all in one unit. role: what kind of quantity it is, by which it scatters.
 
     simple: the value is within the limits (simple acceptance, JCGM 106, 8.2). guarded: it lies within them by at least the guard band
-    w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. A value or
+    w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. Of a scale,
+    U is the distance from the limit at which the value's χ² interval ends at the limit. A value or
     uncertainty that is not finite never passes. Raises ValueError when both limits are missing or the lower one is the larger.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
@@ -75,8 +92,10 @@ def decide(
         return Decision("fail", "the value or its uncertainty is not known", 0.0, 0.0, 0.0)
     k = coverage_factor(degrees_of_freedom, confidence)
     expanded = expanded_uncertainty(standard_uncertainty, degrees_of_freedom, confidence)
-    probability = conformance_probability(value, standard_uncertainty, degrees_of_freedom, lower, upper)
-    band = guard_band(expanded, rule, factor)
+    probability = conformance_probability(value, standard_uncertainty, degrees_of_freedom, lower, upper, role)
+    near = upper if upper - value <= value - lower else lower
+    freedom = scale_freedom(value, standard_uncertainty) if role is CoefficientRole.SCALE else 0.0
+    band = guard_band(_to_bound(near, near == upper, freedom, confidence) if freedom else expanded, rule, factor)
     if not lower <= value <= upper:
         return Decision("fail", "the value is outside the limit", probability, band, expanded, k)
     if not (lower + band <= value <= upper - band):
@@ -102,19 +121,50 @@ def conformance_probability(
     degrees_of_freedom: float,
     lower: float = -math.inf,
     upper: float = math.inf,
+    role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> float:
-    """The probability that the true value lies in [lower, upper], for Student's t about the value scaled by the uncertainty."""
-    from scipy.special import ndtr, stdtr
+    """The probability that the true value lies in [lower, upper].
+
+    Of a location, by Student's t about the value scaled by the uncertainty. Of a scale s with ν degrees of freedom, by ν·s²/σ², which is χ²
+    (JCGM 106, 7.2, with the prior 1/σ). Of a maximum, which is the size of one that may have either sign, by Student's t of both signs.
+    """
+    from scipy.special import chdtr, ndtr, stdtr
 
     if standard_uncertainty == 0:
         return 1.0 if lower <= value <= upper else 0.0
     if not degrees_of_freedom > 0:
         return 0.0
 
+    freedom = scale_freedom(value, standard_uncertainty) if role is CoefficientRole.SCALE else 0.0
+
     def below(bound: float) -> float:
         if math.isinf(bound):
             return 1.0 if bound > 0 else 0.0
+        if freedom:
+            return 1.0 - float(chdtr(freedom, freedom * (value / bound) ** 2)) if bound > 0 else 0.0
+        if role is CoefficientRole.MAXIMUM:
+            return from_below(bound) - from_below(-bound) if bound > 0 else 0.0
+        return from_below(bound)
+
+    def from_below(bound: float) -> float:
         z = (bound - value) / standard_uncertainty
         return float(ndtr(z) if degrees_of_freedom > 1e6 else stdtr(degrees_of_freedom, z))
 
     return min(1.0, max(0.0, below(upper) - below(lower)))
+
+
+def scale_freedom(value: float, standard_uncertainty: float) -> float:
+    """Degrees of freedom ν of a size of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3); 0 where they are too few for χ², or so many
+    that it is normal."""
+    if not (value > 0 and standard_uncertainty > 0):
+        return 0.0
+    found = (value / standard_uncertainty) ** 2 / 2
+    return found if _LEAST_FREEDOM <= found <= 1e6 else 0.0
+
+
+def _to_bound(bound: float, upper: bool, freedom: float, confidence: float) -> float:
+    """How far inside a bound a scale must lie for its χ² interval, two-sided, to end at the bound."""
+    from scipy.special import chdtri
+
+    beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the probability above
+    return abs(bound) * abs(1 - math.sqrt(float(chdtri(freedom, beyond)) / freedom))

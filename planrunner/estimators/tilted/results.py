@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.dataclass import dataclass
-from planrunner.estimators.interface import Coefficient
+from planrunner.estimators.interface import Coefficient, CoefficientRole
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import QUANTITIES, Findings, Group
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
@@ -30,6 +30,11 @@ WORDS = {
     "repeatability": "standard deviation of K between repeats over K",
     "temperature_coefficient": "slope of K over temperature by K at the reference",
     "temperature_sensitivity": "largest change of K from the reference by K and distance in temperature",
+}
+ROLES = {
+    "nonlinearity": CoefficientRole.MAXIMUM,
+    "repeatability": CoefficientRole.SCALE,
+    "temperature_sensitivity": CoefficientRole.MAXIMUM,
 }
 ELSEWHERE = ("K", "nonlinearity", "asymmetry")  # than at the reference; the tables show the rest
 HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeatability")
@@ -67,6 +72,7 @@ def coefficients(found: Findings, kept: Sequence[Item], covariance: Array, freed
             float(spread[item.at] * abs(item.factor)),
             float(freedom[item.at]),
             item.description,
+            role=ROLES.get(item.quantity, CoefficientRole.LOCATION),
         )
         for item in kept
     )
