@@ -19,7 +19,7 @@ from planrunner.plan.findings import Findings
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.units import unit
-from planrunner.uncertainty.influences import InputQuantity, Inputs
+from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
 ARCSEC = unit("arcsec").factor
 TYPICAL_DEVIATION = 5 * ARCSEC
@@ -130,7 +130,7 @@ def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuanti
     """Half a count either way (JCGM 100:2008, F.2.2.1), and flicker by its coefficient, in the output's own unit."""
     for output in sensor.outputs:
         yield InputQuantity(
-            f"bias instability {output.name}",
+            Aspect.BIAS_INSTABILITY.of(output.name),
             0.0,
             output.unit,
             output.noise.bias_instability,
@@ -138,7 +138,7 @@ def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuanti
             calibrated=day,
         )
         yield InputQuantity(
-            f"resolution {output.name}",
+            Aspect.RESOLUTION.of(output.name),
             0.0,
             output.unit,
             output.noise.resolution / math.sqrt(12),

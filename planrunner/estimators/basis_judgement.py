@@ -12,6 +12,7 @@ from planrunner.estimators.interface import DesignBlock, DesignRequest, Estimati
 from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.influences import Aspect
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +169,7 @@ def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[str]:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)
         notes.append(f"Weighted in addition to the noise: {', '.join(names)}.")
     flickering = {effect.quantity.name for effect in (*fit.effects, *fit.unweighted)}
-    silent = [name for name in channels if f"bias instability {name}" not in flickering]
+    silent = [name for name in channels if Aspect.BIAS_INSTABILITY.of(name) not in flickering]
     if silent:
         notes.append(
             f"No bias instability is declared for {', '.join(silent)}: the intervals are valid only if the noise is "

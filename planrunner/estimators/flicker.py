@@ -15,7 +15,7 @@ from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.observations import Observations
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
-from planrunner.uncertainty.influences import Inputs
+from planrunner.uncertainty.influences import Aspect, Inputs
 from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]
@@ -39,7 +39,9 @@ def drift_span() -> Quantity:
 def flicker_effects(observations: Observations, inputs: Inputs, span: float) -> tuple[Effect, ...]:
     """One for each output whose bias instability is stated. span: s."""
     outputs = observations.channels
-    stated = {k: quantity for k, name in enumerate(outputs) if (quantity := inputs.get(f"bias instability {name}"))}
+    stated = {
+        k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
+    }
     if not stated:
         return ()
     root = square_root(mean_covariance(observations.start, observations.end, span))

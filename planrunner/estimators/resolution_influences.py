@@ -15,7 +15,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.observations import dithered
 from planrunner.instruments.models import SensorModel
-from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.influences import Aspect, Influence
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def resolution_influences(
     """
     found = []
     for k, name in enumerate(outputs):
-        quantity = request.setup.inputs.get(f"resolution {name}")
+        quantity = request.setup.inputs.of_output(Aspect.RESOLUTION, name)
         if quantity is None:
             continue
         left = [_left(one, name, request.sensor) for one in request.segments]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import field, replace
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,17 @@ from numpy.typing import NDArray
 from planrunner.dataclass import dataclass
 
 Array = NDArray[np.float64]
+
+
+class Aspect(StrEnum):
+    """What is stated of one output of a sensor, an input of its own for each output."""
+
+    BIAS_INSTABILITY = "bias instability"
+    RESOLUTION = "resolution"
+
+    def of(self, output: str) -> str:
+        """The name of the input quantity."""
+        return f"{self.value} {output}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,3 +117,6 @@ class Inputs:
 
     def get(self, name: str) -> InputQuantity | None:
         return self.quantities.get(name)
+
+    def of_output(self, aspect: Aspect, output: str) -> InputQuantity | None:
+        return self.quantities.get(aspect.of(output))

@@ -20,7 +20,7 @@ from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.table_effects import table_effects
 from planrunner.physics import flexure_gyro
 from planrunner.uncertainty.budget import merged
-from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.influences import Aspect, Influence
 
 Array = NDArray[np.float64]
 
@@ -83,9 +83,10 @@ def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
     """On SI [U; V] of a set. What its own scatter showed of the table's errors is not in the scatter simulated here; flicker is."""
     coefficients = np.array(used.extra["coefficients"])
     factors = physical_set(coefficients, units, flexure_gyro.static_model(), ()).factors[-coefficients.size :]
+    own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}
     rows = np.array([item.name[0] in "UV" and item.name[1:].isdigit() for item in used.coefficients])
     return [
         Influence(one.quantity, one.sensitivities[rows] * factors[:, None], False, one.parts)
         for one in used.influences
-        if not one.quantity.name.startswith(("resolution ", "bias instability "))
+        if one.quantity.name not in own_noise
     ]

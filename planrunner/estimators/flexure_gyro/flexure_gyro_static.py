@@ -40,7 +40,7 @@ from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import unit
-from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.influences import Aspect, Influence
 from planrunner.uncertainty.monte_carlo import Draws
 
 Array = NDArray[np.float64]
@@ -291,6 +291,6 @@ def _extra(
         "sigma": [noise.sigma.tolist() for noise in fit.noises],
         "start": observations.start.tolist(),
         "end": observations.end.tolist(),
-        "bias_instability": [flicker.get(f"bias instability {name}", 0.0) for name in parameters.outputs],
+        "bias_instability": [flicker.get(Aspect.BIAS_INSTABILITY.of(name), 0.0) for name in parameters.outputs],
         "drift_span": parameters.drift_span.value,
     }

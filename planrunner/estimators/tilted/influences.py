@@ -34,7 +34,7 @@ from planrunner.estimators.turned_segments import UP, turned
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
-from planrunner.uncertainty.influences import Influence, InputQuantity, Inputs
+from planrunner.uncertainty.influences import Aspect, Influence, InputQuantity, Inputs
 
 Array = NDArray[np.float64]
 
@@ -183,7 +183,7 @@ def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
 def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rounding]) -> Iterator[Influence]:
     """Rounding of each mean, the same in every repeat."""
     for axis, output in enumerate(situation.conditions.axes.outputs):
-        stated, left = inputs.get(f"resolution {output}"), rounding.get(output)
+        stated, left = inputs.of_output(Aspect.RESOLUTION, output), rounding.get(output)
         if stated is not None and left is not None:
             acting = _by_courses(situation, stated, axis, _each_rate)
             yield replace(acting, sensitivities=left.share * acting.sensitivities, in_scatter=left.in_scatter)
