@@ -1,4 +1,4 @@
-"""What ISO/IEC 17025:2017 asks of a calibration certificate, held against plan and bench, and against what was told of a run.
+"""What ISO/IEC 17025:2017 asks of a calibration certificate, held against plan and bench, and against the information on a run.
 
 `ASKED` lists the run information that a certificate knows by name. docs/certificates.md shows where each stands on the page.
 """

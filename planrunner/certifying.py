@@ -31,7 +31,7 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """What a certificate of this run shows. given: run information told at the issue, which goes before that of the run."""
+    """What a certificate of this run shows. given: run information supplied at the issue, which takes precedence over that of the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench

@@ -54,7 +54,7 @@ def _base(environment: Mapping[str, str]) -> Path:
 
 @functools.cache
 def _cache_folder() -> Path | None:
-    """The same, of this process; why code is not kept is told once."""
+    """The same, of this process; the reason why code is not kept is reported once."""
     try:
         return cache_folder(os.environ)
     except UntrustedFolderError as error:

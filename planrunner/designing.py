@@ -1,4 +1,4 @@
-"""Designing the positions of a plan on its bench: what the planned ones tell, the best that can be found, and what nothing can pass.
+"""Designing the positions of a plan on its bench: the information from the planned positions, the best that can be found, and the bound.
 
 study = design_plan(Path("plans/x.yaml"))
 study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
@@ -192,7 +192,7 @@ class _Designer:
         )
 
     def _require_rank(self) -> None:
-        """Raises `EstimationError` where no orientation within the table's reach tells the terms apart."""
+        """Raises `EstimationError` where no orientation within the table's reach separates the terms."""
         seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))

@@ -1,4 +1,5 @@
-"""Designing the rates of a plan: which pairs of rates tell most of a scale factor, and how long to record each within a time budget.
+"""Designing the rates of a plan: which pairs of rates give most information about a scale factor, and how long to record each within a time
+budget.
 
 study = design_rates(Path("plans/x.yaml"), RateOptions())
 study.sets["planned"], ["best"]      rates with criteria and what the estimates could then learn
@@ -36,7 +37,7 @@ from planrunner.plan.selection import Detection, select
 
 Array = NDArray[np.float64]
 
-STEPS = 12  # parts of the largest rate: an operator can tell such rates apart, and they are round numbers for round largest ones
+STEPS = 12  # parts of the largest rate: an operator can distinguish such rates, and they are round numbers if the largest is round
 TERMS_BESIDE = ("|rate|", "rate^3")
 LEAST_SHARE = 0.25  # of an equal share of the time, which every rate keeps, so that none is lost for checking the line
 _COPY = "designed rate "
@@ -209,7 +210,7 @@ class _RateDesigner:
         except Unreachable as error:
             raise EstimationError(str(error)) from None
 
-    # -- what a rate tells ---------------------------------------------------------------------------------------------
+    # -- information from a rate ---------------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
         checked = self.checked

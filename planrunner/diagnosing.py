@@ -91,8 +91,8 @@ def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """What to measure next, for recordings whose orientations were planned. Where no plan can say it, the log is told and the diagnosis
-    stands."""
+    """What to measure next, for recordings whose orientations were planned. Where no plan can be proposed, the log reports it and the
+    diagnosis stands."""
     from planrunner.proposing import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))

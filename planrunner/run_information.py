@@ -1,4 +1,4 @@
-"""Run information: what the plan asks to be told (serial number, operator, ambient …), given with `--set` or in a file."""
+"""Run information that the plan requests (serial number, operator, ambient …), given with `--set` or in a file."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """What is asked for when reports are written after a run: which, run information told only now, and the run folder of the same item
+    """What is asked for when reports are written after a run: which, run information supplied only now, and the run folder of the same item
     before it was adjusted."""
 
     reports: tuple[str, ...] = ()
@@ -309,8 +309,8 @@ def sound_run(reader: RunReader, today: date | None = None, bench: BenchFile | N
 def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
     """Estimate from a run's recording alone; write results and reports as a new analysis.
 
-    issue: which reports and what is told for them; without it, the plan's. A certificate that the plan asks for and that cannot be issued
-    is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
+    issue: which reports and the information for them; without it, the plan's. A certificate that the plan asks for and that cannot be
+    issued is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
     """
     issue = issue or Issue()
     made = _analyse(run, issue, kept=True)

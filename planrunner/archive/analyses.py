@@ -58,7 +58,7 @@ class StoredAnalysis:
 
     @property
     def basis(self) -> Basis | None:
-        """None where the format did not tell yet."""
+        """None in formats that did not record it."""
         if self.digests["planrunner_digests"] == 1:
             return None
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])

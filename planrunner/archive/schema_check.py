@@ -17,7 +17,7 @@ Check = Callable[[Any], str | None]
 """What is wrong with a value, beginning with where (empty for the value itself); None when nothing is."""
 
 ABOUT = {"$schema", "$id", "$defs", "title", "description"}
-FIRST_YEAR, LAST_YEAR = 1971, 9000  # that every time zone and every system can tell
+FIRST_YEAR, LAST_YEAR = 1971, 9000  # that every time zone and every system can represent
 
 
 def compile_schema(schema: Mapping[str, Any], whole: Mapping[str, Any]) -> Check:

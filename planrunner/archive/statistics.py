@@ -24,7 +24,7 @@ CHUNK = 65_536
 UNSHARED = 8_192
 """BLAS shares the inner product of more than 10 000 numbers out to threads."""
 LARGEST = 1e100
-"""A larger sample is no measurement: its square could not be told from infinity."""
+"""A larger sample is not a measurement: its square could not be distinguished from infinity."""
 
 
 def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Statistics:

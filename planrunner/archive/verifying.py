@@ -311,7 +311,7 @@ def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
     try:
         folder = found.folder.folder(SEGMENTS)
     except OSError:
-        return  # told already
+        return  # already reported
     for name, part in known.items():
         path = found.folder.path / name
         own = name.removeprefix(f"{SEGMENTS}/")

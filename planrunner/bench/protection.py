@@ -1,6 +1,6 @@
 """What a bench is kept to whatever happens: limits that its instruments hold by themselves and that plans may not ask beyond.
 
-The instruments that can are told these limits before the first move; the computer holds what it reads against them too.
+Instruments that support limits receive them before the first move; the computer holds what it reads against them too.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
 
 
 def own_limits(protection: Protection) -> OwnLimits:
-    """What the instruments are told to keep to by themselves."""
+    """The limits that the instruments shall enforce."""
 
     def si(quantity: Quantity | None) -> float | None:
         return None if quantity is None else quantity.value

@@ -1,9 +1,9 @@
 """The watchdog, as planrunner sees it: a process of its own that makes the bench safe when planrunner no longer can.
 
-It is started before the first instrument is connected, is told which instruments the run takes control of, hears a sign of life about
-every second, and ends when it is told that the bench is safe. Whatever else ends the connection (planrunner killed or crashed, the bench
-not brought to its safe state), or a silence longer than the bench allows, which ends planrunner, makes it act, on the instruments that the
-run controlled and no others: `planrunner.bench.watchdog_process`.
+It is started before the first instrument is connected, receives the instruments that the run takes control of, receives a heartbeat about
+every second, and ends when the run reports that the bench is safe. Whatever else ends the connection (planrunner killed or crashed, the
+bench not brought to its safe state), or a silence longer than the bench allows, which ends planrunner, makes it act, on the instruments
+that the run controlled and no others: `planrunner.bench.watchdog_process`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from planrunner.instruments.interfaces import InstrumentError
 STARTING = 60.0
 LEAVING = 5.0
 ENDING = 120.0
-"""Seconds that the watchdog may take to start, to leave when it is told to, and to make a bench safe that planrunner could not."""
+"""Seconds that the watchdog may take to start, to leave on request, and to make a bench safe that planrunner could not."""
 EVERY = 1.0
 """Seconds between two signs of life."""
 _GONE = (
@@ -86,7 +86,7 @@ class Watchdog:
 
     def report_to(self, folder: Path) -> None:
         """The run folder that it reports in, should it have to act."""
-        with contextlib.suppress(OSError):  # the next sign of life tells
+        with contextlib.suppress(OSError):  # the next heartbeat reports it
             self._tell(json.dumps({"report": str(folder.absolute())}))
 
     def stand_down(self) -> None:

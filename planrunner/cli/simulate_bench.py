@@ -90,7 +90,7 @@ def _tell(bench: Bench, request: dict[str, Any], ready: Path | None) -> int:
 
 
 def _token(ready: Path | None, control: str) -> str:
-    """What proves to a running simulated bench that it is told by somebody who may: from its readiness file. Raises `InputError`."""
+    """The token that authorises commands to a running simulated bench, from its readiness file. Raises `InputError`."""
     start = "start the simulated bench with `--ready FILE`, and name the same file here"
     if ready is None:
         message = "a running simulated bench accepts commands only with the token of its readiness file"

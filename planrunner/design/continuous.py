@@ -72,7 +72,7 @@ def solve(
 
     weighting: None for D, W (p, p) for tr(W·M⁻¹). least: every candidate keeps this share. start: shares to begin with.
     fixed: (p, p), information per observation that is there whatever the shares are. Ends when the
-    excess is below `tolerance` or after `most_steps`; the excess that is left is told and the bounds allow for it.
+    excess is below `tolerance` or after `most_steps`; the remaining excess is reported and the bounds allow for it.
     Raises ValueError when the candidates cannot give all terms.
     """
     rows = np.asarray(rows, dtype=float)

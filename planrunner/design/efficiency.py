@@ -1,4 +1,4 @@
-"""How much a set of observations tells, by the four usual criteria of optimal design, and how near that is to the best.
+"""The information in a set of observations, by the four usual criteria of optimal design, and its efficiency relative to the best set.
 
 rows: shape (n, p), one observation each, columns divided by their declared magnitudes; M = Σ w_i·x_i·x_iᵀ is the information matrix in
 units of the inverse variance of one observation. D asks for the largest |M|, A for the smallest trace of M⁻¹ (sum of the coefficients'

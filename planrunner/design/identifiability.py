@@ -1,4 +1,4 @@
-"""Whether the planned segments can give what is to be estimated: rank, condition, and the terms that cannot be told apart."""
+"""Whether the planned segments can give what is to be estimated: rank, condition, and the terms that cannot be separated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planrunner.estimators.interface import Design, DesignBlock
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What the planned segments tell of one output.
+    """Information that the planned segments give about one output.
 
     rank of `columns` terms; condition: of the columns divided by their declared magnitudes, infinite when the rank is short.
     determinant: of the information matrix of those columns with equal weights, as in comparing sets of positions. unidentifiable: names.
@@ -48,7 +48,7 @@ def _alike(one: DesignBlock, other: DesignBlock) -> bool:
 
 
 def identify_block(block: DesignBlock) -> Identifiability:
-    """Rank and condition of one output's design matrix. A matrix without rows has rank 0 and tells nothing."""
+    """Rank and condition of one output's design matrix. A matrix without rows has rank 0 and contains no information."""
     columns = len(block.terms)
     scaled = np.asarray(block.matrix, dtype=float).reshape(-1, columns) / block.magnitudes
     if len(scaled) == 0:

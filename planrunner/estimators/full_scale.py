@@ -98,7 +98,7 @@ def _nearest_axis(request: DesignRequest, row: int) -> str:
 
 def shares_by_name(request: DesignRequest, outputs: Sequence[str]) -> Array:
     """What part of the rate each output feels, (n, m): its axis is that of the sensor that its name ends with (gyro_x: x), or of the
-    plan's `mounting`. All of the rate where the name does not tell, none where the orientation is unknown."""
+    plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
     shares = np.zeros((len(request.segments), len(outputs)))
     directions = [input_direction(request.setup.mounting, name) for name in outputs]
     for row, segment in enumerate(request.segments):

@@ -196,7 +196,7 @@ class Estimate:
 @dataclass(frozen=True, slots=True)
 class Setup:
     """How the sensor is tested, beside site and sensor: the table, the fixture that it is mounted in, what is stated of uncertainties,
-    what was told of this run (name → text), and whether the bench plays back a recording."""
+    the information on this run (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)

@@ -1,7 +1,7 @@
 """Weighted linear least squares: one bare kernel with full covariance, for every estimator.
 
 Columns are divided by their declared magnitudes, the augmented matrix [A | y] is reduced by QR, and rank, solution and covariance come
-from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). Terms that the data cannot tell apart are an error that names
+from its small triangle (Golub and Van Loan, Matrix Computations, 5.3). Terms that the data cannot separate are an error that names
 them, never a minimum-norm guess.
 """
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from planrunner.archive.recording import RecordedSegment
 
 GAP_INTERVALS = 5.5
-"""A gap is told from this many sample intervals on: shorter ones are jitter, or a sample or two."""
+"""Sample intervals from which a gap is reported; shorter ones are jitter, or a sample or two."""
 NAMED = 3
 
 

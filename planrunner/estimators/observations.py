@@ -24,7 +24,7 @@ SIGNIFICANCE = 0.01  # of the tests that choose weights and that compare the two
 class Observations:
     """Means of k channels over n segments, in the channels' units.
 
-    mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short to tell. batches: (n,)
+    mean: (n, k). standard_error: (n, k), of each mean from its own segment, NaN where the segment is too short. batches: (n,)
     from which it comes. start, end: (n,), of what was recorded, half-open, s on the run's clock. correlation: (k, k) between the channels'
     samples, over all segments. expected: of a schedule, not of a recording: means without noise, and the noise that is declared.
     """

@@ -1,4 +1,4 @@
-"""What a design matrix can see: rank, condition and the terms that it cannot tell apart.
+"""What a design matrix determines: rank, condition and the terms that it cannot separate.
 
 Everything is judged on columns divided by their declared magnitudes (Earth rate, g …): the raw SI columns of a sound eight-position plan
 differ by five orders of magnitude and would look ill-conditioned.
@@ -71,7 +71,7 @@ def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, fl
 
 
 def unidentifiable(null: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """The names that have a part in the null space, in their own order: none of them can be told from the data."""
+    """The names that have a part in the null space, in their own order: none of them can be determined from the data."""
     return tuple(
         name for name, weight in zip(names, np.abs(null).max(axis=0, initial=0.0), strict=True) if weight > 1e-6
     )

@@ -213,7 +213,7 @@ class _Execution:
         self.writer.note("started", segments=count, start_at=self.start_at, clock=self.clock.now(), resumed=resumed)
 
     def _protect(self) -> dict[str, list[str]]:
-        """Every instrument that can is told what it shall keep to by itself; what it now keeps to, by name."""
+        """Sets the limits of every instrument that supports them; returns what each now enforces, by name."""
         told = {}
         for name, item in self.bench.instruments.items():
             if isinstance(item, SelfLimiting):
@@ -359,7 +359,7 @@ def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:
 
 
 def _make_safe(bench: OpenBench) -> list[str]:
-    """Whatever was pressed or raised meanwhile: making safe is asked again, and what fails is told."""
+    """Whatever was pressed or raised meanwhile: making safe is tried again, and failures are reported."""
     told = "the bench could not be made safe: switch the table and the chamber off by hand"
     for _ in range(SAFE_ATTEMPTS):
         try:

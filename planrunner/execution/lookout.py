@@ -120,7 +120,7 @@ class Lookout:
         return self._stop.at_once or self._lost is not None
 
     def begin_segment(self) -> None:
-        """Doubts are told anew."""
+        """Doubts are reported again."""
         self._doubts.clear()
         self._last = -math.inf
 

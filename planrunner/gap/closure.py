@@ -4,11 +4,10 @@ Segments are held out in groups, some of every kind of motion in each, and the c
 difference d of the predictions with and without it is then known exactly, and what is asked is the size of the gap g itself: before |g|,
 after |g − d|. g is known in two ways, and takes each as often as the diagnosis finds it probable.
 
-- An effect or pair of the catalogue is the whole cause: g is its signature at amplitudes that all segments together tell, normal with their
-  covariance.
-- Something else acts, too, or alone. With r the held-out residual of the nominal simulation, whitened with the uncertainty of its fitted
-  parameters (r = g + noise), the part of g along d is measured with unit noise, and the size of the rest follows from a non-central χ² (its
-  confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
+- An effect or pair of the catalogue is the whole cause: g is its signature at amplitudes estimated from all segments together, normal with
+  their covariance. - Something else acts, too, or alone. With r the held-out residual of the nominal simulation, whitened with the
+  uncertainty of its fitted parameters (r = g + noise), the part of g along d is measured with unit noise, and the size of the rest follows
+  from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ FEWEST = 6  # segments, so that three in four of them still say something
 DRAWS = 2000
 SEED = 21
 WIDEST = 0.5  # of an interval that still says something
-TOLD = 0.5  # share of what held-out segments show of an effect that the others must tell
+TOLD = 0.5  # share of the information of held-out segments on an effect that the others must contain
 _EXACT = np.full((1, 1), 1e-12)
 WORTH = 4.0  # log BF in a fold from which on an effect is taken up there
 
@@ -139,8 +138,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
-    """The share of an effect's energy in held-out segments that the others tell: what its amplitudes, of the size that they seem to have,
-    leave unknown there. 0 where one segment alone shows it."""
+    """The share of an effect's energy in held-out segments that the others determine: what its amplitudes, of the size that they seem to
+    have, leave unknown there. 0 where one segment alone shows it."""
     size = best_scales(weighed.gram[0], weighed.score[0], weighed.variant.widths)
     shown = left = 0.0
     for fold in folds:
@@ -243,7 +242,7 @@ class _Rows:
         """Held-out residual (m,) without an effect, and what signatures (M, p) change in the prediction, (m, p), both whitened.
 
         The nominal parameters are fitted to the chosen rows without and with the effect; their covariance adds to the held-out noise: with
-        U its whitened root, (I + UUᵀ)^−½ acts in the span of U alone. What of them the chosen rows do not tell is projected out.
+        U its whitened root, (I + UUᵀ)^−½ acts in the span of U alone. The part that the chosen rows do not determine is projected out.
         """
         both = np.column_stack([self.values, signatures])
         fitted = self.parameters @ (self.basis.T @ self.whiten(both[self.chosen]))

@@ -1,7 +1,7 @@
-"""Confusability: which effects this plan can tell apart, before and after data.
+"""Confusability: which effects this plan can distinguish, before and after data.
 
 ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. Of an effect fitted with the
-energy λ, λ(1 − ρ) is what is left to tell it from B: the non-centrality of the test between them.
+energy λ, λ(1 − ρ) is what remains to distinguish it from B: the non-centrality of the test between them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planrunner.gap.candidates import Candidate, Weighed
 
 Array = NDArray[np.float64]
-DISCRIMINABLE = 10.0  # non-centrality below which two effects are not told apart
+DISCRIMINABLE = 10.0  # non-centrality below which two effects are not distinguished
 ALIKE = 0.9  # share from which on they count as one class whatever the energy
 _RIDGE = 1e-9
 

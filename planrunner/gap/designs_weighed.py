@@ -32,7 +32,8 @@ class Left:
         return cls(weight, np.ones(len(weight.residual), dtype=bool), weight.basis, weight.residual)
 
     def without(self, taken: Rows) -> Left:
-        """Without some rows: nominal parameters are then told by the others. Those of order 0 are whitened jointly and go all together."""
+        """Without some rows: nominal parameters are then determined by the others. Those of order 0 are whitened jointly and go all
+        together."""
         rows = self.rows & ~taken
         basis, size, _ = np.linalg.svd(self.basis * rows[:, None], full_matrices=False)
         basis = basis[:, size > _NOTHING]

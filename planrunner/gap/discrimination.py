@@ -1,4 +1,4 @@
-"""What further measurements would tell rival explanations apart: expected evidence between them, before those are made.
+"""How well further measurements would separate rival explanations: the expected evidence between them, before they are made.
 
 Every rival is a linear model with normal amplitudes beside the nominal parameters. What the recording has taught of them is their prior for
 what comes next, so that the expected log evidence of A against B, if A is true, is the Kullback-Leibler divergence of the two predictions:

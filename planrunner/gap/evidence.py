@@ -1,10 +1,10 @@
 """Evidence: how much better the data are predicted with some amplitudes than without.
 
 An effect's strength is its energy λ: that of its signature, free of the nominal parameters, in units of the noise. Directions of the
-amplitudes are those of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be told from none and are none.
-Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ, so the evidence is that of the Gaussian model,
-log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c their product with the data, times
-the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of scaled non-central χ²; its
+amplitudes are those of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be distinguished from none and
+count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same directions and any λ, so the evidence is that of the Gaussian
+model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c their product with the data,
+times the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of scaled non-central χ²; its
 distribution is taken as that of a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density
 goes on: a stronger effect than was foreseen is still that effect.
 """

@@ -1,6 +1,6 @@
 """What segments that were not measured yet would show: the information that each holds of given columns.
 
-A segment is sampled as the recording was, over whole turns and periods for a few seconds only: what repeats itself is told by its length.
+A segment is sampled as the recording was, over whole turns and periods for a few seconds only: a repeated part is described by its length.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What a segment would tell, in units of the noise. within: (P, P), per second; means: (K, P) of its mean, per channel."""
+    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P) of its mean, per channel."""
 
     segment: Segment
     within: Array
@@ -58,7 +58,7 @@ def foresee(
 ) -> Iterator[Foreseen]:
     """What each segment would show, following the recording. white: (K,), standard deviation of a sample.
 
-    columns: for a recording, groups of columns; widths: of the groups, whose columns are told apart by their order. Those that a channel
+    columns: for a recording, groups of columns; widths: of the groups, whose columns are distinguished by their order. Those that a channel
     does not see are zero there.
     """
     noise = white / math.sqrt(observed.sample_rate)

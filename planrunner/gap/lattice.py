@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 COARSER = 1.2  # of the declared count: a larger common step is another resolution
-DISTINCT = 20  # different values needed to tell a lattice
+DISTINCT = 20  # different values needed to recognise a lattice
 _PIECE = 4096  # values taken at once
 
 

@@ -1,4 +1,4 @@
-"""What to measure next: of the segments that a bench can do, those that would tell the surviving explanations apart soonest.
+"""What to measure next: the segments that a bench can execute and that separate the remaining explanations soonest.
 
 Greedy: whatever brings the most expected evidence per second of test time, moves and temperature changes included, comes next, until the
 true explanation is expected to be known, or nothing helps. For comparison the same is foreseen of repeating the recorded segments.

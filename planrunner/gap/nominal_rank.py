@@ -1,4 +1,4 @@
-"""Nominal parameters that a recording cannot tell apart: their columns made independent.
+"""Nominal parameters that a recording cannot separate: their columns made independent.
 
 Gravity that never lies along an axis, one orientation only, poses in unknown orientations: then some nominal parameters have the same
 columns as others, or none. What they absorb is still their common span, and no direction more.

@@ -35,7 +35,7 @@ class _Instrument:
 
 
 def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
-    """The first instrument that would tell the true explanation, in words; empty where none of those considered would."""
+    """The first instrument that would identify the true explanation, in words; empty where none of those considered would."""
     few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
     for instrument in _instruments(weighing):
         extended, information = _with(instrument, weighing, rivals, layout, few)

@@ -162,7 +162,7 @@ def _levels(names: Sequence[Hashable]) -> Array:
 
 
 def _coarse(values: Array) -> tuple[float, ...]:
-    """To a tenth, for telling orientations apart."""
+    """Rounded to a tenth, to distinguish orientations."""
     return tuple((np.round(values, 1) + 0.0).ravel().tolist())
 
 

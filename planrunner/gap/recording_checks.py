@@ -35,7 +35,7 @@ OTHER_NOISE = 5.0
 """Noise so many times larger or smaller than declared is a wrong figure or a broken channel, and no matter of evidence."""
 
 POSE_PARAMETERS = 9
-"""Three biases, scale factors and non-orthogonalities: all that |f| = g can tell."""
+"""Three biases, scale factors and non-orthogonalities: all that |f| = g can determine."""
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:

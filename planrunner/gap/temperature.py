@@ -18,7 +18,7 @@ CHANGED = 1.0  # K within a segment, or between the means of consecutive ones: l
 _SMOOTHING = 10  # coefficients of the polynomial by which a segment's temperature is smoothed, at most
 _WORTH = 12.0  # of twice the log likelihood, for each of them: 3.5 σ, so that noise takes none in hundreds of segments
 _BLOCKS = 256  # means of the thermometer that the polynomial is fitted to
-_EXACT = 1e-9  # K: less noise than this is none, and tells nothing of how well a mean is known
+_EXACT = 1e-9  # K: less noise than this counts as none, and gives no uncertainty of a mean
 _ALIKE = 0.01  # probability from which on the temperatures of segments count as one
 
 
@@ -69,8 +69,8 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
-    """Gives segments of one setpoint that each have one temperature their common mean where the thermometer does not tell them apart (χ² at
-    1 %). known: standard uncertainty of each segment's temperature, NaN where it is not one."""
+    """Gives segments of one setpoint that each have one temperature their common mean where the thermometer does not distinguish them (χ²
+    at 1 %). known: standard uncertainty of each segment's temperature, NaN where it is not one."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]

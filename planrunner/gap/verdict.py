@@ -24,9 +24,9 @@ SOMETHING_ELSE = (
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: what cannot be told from them, themselves
-    included; pairs as 'a+b'. residue: an effect, or "unknown", that takes up no more than the named one's idealised form may leave;
-    one of a named pair that may be no more than that."""
+    """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: what cannot be distinguished from them,
+    themselves included; pairs as 'a+b'. residue: an effect, or "unknown", that takes up no more than the named one's idealised form may
+    leave; one of a named pair that may be no more than that."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -86,7 +86,8 @@ def _confusable(weighed: Weighed, rivals: Sequence[Weighed]) -> bool:
 
 
 def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], top: str) -> tuple[str, ...]:
-    """Single effects that cannot be told from `top`, with itself first. Effects on the noise are told by their evidence alone."""
+    """Single effects that cannot be distinguished from `top`, with itself first. Effects on the noise are distinguished by their evidence
+    alone."""
     found = [top]
     for name, value in probability.items():
         if name == top or "+" in name or name in ("none", "unknown") or value < RIVAL * probability.get(top, 0.0):
@@ -102,7 +103,7 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
 def _rival_pairs(
     probability: Mapping[str, float], pairs: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
-    """Pairs that share one effect with `top` and replace the other by one that cannot be told from it; `top` first."""
+    """Pairs that share one effect with `top` and replace the other by one that cannot be distinguished from it; `top` first."""
     found = [top]
     mine = set(top.split("+"))
     for name, value in probability.items():

@@ -90,8 +90,8 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
     """A channel's weights and log likelihood (G,), also where the walks of a triad have one scale but each axis a density of its own.
 
     Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
-    those of the likeliest level. That level is told by data with whatever effect there is: beside a strong one walks of one density in all
-    axes are nearer the truth, and are settings as well.
+    those of the likeliest level. That level is estimated from data with any effect that is present: beside a strong one walks of one
+    density in all axes are nearer the truth, and are settings as well.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])

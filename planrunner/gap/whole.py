@@ -58,8 +58,8 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed) -> tuple[float, float]:
     """The most probable shape and the standard deviation of its logarithm: on the grid, beyond it where the best is at its edge, then
-    between the best and its neighbours until those are within a standard deviation. One that the data hardly tell is told as far as the
-    grid goes."""
+    between the best and its neighbours until those are within a standard deviation. One that the data barely constrain is reported as far
+    as the grid goes."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)

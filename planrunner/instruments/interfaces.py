@@ -196,7 +196,7 @@ class Watched(Protocol):
 
 @runtime_checkable
 class Alive(Protocol):
-    """Can tell that its link stands. What is `Watched` tells it by its readings and need not have this."""
+    """Can verify its link. An instrument that is `Watched` verifies it by its readings and does not need this."""
 
     def heartbeat(self) -> None:
         """The shortest exchange there is, every few seconds while nothing else is asked. Raises `InstrumentError` when no answer comes."""

@@ -5,9 +5,9 @@ Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude; 
 Kalman filter over the linear error equations, from which tilt and azimuth come with their covariance (gyrocompassing). Swaying that the
 gyros follow does no harm.
 
-While the unit keeps its attitude, nothing can tell constant sensor errors from tilt and azimuth (`ErrorEquations.levelled`). Where it is
-turned about the vertical from stop to stop they can be told apart, and the filter carries them as states, and with them what the turns
-themselves add: gyro errors in proportion to the rate of turn, from scale factor and misalignment.
+While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). Where
+it is turned about the vertical from stop to stop they can be distinguished, and the filter carries them as states, and with them what the
+turns themselves add: gyro errors in proportion to the rate of turn, from scale factor and misalignment.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class StimulusError(ValueError):
-    """What the sensor felt cannot be told from the plan. The message says which segment and why."""
+    """The input of the sensor cannot be derived from the plan. The message gives the segment and the reason."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 WIDTH = 4.7  # inches
 COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")
 _MARKERS = ("o", "s", "^", "D", "v")
-_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # told apart in print without colour
+_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # distinguishable in print without colour
 MOST_POINTS = 2000  # of a course, as drawn
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Told(dict[str, str]):
-    """Run information by name; what was not told is empty."""
+    """Run information by name; missing information is empty."""
 
     def __missing__(self, name: str) -> str:
         return ""

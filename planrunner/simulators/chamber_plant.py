@@ -70,7 +70,7 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """stuck: its air stays where it is, whatever it is told; overshoot: K beyond every setpoint."""
+        """stuck: its air keeps its temperature, whatever the command; overshoot: K beyond every setpoint."""
         self.stuck = self.stuck if stuck is None else stuck
         self.overshoot = self.overshoot if overshoot is None else overshoot
         self._drive()

@@ -21,8 +21,8 @@ Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
 class Control:
-    """handle: answers a request; a `ValueError` of its is told as an error. token: what a request must carry that asks for more than an
-    answer."""
+    """handle: answers a request; a `ValueError` that it raises is returned as an error. token: what a request must carry that asks for more
+    than an answer."""
 
     def __init__(self, host: str, port: int, handle: Handler):
         self.host, self.port, self.handle = host, port, handle

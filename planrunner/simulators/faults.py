@@ -37,7 +37,7 @@ LINE = {
     "self-test": "its status reports a failed self-test",
 }
 AILMENTS = frozenset({"overload", "self-test"})
-"""What a sensor's own status tells."""
+"""Faults that the status of a sensor reports."""
 TABLE = {
     "interlock open": "a door or a button opens the interlock chain",
     "over-rate": "an axis trips on its rate",

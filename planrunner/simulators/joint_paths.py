@@ -1,7 +1,7 @@
 """How each joint of a simulated table moves: pieces of constant acceleration and sines, joint by joint, as a controller commands them.
 
-The virtual table moves all its joints by one command; a table behind a controller is told axis by axis, and a command may come while the
-axis moves. A path keeps the pieces of the last seconds, so that a sensor that is asked a little later still feels what was before.
+The virtual table moves all its joints by one command; a table behind a controller is commanded axis by axis, and a command may come while
+the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is asked a little later still feels what was before.
 """
 
 from __future__ import annotations

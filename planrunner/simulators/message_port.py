@@ -19,7 +19,7 @@ Writer = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """How messages and replies are told apart. sent_ends: bytes, any of which ends a message; framing: `none`; `words` or `ascii`, the
+    """How messages and replies are separated. sent_ends: bytes, any of which ends a message; framing: `none`; `words` or `ascii`, the
     two forms of error code and length before a reply; `prompt`: a `>` on a line of its own after it."""
 
     sent_ends: bytes = b"\n"

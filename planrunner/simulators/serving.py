@@ -1,4 +1,4 @@
-"""A simulated bench at work: it listens, lets its world live, carries out faults, and ends when it is told to."""
+"""A simulated bench at work: it listens, advances the simulated world, injects faults, and ends on request."""
 
 from __future__ import annotations
 

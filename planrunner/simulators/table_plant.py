@@ -63,7 +63,7 @@ class TablePlant:
     def arrived(self, index: int) -> bool:
         return self.live.now() >= self.paths.paths[index].arrival
 
-    # -- what it is told -----------------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------------
 
     def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
         """Towards an angle; a continuous axis takes the shorter way."""

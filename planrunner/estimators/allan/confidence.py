@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-LEAST_POINTS = 30  # averages from which the lag-1 autocorrelation tells a noise type
+LEAST_POINTS = 30  # averages needed for the lag-1 autocorrelation to identify a noise type
 MOST_POINTS = 2**20
 NAMES = {
     2: "white phase",

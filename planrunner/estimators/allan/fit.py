@@ -203,8 +203,8 @@ def fit_noise(
 def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
-    """The covariance (4, 4) where what is not told from zero is judged by the noise that there may be, two standard uncertainties up, and
-    not by the little that was found: a coefficient found too small by chance would seem too certain as well."""
+    """The covariance (4, 4) where a coefficient not distinguished from zero is judged by its upper bound, two standard uncertainties up,
+    and not by the little that was found: a coefficient found too small by chance would seem too certain as well."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])

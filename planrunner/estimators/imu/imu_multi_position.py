@@ -126,7 +126,7 @@ class ImuMultiPosition(Method[ImuQuantities]):
     Parameters = ImuMultiPositionParameters
 
     def design(self, request: DesignRequest) -> Design:
-        """What the planned positions and rates tell of each output. Raises `EstimationError`."""
+        """Information that the planned positions and rates give about each output. Raises `EstimationError`."""
         parameters: ImuMultiPositionParameters = request.parameters
         blocks: list[DesignBlock] = []
         remarks: list[Remark] = []

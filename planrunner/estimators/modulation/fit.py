@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FEWEST_CYCLES = 4
-_APART = 1.5  # oscillations over the record by which two rates must differ to be told apart
+_APART = 1.5  # oscillations over the record by which two rates must differ to be separated
 _BESIDE = (1.5, 2.5, 3.5, 4.5)  # oscillations over the record from a harmonic, where noise alone is left
 
 
 class TooLittleError(ValueError):
-    """The record cannot tell the periodic part. The message says why."""
+    """The record does not determine the periodic part. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,7 +138,7 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest) -> Remark | None:
-    """What is missing among the navigations used, where their designs tell what they navigate."""
+    """What is missing among the navigations used, where their designs give what they navigate."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None

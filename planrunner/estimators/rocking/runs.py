@@ -18,7 +18,7 @@ WORDS = {False: "static", True: "dynamic"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run in navigation. place: among the chosen segments; caged_before: None where that cannot be told from them."""
+    """One run in navigation. place: among the chosen segments; caged_before: None where that cannot be determined from them."""
 
     segment: Segment
     place: int

@@ -1,7 +1,7 @@
 """What can be said of a strapdown navigation before it is recorded: whether its segments can serve, and which errors to expect.
 
 Expected errors follow from the declared white noise and the constant errors that the plan states as uncertainties: the filter of the
-alignment tells what it will leave of them, then both drive the linear error equations, turned as the table turns.
+alignment predicts the remaining errors, then both drive the linear error equations, turned as the table turns.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ class StrapdownNavigationParameters(Record):
 
     @property
     def constant_errors(self) -> Array:
-        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, else so large that they are told by the data."""
+        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, else so large that the data determine them."""
         gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
         accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
         return np.array([gyro] * 3 + [accelerometer] * 3)
@@ -163,8 +163,8 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest, stop: RecordedSegment, factor: float) -> Site:
-    """Where alignment stands: as told of the run, else as the reference channels show, else the bench's site. factor: on normal gravity.
-    Raises `EstimationError`."""
+    """The position of alignment: from run information, else as the reference channels show, else the bench's site. factor: on normal
+    gravity. Raises `EstimationError`."""
     places: dict[str, Any] = {}
     for name, dimension in _POSITION.items():
         text = request.setup.information.get(name, "").strip()

@@ -3,7 +3,7 @@
 An axis of scale factor K along the unit vector d answers to a rate ω along n by K·(d·n)·ω, n in the fixture's frame. So every orientation
 of the fixture on the table gives one component of the gain vector K·d. Three orientations whose n are not in one plane give all of it, and
 with it K, the angle from the fixture's z axis and the azimuth; two give K and the angle where the azimuth is stated. Orientations with the
-same n, or with n reversed, tell nothing of the angle. What all rates have wrong in common cancels in the angles.
+same n, or with n reversed, give no information on the angle. Errors common to all rates cancel in the angles.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What planned rates will tell of tilted axes, before anything moves: uncertainties to expect, and what the plan lacks."""
+"""Predictions for tilted axes from planned rates, before anything moves: uncertainties to expect, and what the plan lacks."""
 
 from __future__ import annotations
 

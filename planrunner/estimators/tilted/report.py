@@ -123,7 +123,7 @@ def _residuals(situation: Situation, units: Units) -> Table:
 
 
 def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
-    """Response by IEEE Std 528, and the change of rate that a recording at the lowest rate tells from noise: k·√2·u of its mean."""
+    """Response by IEEE Std 528, and the change of rate that a recording at the lowest rate distinguishes from noise: k·√2·u of its mean."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found
     high, low = lowest_pair(group.rates)

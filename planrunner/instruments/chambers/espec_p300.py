@@ -54,7 +54,7 @@ class EspecP300:
 
 
 class EspecP300Commands:
-    """How a P300 is told; an `AirCommands`."""
+    """Commands of a P300; an `AirCommands`."""
 
     def __init__(self, parameters: EspecP300Parameters):
         self.parameters = parameters
@@ -63,7 +63,7 @@ class EspecP300Commands:
         self.station = "" if parameters.station is None else f"{parameters.station},"
 
     def identify(self) -> Mapping[str, str]:
-        """What it has: sensors, controller, highest temperature. It tells neither maker nor serial number."""
+        """What it has: sensors, controller, highest temperature. It reports neither manufacturer nor serial number."""
         said = self._ask("TYPE?")
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):

@@ -62,7 +62,7 @@ class Thermotron8800:
 
 
 class Thermotron8800Commands:
-    """How an 8800 is told; an `AirCommands`."""
+    """Commands of an 8800; an `AirCommands`."""
 
     def __init__(self, parameters: Thermotron8800Parameters):
         self.parameters = parameters

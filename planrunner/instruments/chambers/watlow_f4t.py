@@ -48,7 +48,7 @@ class WatlowF4t:
 
 
 class WatlowF4tCommands:
-    """How an F4T is told; an `AirCommands`."""
+    """Commands of an F4T; an `AirCommands`."""
 
     def __init__(self, parameters: WatlowF4tParameters):
         self.parameters = parameters

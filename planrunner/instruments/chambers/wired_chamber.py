@@ -1,7 +1,7 @@
 """What every real chamber does, whoever made it: temperatures within its range, whether the air is there, the safe state.
 
-How a controller is told stands in a file of its own, as `AirCommands`; this file knows no vendor. The safe state is ambient temperature,
-held: a chamber that is switched off at −40 degC would wet what is in it.
+The commands of a controller are in a separate file, as `AirCommands`; this file does not depend on a vendor. The safe state is ambient
+temperature, held: a chamber that is switched off at −40 degC would wet what is in it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MARGIN = 5.0
 
 
 class AirCommands(Protocol):
-    """How a controller is told; temperatures in degC. Every failure is an `InstrumentError`."""
+    """Commands of a controller; temperatures in degC. Every failure is an `InstrumentError`."""
 
     def identify(self) -> Mapping[str, str]: ...
     def prepare(self, ramp: float) -> None:

@@ -16,7 +16,7 @@ from planrunner.instruments.wire.host_clock import HostClock, Unwrapping
 from planrunner.instruments.wire.serial_stream import Ring
 
 FIRST = 0.25
-"""Seconds of frames before the first are stamped: the least delayed of them tells when they were taken."""
+"""Seconds of frames before the first are stamped: the least delayed frame determines their times."""
 
 
 class Arriving(Protocol):

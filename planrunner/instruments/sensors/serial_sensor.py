@@ -1,4 +1,4 @@
-"""What all sensors on a serial line do alike: listen, stream a segment, count what was lost, tell doubts.
+"""What all sensors on a serial line do alike: listen, stream a segment, count lost frames, report doubts.
 
 Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); frames that were lost leave gaps in time. A
 driver adds its keys, its decoder and, where it configures the sensor, its commands.

@@ -54,7 +54,7 @@ class Acutrol:
 
 
 class AcutrolCommands:
-    """How an ACUTROL is told; an `AxisCommands`."""
+    """Commands of an ACUTROL; an `AxisCommands`."""
 
     rocks = True
 

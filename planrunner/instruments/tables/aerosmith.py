@@ -22,7 +22,7 @@ END = b"\r"
 
 
 class PromptedLines:
-    """A line, then a line that is the prompt alone. telling: only lines that say something count, since the empty answer of a motion that
+    """A line, then a line that is the prompt alone. telling: only lines with content count, since the empty answer of a motion that
     ends may come between a question and its answer."""
 
     def __init__(self, *, telling: bool = False):
@@ -67,7 +67,7 @@ class Aerosmith:
 
 
 class AerosmithCommands:
-    """How such a table is told; an `AxisCommands`."""
+    """Commands of such a table; an `AxisCommands`."""
 
     rocks = True
 

@@ -1,8 +1,8 @@
 """What every real table does, whoever made it: attitudes to axis positions, spins, rocking, cycles, whether a state is held, the safe
 state.
 
-How a controller is told stands in a file of its own, as an `AxisCommands`; this file knows no vendor. States are judged by what the
-controller measures, never by the time that went by.
+The commands of a controller are in a separate file, as an `AxisCommands`; this file does not depend on a vendor. States are judged by what
+the controller measures, never by the time that went by.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POLL = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Aim:
-    """What the axes were told last: joint angles [rad] of those that shall stand, rates [rad/s] of those that shall turn, by index. An
+    """The last commands of the axes: joint angles [rad] of those to hold, rates [rad/s] of those to turn, by index. An
     aim is another one as soon as anything new is told, whatever it says."""
 
     positions: Mapping[int, float] = field(default_factory=dict)
@@ -150,12 +150,12 @@ class AxisTable:
     # -- what it sees of itself ----------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
-        """On the way to a state there is no error from it yet: errors are told from when it was reached first."""
+        """On the way to a state there is no error from it yet: errors are reported after it was first reached."""
         faults, errors = self._observed()
         return Condition(errors if self._reached is self._aim else {}, faults)
 
     def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Faults, and how far the axes are from what they were told last [rad, rad/s]; nothing where that changed meanwhile."""
+        """Faults, and how far the axes are from their last commands [rad, rad/s]; nothing where that changed meanwhile."""
         self._timed.looked_at()
         aim, rocking = self._aim, self._rocking  # another thread may be changing them
         faults = [*self.commands.faults(), *([self._timed.broken] if self._timed.broken else [])]

@@ -102,7 +102,7 @@ class ScpiTable:
 
 
 class ScpiTableCommands:
-    """How such a table is told; an `AxisCommands`."""
+    """Commands of such a table; an `AxisCommands`."""
 
     def __init__(self, parameters: ScpiTableParameters):
         end = ENDS[parameters.ends]

@@ -3,7 +3,7 @@
 A reading is never early, only late, by as much as buffers and the operating system please. So the counter's line on the computer's clock
 is the one that lies under all readings and closest to them, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and
 removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network
-measurements, INFOCOM 2002). What is constant in the delay cannot be seen: transmission and what the sensor tells of its own latency are
+measurements, INFOCOM 2002). What is constant in the delay cannot be seen: transmission and the latency that the sensor reports are
 taken off before."""
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SKEW_AFTER = 20.0
 SLEW = 0.01
 """Time stamps follow a line that moves by at most so much of the time that passes."""
 PATIENCE = 0.5
-"""Seconds of readings after a silence that tell whether the computer slept or frames were lost."""
+"""Seconds of readings after a silence that show whether the computer slept or frames were lost."""
 BACKWARDS = 16
 """Frames by which a counter may step back, when frames come out of order; not over an eighth of its range."""
 FORESTALLED = 1.0

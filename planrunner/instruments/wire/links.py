@@ -72,7 +72,7 @@ class LinkSettings:
     idle: bytes = b"\r\n "
 
 
-class LinkFailure(Exception):  # noqa: N818 - told to users as an InstrumentError
+class LinkFailure(Exception):  # noqa: N818 - reported to users as an InstrumentError
     """An exchange that failed; the text follows the resource name."""
 
 
