@@ -213,7 +213,7 @@ TABLES: dict[str, tuple[str | None, str]] = {
         TABLE.replace("R+20,10", "R+20,25"),
         "line 3: the segment 'R+20' does not end after it starts",
     ),
-    "twice": (TABLE.replace("R+20", "R+10"), "line 3: the label 'R+10' stands twice"),
+    "twice": (TABLE.replace("R+20", "R+10"), "line 3: the label 'R+10' appears twice"),
     "text": (TABLE.replace("R+20,10", "R+20,ten"), "line 3: 'ten' in column 'start_s' is not a number"),
     "short": (TABLE.replace("R+20,10,20", "R+20,10"), "line 3: '' in column 'end_s' is not a number"),
     "outside": (

@@ -87,7 +87,7 @@ def test_squares_and_bias_cannot_be_told_apart() -> None:
     found = identify_block(block(attitudes, extra=squares))
     assert found.rank == found.columns - 1
     assert set(found.unidentifiable) == {"bias", "accel_x_squared", "accel_y_squared", "accel_z_squared"}
-    assert "cannot be told apart" in found.explanation
+    assert "cannot be separated" in found.explanation
 
 
 def test_too_few_positions_are_said_to_be() -> None:

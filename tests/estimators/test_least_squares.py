@@ -82,7 +82,7 @@ def test_what_cannot_be_told_is_named() -> None:
         fit(matrix, a, names=("bias", "rate", "tilt", "both"))
     message = str(caught.value)
     assert "tilt is zero in every position" in message
-    assert "bias, rate and both cannot be told apart" in message
+    assert "bias, rate and both cannot be separated" in message
 
 
 def test_refusals() -> None:

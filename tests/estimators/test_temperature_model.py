@@ -271,7 +271,7 @@ def test_bad_plans_for_channels(keys: dict[str, Any], words: str) -> None:
         ([replace(given([0], [1]), extra={})], {}, "gives no coefficients by temperature"),
         ([given([0], [1]), given([10], [1], unit="deg/h")], {}, "different units"),
         ([given([0, 10], [1, 2])], {}, "too few to choose an order"),
-        ([given([0, 10], [1, 2])], {"order": 2}, "cannot tell a polynomial of order 2"),
+        ([given([0, 10], [1, 2])], {"order": 2}, "cannot determine a polynomial of order 2"),
         ([given([0, 10], [1, 2])], {"order": 1}, "leave no residual"),
         ([given([0, 10], [1, math.nan])], {"order": 1}, "not a finite number"),
         ([given([0, 10, 20], [1, 2, 3])], {"uncertainty": "propagated"}, "has no uncertainty of its own"),

@@ -229,7 +229,7 @@ def test_what_is_wrong_with_a_recording_is_said_before_anything_moves(tmp_path, 
     [
         ("label,start_s\nA,1\n", "no column 'end_s'"),
         ("label,start_s,end_s\n", "contains no segments"),
-        ("label,start_s,end_s\nA,1,2\nA,3,4\n", "line 3: the label 'A' stands twice"),
+        ("label,start_s,end_s\nA,1,2\nA,3,4\n", "line 3: the label 'A' appears twice"),
         ("label,start_s,end_s\nA,one,2\n", "line 2: 'one' in column 'start_s' is not a number"),
         ("label,start_s,end_s\nA,1\n", "line 2: '' in column 'end_s' is not a number"),
         ("label,start_s,end_s\nA,2,1\n", "line 2: the segment 'A' does not end after it starts"),
