@@ -140,7 +140,7 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
             consequence = (
                 "the within-segment uncertainties are too small"
                 if basis == "within_segment"
-                else "keep to the residual basis"
+                else "use the residual basis"
             )
             warnings.append(
                 f"{text} (chance of that: {found.probability:.2g}). Something changes from segment to segment "

@@ -274,7 +274,7 @@ def test_bad_plans_for_channels(keys: dict[str, Any], words: str) -> None:
         ([given([0, 10], [1, 2])], {"order": 2}, "cannot determine a polynomial of order 2"),
         ([given([0, 10], [1, 2])], {"order": 1}, "leave no residual"),
         ([given([0, 10], [1, math.nan])], {"order": 1}, "not a finite number"),
-        ([given([0, 10, 20], [1, 2, 3])], {"uncertainty": "propagated"}, "has no uncertainty of its own"),
+        ([given([0, 10, 20], [1, 2, 3])], {"uncertainty": "propagated"}, "does not have an uncertainty"),
     ],
 )
 def test_bad_plans_for_coefficients(uses: list[Estimate], keys: dict[str, Any], words: str) -> None:
