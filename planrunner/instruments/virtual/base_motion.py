@@ -20,13 +20,11 @@ def base_axes(world: World, times: Array) -> Array:
     Every axis vector is carried outwards from ring to ring; the table's pointing error is the innermost rotation.
     """
     joints = list(zip(world.axes, world.course.follow(times), strict=True))
-    rows = []
-    for own in world.skew:
-        carried = np.broadcast_to(own, (times.size, 3))
-        for axis, (angle, _) in reversed(joints):
-            carried = turn(carried, np.asarray(axis.direction), np.broadcast_to(np.asarray(angle, float), times.shape))
-        rows.append(turn(carried, np.array([0.0, 0.0, 1.0]), np.full(times.size, -world.site.azimuth)))
-    return np.stack(rows, axis=1)
+    carried: Array = np.broadcast_to(np.asarray(world.skew, dtype=float)[:, None], (3, times.size, 3))
+    for axis, (angle, _) in reversed(joints):
+        carried = turn(carried, np.asarray(axis.direction), np.broadcast_to(np.asarray(angle, float), times.shape))
+    carried = turn(carried, np.array([0.0, 0.0, 1.0]), np.full(times.size, -world.site.azimuth))
+    return np.ascontiguousarray(carried.transpose(1, 0, 2))
 
 
 def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
@@ -48,10 +46,18 @@ def mean_square_rate(world: World, times: Array) -> Array:
 
 
 def turn(vectors: Array, axis: Array, angles: Array) -> Array:
-    """`vectors` (n, 3) turned actively by `angles` (n,) [rad], right-handed about the unit vector `axis` (3,) or (n, 3)."""
-    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    along = np.sum(vectors * axis, axis=1, keepdims=True)
-    return np.asarray(vectors * cosine + np.cross(axis, vectors) * sine + axis * (along * (1 - cosine)))
+    """`vectors` (…, n, 3) turned actively by `angles` (n,) [rad], right-handed about the unit vector `axis` (3,) or (n, 3).
+
+    Rodrigues' formula, component by component: several times as fast as `numpy.cross` on so short vectors.
+    """
+    cosine, sine = np.cos(angles), np.sin(angles)
+    (x, y, z), (a, b, c) = np.moveaxis(vectors, -1, 0), np.moveaxis(axis, -1, 0)
+    along = (x * a + y * b + z * c) * (1 - cosine)
+    turned = np.empty(vectors.shape)
+    turned[..., 0] = x * cosine + (b * z - c * y) * sine + a * along
+    turned[..., 1] = y * cosine + (c * x - a * z) * sine + b * along
+    turned[..., 2] = z * cosine + (a * y - b * x) * sine + c * along
+    return turned
 
 
 def turn_by(vectors: Array, rotation: Array) -> Array:
