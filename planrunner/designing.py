@@ -157,6 +157,7 @@ class _Designer:
         region = optimal.region(rows_of, np.concatenate([cardinal_settings, spread]), bounds)
         self.region_rows, cardinal_rows = region.rows, region.rows[: len(kept)]
         self._require_rank()
+        self._require_time()
         planned = [place.attitude for place in self.places]
         weighting = self._weighting(self.options.criterion)
         found: dict[str, list[Array]] = {"planned": planned}
@@ -167,6 +168,11 @@ class _Designer:
             found["cardinal"] = self._ordered([kept[index] for index in indices])
             tried = f"all {chosen.tried} choices" if chosen.exhaustive else f"exchange from {chosen.tried} starts"
             how.append(f"cardinal: {tried} of {self.count} out of {len(kept)} orientations")
+        elif self.options.orientations == "cardinal":
+            raise EstimationError(
+                f"no {self.count} cardinal orientations separate all terms "
+                f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
+            )
         starts = [self._settings(planned)]
         free = optimal.search(
             region, self.count, weighting, restarts=self.options.restarts, seed=self.options.seed, starts=starts,
@@ -178,11 +184,6 @@ class _Designer:
         attitudes = positions.attitudes(self.axes, self._rounded(settings), self.azimuth)
         found["free"] = self._ordered([as_written(attitude, self._decimals) for attitude in attitudes])
         how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
-        if self.options.orientations not in found:
-            raise EstimationError(
-                f"no {self.count} cardinal orientations separate all terms "
-                f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
-            )
         best, limits = self._references(region, cardinal_rows, settings, found)
         sets = {name: self._set(name, attitudes, best, limits) for name, attitudes in found.items()}
         dwells, gain = self._dwells(sets[self.options.orientations])
@@ -201,6 +202,25 @@ class _Designer:
                 "all of it): "
                 f"{rank.explain(seen.null, self.sight.terms)}; use a table with more axes or leave terms out"
             )
+
+    def _require_time(self) -> None:
+        """Raises `EstimationError` where the time budget is spent by what no choice of positions changes, before any are searched for."""
+        if self.options.time is None:
+            return
+        recorded = [segment for place in self.places for segment in place.segments]
+        if any(segment.dwell is None for segment in recorded):
+            raise EstimationError("the positions are recorded as long as a recording lasts: no dwell can be allotted")
+        designed = {segment.index for segment in recorded}
+        others = sum(segment.dwell or 0.0 for segment in self.schedule.segments if segment.index not in designed)
+        self._left(others, "the other segments take")
+
+    def _left(self, spent: float, what: str) -> float:
+        """Time [s] that the budget leaves for each recording of all positions. Raises `EstimationError` where it is too little."""
+        assert self.options.time is not None
+        left = (self.options.time - spent) / len(self.places[0].segments)
+        if left < 10 * self.count:
+            raise EstimationError(f"{what} {spent:.0f} s, which leaves too little of {self.options.time:.0f} s")
+        return left
 
     # -- searching ---------------------------------------------------------------------------------------------------
 
@@ -339,16 +359,8 @@ class _Designer:
         if self.options.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
-        if any(segment.dwell is None for segment in used):
-            raise EstimationError("the positions are recorded as long as a recording lasts: no dwell can be allotted")
         spent = chosen.schedule.total - sum(segment.dwell or 0.0 for segment in used)
-        each = len(self.places[0].segments)
-        available = (self.options.time - spent) / each
-        if available < 10 * self.count:
-            raise EstimationError(
-                f"moving, settling and the other segments take {spent:.0f} s, which leaves too little of "
-                f"{self.options.time:.0f} s"
-            )
+        available = self._left(spent, "moving, settling and the other segments take")
         rows = self.sight.rows(np.array(chosen.attitudes))
         if not chosen.merit.sound:
             raise EstimationError("longer dwells cannot help if the positions do not separate all terms")
