@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_stimulus
+from planrunner.gap.effects.interface import Array, Shaped, Variant, on_stimulus, whole
 from planrunner.gap.observed import Observed
 
 DEG = np.pi / 180
@@ -24,7 +24,7 @@ class GyroBandwidth(Shaped):
     def at(self, observed: Observed, value: float) -> Variant:
         change = lagged(observed, value) - observed.omega
         parts = on_stimulus(observed, change, None)
-        return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), value)
+        return Variant((whole(parts, observed.unsteady),), value)
 
 
 def lagged(observed: Observed, tau: float) -> Array:
@@ -88,7 +88,7 @@ def _changed(
         here = nominal[part, gyros]
         change[part] = output(here) - here
     parts = {index: change[:, place] for place, index in enumerate(gyros)}
-    return Variant((Column("share", "1", 1.0, 1.0, parts, acting),), shape)
+    return Variant((whole(parts, acting),), shape)
 
 
 class GyroBiasRandomWalk:

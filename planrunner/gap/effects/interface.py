@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 class Column:
     """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: SI value of one
     unit, for people. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI; segments: (S,), where it
-    acts, everywhere without it."""
+    acts, everywhere without it. whole: the effect is there as a whole or not at all, so that its amplitude is no parameter."""
 
     name: str
     unit: str
@@ -42,6 +42,7 @@ class Column:
     magnitude: float
     parts: Mapping[int, Array] = field(repr=False)
     segments: NDArray[np.bool_] | None = field(default=None, repr=False)
+    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +113,11 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
     return parts
 
 
+def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
+    """The column of an effect that is there as a whole, at its shape alone: a lag, a limit, a delay."""
+    return Column("share", "1", 1.0, 1.0, parts, segments, True)
+
+
 def single(columns: Sequence[Column]) -> list[Variant]:
     """The variants of an effect without a shape."""
     return [Variant(tuple(columns))] if columns else []
@@ -119,4 +125,4 @@ def single(columns: Sequence[Column]) -> list[Variant]:
 
 def is_whole(columns: Sequence[Column]) -> bool:
     """Whether an effect is there as a whole, at its shape alone: a lag, a limit, a delay."""
-    return len(columns) == 1 and columns[0].name == "share" and columns[0].magnitude == columns[0].factor == 1.0
+    return len(columns) == 1 and columns[0].whole

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from planrunner.gap.effects.interface import Array, Column, Variant, on_stimulus, per_axis, single
+from planrunner.gap.effects.interface import Array, Column, Variant, on_stimulus, per_axis, single, whole
 from planrunner.gap.observed import Observed
 
 DEG = 3.141592653589793 / 180
@@ -65,7 +65,7 @@ class EarthRate:
 
     def variants(self, observed: Observed) -> list[Variant]:
         parts = on_stimulus(observed, observed.earth_rate, None)
-        return single([Column("share", "1", 1.0, 1.0, parts)] if parts else [])
+        return single([whole(parts)] if parts else [])
 
 
 def gyro_bias() -> _OfTriad:

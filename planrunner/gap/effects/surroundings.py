@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_stimulus, per_axis, single
+from planrunner.gap.effects.interface import Array, Column, Shaped, Variant, on_stimulus, per_axis, single, whole
 from planrunner.gap.observed import Observed
 
 DEG = np.pi / 180
@@ -73,4 +73,4 @@ class TimeLatency(Shaped):
         change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
         turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
         parts = on_stimulus(observed, turned, None)
-        return Variant((Column("share", "1", 1.0, 1.0, parts, observed.unsteady),), value)
+        return Variant((whole(parts, observed.unsteady),), value)
