@@ -1,0 +1,124 @@
+"""The results of every shipped plan, to be compared before and after a change that must not alter them.
+
+`python -m benchmarks.shipped_results write FILE` checks every plan in `plans/`, runs it with a fixed seed, diagnoses some of the runs,
+and writes what `--json` prints of each: predicted uncertainties, coefficients with standard uncertainty and covariance, budgets, tables,
+verdicts on limits. `python -m benchmarks.shipped_results compare FILE` does the same again and lists every figure that differs from FILE
+by more than 1e-9, relative to the larger of the two. Recordings are found beneath `PLANRUNNER_DATA` or `../shared/data`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = Path(os.environ.get("PLANRUNNER_DATA", ROOT.parent / "shared" / "data"))
+SEED = 7
+TOLERANCE = 1e-9
+INFORMATION = {"device_serial": "A-1", "operator": "tester", "fixture": "F-1", "accelerometer_range": "10 g"}
+DIAGNOSED = ("imu_multi_position", "mpu9150_imu0", "rimu_rate_staircase", "flexure_gyro_eight_position")
+PATHS = {"analysis", "folder", "file", "run", "seconds", "duration_of_analysis"}
+"""Keys whose values differ from run to run."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.shipped_results", description=__doc__)
+    parser.add_argument("action", choices=("write", "compare"))
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--plan", action="append", help="only this plan, by the name of its file without ending")
+    args = parser.parse_args(arguments)
+    plans = [path for path in sorted((ROOT / "plans").glob("*.yaml")) if not args.plan or path.stem in args.plan]
+    found = {path.stem: results_of(path) for path in plans}
+    if args.action == "write":
+        args.file.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8", newline="\n")
+        return 0
+    kept = json.loads(args.file.read_text(encoding="utf-8"))
+    kept = {name: kept[name] for name in found}
+    changes = list(differences(kept, found))
+    figures = sum(1 for _ in numbers(kept))
+    for change in changes:
+        print(change)
+    print(f"{len(found)} plans, {figures} figures, {len(changes)} differ by more than {TOLERANCE:g}")
+    return 1 if changes else 0
+
+
+def results_of(plan: Path) -> dict[str, Any]:
+    """What `check`, `run` and, for some, `diagnose` print of one plan."""
+    print(plan.stem, file=sys.stderr, flush=True)
+    with tempfile.TemporaryDirectory() as runs:
+        told = [
+            word for name, value in INFORMATION.items() for word in ("--set", f"{name}={value}") if asked(plan, name)
+        ]
+        found = {
+            "check": printed("check", str(plan), "--data", str(DATA), "--json"),
+            "run": printed("run", str(plan), "--seed", str(SEED), "--flushed", "--runs", runs, "--data", str(DATA),
+                           "--json", *told),
+        }  # fmt: skip
+        if plan.stem in DIAGNOSED:
+            (folder,) = (path.parent for path in Path(runs).glob("*/run.json"))
+            found["diagnose"] = printed("diagnose", str(folder), "--data", str(DATA), "--json")
+    return found
+
+
+def asked(plan: Path, name: str) -> bool:
+    """Whether the plan's `record` names this piece of run information."""
+    return f"{name}: " in next(
+        (line for line in plan.read_text(encoding="utf-8").splitlines() if line.startswith("record:")), ""
+    )
+
+
+def printed(*words: str) -> dict[str, Any]:
+    """Exit code and JSON of a command, which may end with a failed limit."""
+    done = subprocess.run([sys.executable, "-m", "planrunner", *words], capture_output=True, text=True, cwd=ROOT)
+    try:
+        return {"code": done.returncode, "printed": json.loads(done.stdout)}
+    except json.JSONDecodeError:
+        return {"code": done.returncode, "printed": done.stdout + done.stderr}
+
+
+def differences(kept: Any, found: Any, place: str = "") -> Iterator[str]:
+    """Every place where `found` differs from `kept` by more than the tolerance."""
+    if isinstance(kept, dict) and isinstance(found, dict):
+        for key in sorted(set(kept) | set(found)):
+            if key in PATHS:
+                continue
+            if key not in kept or key not in found:
+                yield f"{place}.{key}: only {'before' if key in kept else 'after'}"
+            else:
+                yield from differences(kept[key], found[key], f"{place}.{key}")
+    elif isinstance(kept, list) and isinstance(found, list):
+        if len(kept) != len(found):
+            yield f"{place}: {len(kept)} before, {len(found)} after"
+        for index, (one, other) in enumerate(zip(kept, found, strict=False)):
+            yield from differences(one, other, f"{place}[{index}]")
+    elif number(kept) and number(found):
+        if abs(kept - found) > TOLERANCE * max(abs(kept), abs(found)):
+            yield f"{place}: {kept!r} before, {found!r} after"
+    elif kept != found:
+        yield f"{place}: {kept!r} before, {found!r} after"
+
+
+def numbers(tree: Any) -> Iterator[float]:
+    """Every number in nested data."""
+    if isinstance(tree, dict):
+        tree = list(tree.values())
+    if isinstance(tree, list):
+        for item in tree:
+            yield from numbers(item)
+    elif number(tree):
+        yield tree
+
+
+def number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
