@@ -39,7 +39,7 @@ lint: $(READY)
 	$(BIN)/mypy
 
 schemas: $(READY)
-	$(BIN)/python -m planrunner.plan.schema schemas
+	$(BIN)/python -m planrunner.tasks.write_schemas schemas
 
 # Texts of the templates into locales/, where translators go on.
 catalogues: $(READY)

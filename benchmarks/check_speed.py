@@ -66,7 +66,7 @@ def process(turns: int, *command: str) -> float:
 
 
 def run(size: Size = FULL) -> dict[str, object]:
-    from planrunner.checking import check_plan
+    from planrunner.tasks.check import check_plan
 
     with tempfile.TemporaryDirectory() as folder:
         paths = distinct(size.plans, Path(folder))

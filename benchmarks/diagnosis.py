@@ -25,7 +25,7 @@ FULL, SMALL = Size((25_000, 100_000, 400_000)), Size((2_000,), separate=False)
 
 def measure(samples: int) -> Figures:
     """Seconds by the clock and of the processor of the second diagnosis, and the peak memory [MB]."""
-    from planrunner.gap.diagnosis import diagnose
+    from planrunner.gap.answer.diagnosis import diagnose
     from tests.gap.turntable import plan, record
 
     diagnose(record())
@@ -42,10 +42,10 @@ def measure_long(samples: int) -> Figures:
 
     from planrunner.archive.recording import RecordedSegment
     from planrunner.archive.statistics import statistics_of
-    from planrunner.gap.diagnosis import diagnose
-    from planrunner.gap.observed import observed
+    from planrunner.gap.answer.diagnosis import diagnose
     from planrunner.instruments.interfaces import Block
     from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+    from planrunner.observation.samples import observed
     from planrunner.plan.schedule import Rest, Segment
     from tests.gap.turntable import SITE, record
 

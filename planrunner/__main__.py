@@ -9,7 +9,7 @@ import sys
 def main() -> int:
     """The command of a process. Returns the exit code."""
     _end_at_once()
-    from planrunner.interruption import Interruption, leave_with
+    from planrunner.base.interruption import Interruption, leave_with
 
     with Interruption() as interruption:
         try:

@@ -1,4 +1,4 @@
-"""The walls of the house: who may import whom, and what `check` may cost."""
+"""The rooms of the house: who may import whom, that nothing goes in circles, and what `check` may cost."""
 
 from __future__ import annotations
 
@@ -6,61 +6,194 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "planrunner"
+ENTRY = {"planrunner", "planrunner.__main__"}
+"""The two modules that stand at the door."""
 
-ROW = re.compile(r"^\| `(\w+)` \| .* \| (.*) \|$", re.MULTILINE)
+
+@cache
+def rooms() -> tuple[str, ...]:
+    """The rooms from the roof to the ground, as the table in CONTRIBUTING.md lists them."""
+    return tuple(re.findall(r"^\| `(\w+)/` \|", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.MULTILINE))
 
 
-def allowed() -> dict[str, set[str]]:
-    """Folder → what it may import beside itself, as the table in CONTRIBUTING.md says; `cli` may import everything."""
-    rows = ROW.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
-    return {folder: set(re.findall(r"`([\w.]+)`", words.split(";")[0])) for folder, words in rows if folder != "cli"}
+@cache
+def modules() -> dict[str, Path]:
+    """Every module of the package by its name; a package goes by its own."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        found[name.removesuffix(".__init__")] = path
+    return found
+
+
+@cache
+def graph() -> dict[str, frozenset[str]]:
+    """Module → the modules of ours that it imports anywhere, inside functions and for types alone too."""
+    return {name: frozenset(imported(path) - {name}) for name, path in modules().items()}
 
 
 def imported(path: Path) -> set[str]:
-    """What a file imports of ours, such as `plan.units`; of a package itself, its name alone. `dataclass` is for all."""
-    found: set[str] = set()
+    found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names = []
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        found.update(".".join(name.split(".")[1:3]) for name in names if name.startswith("planrunner."))
-    return {name for name in found if name.split(".")[0] not in ("__version__", "dataclass")}
+            found |= {alias.name for alias in node.names} & modules().keys()
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path} imports relative to itself"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                found |= {whole if whole in modules() else str(node.module)} & modules().keys()
+    return found
 
 
-def test_the_table_names_every_folder() -> None:
-    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    assert set(allowed()) == folders - {"cli"}
+def room_of(module: str) -> str:
+    return module.split(".")[1]
 
 
-@pytest.mark.parametrize("folder", sorted(allowed()))
-def test_imports_point_one_way(folder: str) -> None:
-    may = {folder} | allowed()[folder]
-    for path in (PACKAGE / folder).rglob("*.py"):
-        crossing = {name for name in imported(path) if name not in may and name.split(".")[0] not in may}
-        if path == PACKAGE / "plan" / "schema.py":
-            crossing -= {"bench.model"}  # writes the schema of bench files too
-        assert not crossing, f"{path.relative_to(ROOT)} imports {sorted(crossing)}"
+def circles(edges: Mapping[str, Iterable[str]]) -> list[list[str]]:
+    """The strongly connected components of more than one node (Tarjan, Depth-first search and linear graph algorithms, 1972)."""
+    order: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    stack: list[str] = []
+    found = []
+
+    def visit(node: str) -> None:
+        order[node] = lowest[node] = len(order)
+        stack.append(node)
+        for other in edges.get(node, ()):
+            if other not in order:
+                visit(other)
+            if other in stack:
+                lowest[node] = min(lowest[node], lowest[other])
+        if lowest[node] == order[node]:
+            component = [stack.pop()]
+            while component[-1] != node:
+                component.append(stack.pop())
+            if len(component) > 1:
+                found.append(sorted(component))
+
+    for node in edges:
+        if node not in order:
+            visit(node)
+    return found
+
+
+def test_the_table_names_every_room_once() -> None:
+    assert sorted(rooms()) == sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
+
+
+def test_no_module_lies_loose_beside_the_rooms() -> None:
+    assert {f"planrunner.{path.stem}" for path in PACKAGE.glob("*.py")} == {
+        "planrunner.__init__",
+        "planrunner.__main__",
+    }
+
+
+@pytest.mark.parametrize("room", rooms())
+def test_imports_point_down_the_list(room: str) -> None:
+    below = set(rooms()[rooms().index(room) :])
+    for module in modules().keys() - ENTRY:
+        if room_of(module) == room:
+            upward = {other for other in graph()[module] - {"planrunner"} if room_of(other) not in below}
+            assert not upward, f"{module} imports {sorted(upward)}"
+
+
+def test_no_modules_import_one_another_in_a_circle() -> None:
+    assert circles(graph()) == []
+
+
+def test_a_circle_is_found() -> None:
+    assert circles({"a": ["b"], "b": ["c", "d"], "c": ["a"], "d": []}) == [["a", "b", "c"]]
+
+
+def test_folders_within_rooms_form_no_circle() -> None:
+    """Such as `gap/evidence`, `gap/hypotheses` and `gap/answer`."""
+
+    def folder(module: str) -> str:
+        return module if modules()[module].name == "__init__.py" else module.rpartition(".")[0]
+
+    edges: dict[str, set[str]] = {folder(module): set() for module in modules()}
+    for module, others in graph().items():
+        for here, there in ((folder(module), folder(other)) for other in others):
+            if not f"{here}.".startswith(f"{there}.") and not f"{there}.".startswith(f"{here}."):
+                edges[here].add(there)
+    assert circles(edges) == []
+
+
+def docstrings(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            yield ast.get_docstring(node) or ""
+
+
+def test_modules_that_docstrings_mention_exist() -> None:
+    """`planrunner.plan.units`, `plan.units` and what stands after them, wherever docstrings and docs name them."""
+    named = rf"(?:planrunner\.)?(?:{'|'.join(rooms())})(?:\.\w+)+"
+    texts = [(path, text) for path in modules().values() for text in docstrings(path)]
+    texts += [(path, path.read_text(encoding="utf-8")) for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]]
+    missing = [
+        f"{path.relative_to(ROOT)}: {mention}"
+        for path, text in texts
+        if path.name != "CHANGELOG.md"
+        for mention in re.findall(rf"(?<=`)({named})(?=`)|(?<![\w.`/])(planrunner\.\w+(?:\.\w+)+)", text)
+        for mention in mention
+        if mention and not exists(mention)
+    ]
+    assert missing == []
+
+
+def exists(mention: str) -> bool:
+    """Whether a dotted name is a module or something in one; file names such as `plan.yaml` and entry-point groups pass."""
+    words = mention.removeprefix("planrunner.").split(".")
+    if words[-1] in ("yaml", "json", "jsonl"):
+        return True
+    for count in range(len(words), 0, -1):
+        module = ".".join(["planrunner", *words[:count]])
+        if module in modules():
+            rest = words[count:]
+            return not rest or (
+                count > 1 and re.search(rf"\b{rest[0]}\b", modules()[module].read_text(encoding="utf-8")) is not None
+            )
+    return False
+
+
+def test_names_in_module_docstrings_exist() -> None:
+    """A module that was renamed goes on being named in the docstrings of others: each name there has to be found in the code."""
+    words: set[str] = set()
+    for path in modules().values():
+        words |= set(path.relative_to(ROOT).with_suffix("").parts)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            words |= {
+                value for field in ("id", "attr", "arg", "name") if isinstance(value := getattr(node, field, None), str)
+            }
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and "`" not in node.value:
+                words |= set(re.findall(r"\w+", node.value))
+    missing = []
+    for module, path in modules().items():
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        missing += [f"{module}: {name}" for name in re.findall(r"`([a-z]+(?:_[a-z]+)+)`", text) if name not in words]
+    assert missing == []
 
 
 def test_nothing_but_the_entry_point_imports_the_command_line() -> None:
-    for path in PACKAGE.rglob("*.py"):
-        if path.parent.name != "cli" and path.name != "__main__.py":
-            assert not {name for name in imported(path) if name.split(".")[0] == "cli"}, path
+    for module, others in graph().items():
+        if module != "planrunner.__main__" and room_of(f"{module}.") != "cli":
+            assert not {other for other in others if other.startswith("planrunner.cli")}, module
 
 
 def test_simulator_and_estimators_share_no_formula() -> None:
-    for path in (PACKAGE / "instruments").rglob("*.py"):
-        assert "flexure_gyro import" not in path.read_text(encoding="utf-8").replace(
-            "virtual.flexure_gyro import", ""
-        ), path
+    """The simulated world states the physics of its sensors itself: a mistake that estimators shared with it could not be seen."""
+    formulas = {"planrunner.error_model.terms", "planrunner.error_model.flexure_gyro", "planrunner.error_model.effects"}
+    for module, others in graph().items():
+        if room_of(f"{module}.") in ("instruments", "simulators"):
+            assert not {other for other in others if any(other.startswith(one) for one in formulas)}, module
 
 
 REAL = ("wire", "sensors", "tables", "chambers")
@@ -68,13 +201,14 @@ REAL = ("wire", "sensors", "tables", "chambers")
 
 def test_simulated_instruments_and_drivers_share_no_code() -> None:
     """Each is written from the protocols alone, so that a shared misunderstanding cannot hide."""
-    drivers = [path for name in REAL for path in (PACKAGE / "instruments" / name).rglob("*.py")]
-    simulators = list((PACKAGE / "simulators").rglob("*.py"))
-    assert drivers and simulators
-    for path in drivers:
-        assert "planrunner.simulators" not in path.read_text(encoding="utf-8"), path
-    for path in simulators:
-        assert not {name for name in imported(path) if name in {f"instruments.{folder}" for folder in REAL}}, path
+    drivers = {f"planrunner.instruments.{folder}" for folder in REAL}
+    simulators = [module for module in modules() if module.startswith("planrunner.simulators")]
+    assert len(simulators) > 1
+    for module in simulators:
+        assert not {other for other in graph()[module] if other.startswith(tuple(drivers))}, module
+    for module in modules():
+        if module.startswith(tuple(drivers)):
+            assert "planrunner.simulators" not in modules()[module].read_text(encoding="utf-8"), module
 
 
 HEAVY = (
@@ -107,17 +241,17 @@ def test_check_of_the_shipped_plans_imports_nothing_heavy() -> None:
 
 
 OPENERS = {
-    "regular_files.py": "every file that somebody else named",
-    "guarded_folder.py": "everything in a run folder",
-    "exclusive.py": "locks",
+    "base/regular_files.py": "every file that somebody else named",
+    "base/guarded_folder.py": "everything in a run folder",
+    "base/exclusive.py": "locks",
     "bench/lock.py": "the folder of locks",
     "cli/__init__.py": "the null device, when standard output went away",
     "cli/new.py": "shipped plans, copied",
     "cli/simulate_bench.py": "the file that says where everything listens, made new",
     "archive/formats.py": "shipped schemas",
     "reporting/language.py": "shipped catalogues",
-    "diagnosing.py": "shipped benches",
-    "validation.py": "its own reference data",
+    "tasks/diagnose.py": "shipped benches",
+    "tasks/self_test.py": "its own reference data",
 }
 """Modules that open files by the means of Python, and what they open."""
 

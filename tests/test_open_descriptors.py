@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from planrunner import running
 from planrunner.archive.run_reader import RunReader
-from planrunner.checking import check_plan
 from planrunner.execution.stopping import StopRequest
+from planrunner.tasks import run as running
+from planrunner.tasks.check import check_plan
 
 PLAN = Path(__file__).parent / "agreement" / "corpus" / "counts_that_alternate.yaml"
 OPEN = Path("/proc/self/fd")

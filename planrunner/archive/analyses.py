@@ -17,8 +17,8 @@ from planrunner.archive import formats
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import FIRST, utc_now
 from planrunner.archive.storage import ASIDE, Storage, digest, digest_of
-from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
-from planrunner.plan.findings import InputError, Mark
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
 FOLDER = "analyses"
 DIGESTS = "digests.json"

@@ -60,7 +60,7 @@ def _too_deep(value: Any) -> bool:
 @lru_cache(maxsize=8)
 def schema(name: str) -> dict[str, Any]:
     """A shipped JSON Schema: `run`, `journal-event`, `seal`, `digests`, `issued` or `results`."""
-    from planrunner.shipped import shipped
+    from planrunner.base.shipped import shipped
 
     data: dict[str, Any] = json.loads((shipped("schemas") / f"{name}.schema.json").read_text(encoding="utf-8"))
     return data

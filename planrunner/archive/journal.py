@@ -19,7 +19,7 @@ from typing import Any
 from planrunner.archive.formats import from_bytes
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.storage import Storage
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.guarded_folder import GuardedFolder
 
 NAME = "journal.jsonl"
 MOST_LINE = 4 * 2**20

@@ -12,7 +12,7 @@ from planrunner.archive import formats
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import JournalScan
 from planrunner.archive.segment_file import Part
-from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
+from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
 
 @dataclass(frozen=True, slots=True)

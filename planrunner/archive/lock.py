@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from planrunner.exclusive import ExclusiveFile, HeldError
-from planrunner.guarded_folder import GuardedFolder
-from planrunner.plan.findings import InputError, Mark
+from planrunner.base.exclusive import ExclusiveFile, HeldError
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
 
 NAME = ".lock"
 

@@ -18,9 +18,9 @@ from pathlib import Path
 
 from planrunner.archive.lock import NAME as LOCK
 from planrunner.archive.storage import ASIDE
-from planrunner.exclusive import ExclusiveFile, HeldError
-from planrunner.guarded_folder import GuardedFolder
-from planrunner.trusted_folders import UntrustedFolderError, make_private, this_user, trusted, user_data
+from planrunner.base.exclusive import ExclusiveFile, HeldError
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.base.trusted_folders import UntrustedFolderError, make_private, this_user, trusted, user_data
 
 NAME = ".origin"
 STATE = "PLANRUNNER_STATE"

@@ -6,8 +6,8 @@ import os
 
 from planrunner.archive.lock import NAME as LOCK
 from planrunner.archive.lock import FolderLock
-from planrunner.guarded_folder import GuardedFolder
-from planrunner.plan.findings import InputError
+from planrunner.base.findings import InputError
+from planrunner.base.guarded_folder import GuardedFolder
 
 NAME = ".pause"
 

@@ -12,7 +12,7 @@ from planrunner.archive.journal import Journal
 from planrunner.archive.journal_state import Acknowledged, JournalState, name_parts
 from planrunner.archive.segment_file import FOLDER, MOST_BYTES, Part, check_part, rows_of
 from planrunner.archive.storage import ASIDE, Storage, digest
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.guarded_folder import GuardedFolder
 
 REASON = "the process ended in this segment"
 

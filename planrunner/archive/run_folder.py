@@ -37,12 +37,12 @@ from planrunner.archive.segment_file import (
 )
 from planrunner.archive.storage import ASIDE, Durability, Storage, digest
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, RUN, Examined, examine, open_run
-from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
+from planrunner.bench.watchdog_report import NAME as REPORT
+from planrunner.bench.watchdog_report import read_report
 from planrunner.instruments.interfaces import Block
-from planrunner.plan.findings import InputError, Mark
 from planrunner.plan.schedule import Segment
-from planrunner.watchdog_report import NAME as REPORT
-from planrunner.watchdog_report import read_report
 
 
 class RunWriter:

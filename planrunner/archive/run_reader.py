@@ -17,9 +17,9 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.segment_file import SegmentData
 from planrunner.archive.statistics import statistics_of
 from planrunner.archive.verifying import BENCH, MENDED, PLAN, Examined, examine, open_run
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.findings import Finding
+from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
-from planrunner.plan.findings import Finding
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.selection import spelt_alike
 

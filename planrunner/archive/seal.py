@@ -13,7 +13,7 @@ from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal import JournalScan, utc_now
 from planrunner.archive.journal_state import JournalState
 from planrunner.archive.storage import Storage, digest_of
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.guarded_folder import GuardedFolder
 
 NAME = "seal.json"
 MOST_BYTES = 2**25

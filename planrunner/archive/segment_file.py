@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.storage import ASIDE, Storage, digest
-from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
+from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block, InstrumentError
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from planrunner.plan.findings import InputError, Mark
+from planrunner.base.findings import InputError, Mark
 from planrunner.plan.schedule import Schedule
 
 BYTES_A_VALUE = 8

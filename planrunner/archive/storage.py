@@ -13,7 +13,7 @@ import os
 from io import BufferedReader, FileIO
 from typing import Literal
 
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.guarded_folder import GuardedFolder
 
 Durability = Literal["durable", "flushed"]
 ASIDE = ".partial"

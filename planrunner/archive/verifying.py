@@ -25,9 +25,9 @@ from planrunner.archive.origin import NAME as ORIGIN
 from planrunner.archive.segment_file import FOLDER as SEGMENTS
 from planrunner.archive.segment_file import Part, check_part
 from planrunner.archive.storage import ASIDE, digest
-from planrunner.guarded_folder import Entry, GuardedFolder, NotOrdinaryError
-from planrunner.plan.findings import Finding, Findings, InputError, Mark
-from planrunner.watchdog_report import NAME as WATCHDOG
+from planrunner.base.findings import Finding, Findings, InputError, Mark
+from planrunner.base.guarded_folder import Entry, GuardedFolder, NotOrdinaryError
+from planrunner.bench.watchdog_report import NAME as WATCHDOG
 
 RUN, PLAN, BENCH = "run.json", "plan.yaml", "bench.yaml"
 MOST_GIVEN = 2**20

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable
 from datetime import date, timedelta
 
-from planrunner.plan.findings import Findings
+from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Record, Text, key
 
 LINE = r"[^\x00-\x1f]{1,200}"

@@ -11,12 +11,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from planrunner.base.findings import Findings, Mark
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis
 from planrunner.physics.modulation import MEAN_RADIUS, schuler_drive, schuler_rate
 from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
 from planrunner.physics.table_motion import cycle_excess
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Cycle
 
 Place = Callable[[str], Mark]

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from planrunner.base.findings import Mark
 from planrunner.bench.model import BenchModels
 from planrunner.plan import holding_spec
-from planrunner.plan.findings import Mark
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Stability, Watch
 

@@ -20,12 +20,12 @@ from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 
+from planrunner.base.exclusive import ExclusiveFile, HeldError
+from planrunner.base.findings import InputError, Mark
+from planrunner.base.trusted_folders import UntrustedFolderError, computer_data, trusted
 from planrunner.bench.model import Bench, driver_of, real_instruments, runs_on_virtual_clock
 from planrunner.bench.same_instrument import names_of
-from planrunner.exclusive import ExclusiveFile, HeldError
 from planrunner.instruments.interfaces import Addressed
-from planrunner.plan.findings import InputError, Mark
-from planrunner.trusted_folders import UntrustedFolderError, computer_data, trusted
 
 FOLDER = "PLANRUNNER_LOCKS"
 """Environment variable that names another folder for the locks."""

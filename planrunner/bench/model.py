@@ -14,20 +14,20 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from planrunner import plugins
+from planrunner.base import plugins
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, InputError, Mark, closest, nearest
+from planrunner.base.shipped import shipped
 from planrunner.bench.calibration import LINE, Calibration, check_dates
 from planrunner.bench.laboratory import Laboratory
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import Simulation
-from planrunner.dataclass import dataclass
 from planrunner.instruments.interfaces import Counting, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, Origin, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
-from planrunner.shipped import shipped
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 SINGLE_ROLES = ("table", "chamber", "sensor")  # that drivers have a model for

@@ -12,13 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark
 from planrunner.bench.cycle_checks import Place, check_cycle
 from planrunner.bench.model import BenchModels
-from planrunner.dataclass import dataclass
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import Array, Unreachable
 from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 
 # A part of a turn left over biases the mean rate by the horizontal Earth rate; below this share of the rate nobody notices.

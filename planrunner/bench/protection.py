@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from planrunner.base.findings import Findings
 from planrunner.instruments.interfaces import OwnLimits
 from planrunner.instruments.models import ChamberModel, TableModel
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 

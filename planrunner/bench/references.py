@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from planrunner.base.dataclass import dataclass
 from planrunner.bench.calibration import Calibration
 from planrunner.bench.model import Bench, driver_of
-from planrunner.dataclass import dataclass
 
 
 @dataclass(frozen=True, slots=True)

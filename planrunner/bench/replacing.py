@@ -13,7 +13,7 @@ REACHED_BY = ("address", "port", "baud", "timeout")
 
 
 def other_than_reached(first: bytes, second: bytes, shown: tuple[str, str]) -> list[str]:
-    """Keys, such as `instruments.table.axes`, in which two bench files differ beside those. shown: their names, for findings. Raises
+    """Keys, such as instruments.table.axes, in which two bench files differ beside those. shown: their names, for findings. Raises
     `InputError` for a file that cannot be read."""
     one, other = (
         source.plain(source.parse(source.decode(data, name), name))

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.bench.holding import check_measured, wait_of, watch_of
 from planrunner.bench.model import BenchModels
 from planrunner.bench.motion_checks import Hold, TableState, no_table, start_motion
@@ -21,7 +22,6 @@ from planrunner.physics.kinematics import Array, Unreachable, joint_angles, tran
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation

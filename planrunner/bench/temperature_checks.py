@@ -4,8 +4,8 @@ sensor that lags behind the air.
 
 from __future__ import annotations
 
+from planrunner.base.findings import Findings, Mark
 from planrunner.bench.model import BenchModels
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.units import ZERO_CELSIUS
 
 _FORGOTTEN = 40.0  # time constants after which nothing is left of a change

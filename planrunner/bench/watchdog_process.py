@@ -23,14 +23,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
+from planrunner.base.findings import InputError
 from planrunner.bench.clock import WallClock
 from planrunner.bench.lock import watchdog_lock
 from planrunner.bench.model import Bench, driver_of, parse_bench, real_instruments, site_of
 from planrunner.bench.opening import real_clock
+from planrunner.bench.watchdog_report import append_report
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.plan import source
-from planrunner.plan.findings import InputError
-from planrunner.watchdog_report import append_report
 
 ATTEMPTS = 3
 BETWEEN = 1.0

@@ -1,6 +1,6 @@
 """`python -m planrunner.bench.watchdog_start`: the watchdog process, deaf to the signals that end planrunner from its first import on."""
 
-from planrunner.interruption import be_deaf
+from planrunner.base.interruption import be_deaf
 
 if __name__ == "__main__":
     be_deaf()

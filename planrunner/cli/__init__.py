@@ -19,13 +19,11 @@ from types import ModuleType
 from typing import NoReturn
 
 from planrunner import __version__
-from planrunner.dataclass import dataclass
-from planrunner.interruption import INTERRUPTED as INTERRUPTED
-from planrunner.interruption import Interruption
-from planrunner.plan.findings import COMMAND_LINE, InputError
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.base.interruption import Interruption
+from planrunner.cli.exit_codes import DONE, WRONG_INPUT
 from planrunner.reporting.printable import printable_streams
-
-DONE, LIMIT_FAILED, WRONG_INPUT, FAULT, INTEGRITY = 0, 1, 2, 3, 4
 
 COMMANDS = {
     "check": "check plans and benches before anything moves",

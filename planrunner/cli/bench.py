@@ -6,12 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner import cli, plugins
+from planrunner.base import plugins
 from planrunner.bench.model import read_bench, shipped_benches
+from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json
 
 if TYPE_CHECKING:
-    from planrunner.pinging import Ping
+    from planrunner.tasks.ping import Ping
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,18 +43,18 @@ def _list(*, as_json: bool) -> int:
                 ],
             }
         )
-        return cli.DONE
+        return exit_codes.DONE
     print("Shipped benches (use with --bench NAME, or `bench: NAME` in a plan):")
     for name, text in places.items():
         print(f"  {name:<24} {text}")
     print("Instrument drivers (`driver: NAME` in a bench file):")
     for name, text in abouts.items():
         print(f"  {name:<24} {drivers[name].role}: {text}")
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _ping(args: argparse.Namespace) -> int:
-    from planrunner.pinging import ping
+    from planrunner.tasks.ping import ping
 
     bench, _, shown = read_bench(args.bench)
     answers = ping(bench, shown, args.data)
@@ -62,7 +63,7 @@ def _ping(args: argparse.Namespace) -> int:
     else:
         for answer in answers:
             print(_row(answer))
-    return cli.FAULT if any(answer.failure for answer in answers) else cli.DONE
+    return exit_codes.FAULT if any(answer.failure for answer in answers) else exit_codes.DONE
 
 
 def _row(answer: Ping) -> str:

@@ -6,15 +6,15 @@ import argparse
 import sys
 from pathlib import Path
 
-from planrunner import cli
-from planrunner.attendance import check_unattended
+from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import runs_on_virtual_clock, safe_order
-from planrunner.checking import Checked, Sound, check_plan
+from planrunner.cli import exit_codes
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import RowsLookedAt
 from planrunner.reporting.budgets import shown_unit
 from planrunner.reporting.words import duration
+from planrunner.tasks.check import Checked, Sound, check_plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         if args.unattended and checked.bench is not None and checked.schedule is not None:
             check_unattended(checked.bench, checked.schedule, checked.findings)
         if args.data is not None and checked.models is not None and checked.models.replays:
-            from planrunner.checking_recordings import check_recording
+            from planrunner.tasks.check_recording import check_recording
 
             check_recording(checked, args.data, None if args.quiet else RowsLookedAt().take)
     if args.json:
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         for checked in checks:
             print_findings(checked.findings)
             print(summary(checked, looked_over=args.data is not None))
-    return cli.DONE if all(checked.ok for checked in checks) else cli.WRONG_INPUT
+    return exit_codes.DONE if all(checked.ok for checked in checks) else exit_codes.WRONG_INPUT
 
 
 def sound_plan(plan: str, bench: str | None) -> Sound:

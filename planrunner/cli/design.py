@@ -16,8 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from planrunner import cli
-from planrunner.cli import design_cycle, design_positions, design_rates
+from planrunner.cli import design_cycle, design_positions, design_rates, exit_codes
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, without_uncertainty
@@ -59,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     _write(args, kind, study, context, page)
     if args.json:
         print_json(page.to_json(context))
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _kind(args: argparse.Namespace) -> ModuleType:
@@ -68,9 +67,9 @@ def _kind(args: argparse.Namespace) -> ModuleType:
         return design_cycle
     if args.rates:
         return design_rates
-    from planrunner.checking import check_plan
-    from planrunner.designing_cycles import has_cycle_alone
-    from planrunner.designing_rates import has_rates_alone
+    from planrunner.tasks.check import check_plan
+    from planrunner.tasks.design_cycles import has_cycle_alone
+    from planrunner.tasks.design_rates import has_rates_alone
 
     checked = check_plan(Path(args.plan), bench=args.bench)
     if has_rates_alone(checked, args.estimate):
@@ -102,7 +101,7 @@ def _write(args: argparse.Namespace, kind: ModuleType, study: Any, context: Any,
         write_file(args.html, page.render_page(context))
         print(args.html, file=out)
     if args.write is not None:
-        from planrunner.designed_plan import write_plan
+        from planrunner.tasks.designed_plan import write_plan
 
         if not study.text:
             raise EstimationError(kind.missing(study))

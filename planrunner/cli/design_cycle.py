@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from planrunner.estimators.interface import EstimationError
 
 if TYPE_CHECKING:
-    from planrunner.designing_cycles import CycleStudy
     from planrunner.reporting.cycle_page import CycleContext
+    from planrunner.tasks.design_cycles import CycleStudy
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[str, float], None] | None) -> CycleStudy:
-    from planrunner.designing_cycles import CycleOptions, design_cycle
+    from planrunner.tasks.design_cycles import CycleOptions, design_cycle
 
     if seconds is not None:
         raise EstimationError("--time allots dwells; a cycle takes the time that its turns and stops take")

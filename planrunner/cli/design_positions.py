@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from planrunner.estimators.interface import EstimationError
 
 if TYPE_CHECKING:
-    from planrunner.designing import Study
     from planrunner.reporting.design_page import DesignContext
+    from planrunner.tasks.design_positions import Study
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[str, float], None] | None) -> Study:
-    from planrunner.designing import Options, design_plan
+    from planrunner.tasks.design_positions import Options, design_plan
 
     if args.restarts < 1 or args.seed < 0:
         raise EstimationError("--restarts is at least 1 and --seed at least 0")
@@ -36,9 +36,9 @@ def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[s
 
 
 def context(study: Study) -> DesignContext:
-    from planrunner.designing import residual_ratios
     from planrunner.reporting.context import site_facts
     from planrunner.reporting.design_page import DesignContext, DesignedSet
+    from planrunner.tasks.design_positions import residual_ratios
 
     checked = study.checked
     assert checked.plan is not None and checked.bench is not None and checked.models is not None

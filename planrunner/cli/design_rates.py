@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from planrunner.estimators.interface import EstimationError
 
 if TYPE_CHECKING:
-    from planrunner.designing_rates import RateStudy
     from planrunner.reporting.rates_page import RatesContext
+    from planrunner.tasks.design_rates import RateStudy
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[str, float], None] | None) -> RateStudy:
-    from planrunner.designing_rates import RateOptions, design_rates
+    from planrunner.tasks.design_rates import RateOptions, design_rates
 
     if args.criterion not in ("D", "A"):
         raise EstimationError(f"rates are designed by D or A, not by {args.criterion}")

@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planrunner import cli
+from planrunner.base.findings import InputError, Mark, closest
+from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_findings, print_json, write_file
-from planrunner.plan.findings import InputError, Mark, closest
 
 if TYPE_CHECKING:
-    from planrunner.diagnosing import Diagnosed, Recorded
-    from planrunner.gap.diagnosis import Options
+    from planrunner.gap.answer.diagnosis import Options
     from planrunner.reporting.diagnosis_page import DiagnosisContext
+    from planrunner.tasks.diagnose import Diagnosed, Recorded
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,8 +68,8 @@ def _jobs(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     recorded = _recorded(args)
-    from planrunner.diagnosing import diagnose_recorded
-    from planrunner.joining import joined
+    from planrunner.tasks.diagnose import diagnose_recorded
+    from planrunner.tasks.join import joined
 
     recorded = joined(recorded, args.also)
     print_findings(recorded.remarks)
@@ -92,13 +92,13 @@ def run(args: argparse.Namespace) -> int:
         print(args.html, file=out)
     if args.next is not None:
         print(args.next if text else "No plan is proposed.", file=out)
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _options(nominal: list[str] | None) -> Options | None:
     """What is asked for; None for what the plan says."""
-    from planrunner.gap.candidates import FULL
-    from planrunner.gap.diagnosis import Options
+    from planrunner.gap.answer.diagnosis import Options
+    from planrunner.gap.hypotheses.candidates import FULL
 
     for name in nominal or ():
         if name not in FULL:
@@ -108,7 +108,7 @@ def _options(nominal: list[str] | None) -> Options | None:
 
 def _recorded(args: argparse.Namespace) -> Recorded:
     """A run folder, or a plan with a recording."""
-    from planrunner.diagnosing import recorded_file, recorded_run
+    from planrunner.tasks.diagnose import recorded_file, recorded_run
 
     subject: Path = args.subject
     if subject.is_dir():

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _estimate(folder: Path, *, as_json: bool) -> Done:
-    from planrunner import running
+    from planrunner.tasks import run as running
 
     analysis = running.analyse_run(folder)
     if analysis.before is not None:

@@ -12,8 +12,8 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import Mark
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Mark
 from planrunner.reporting.printable import printable
 
 _INDENT = "    "

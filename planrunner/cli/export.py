@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from planrunner import cli
+from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
+from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run
 from planrunner.cli.printing import print_findings, write_file
-from planrunner.plan.findings import COMMAND_LINE, InputError, Mark, closest
 
 FORMS = {"csv": "csv", "matlab": "m", "yaml": "yaml", "c": "h"}
 
@@ -53,7 +53,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     from planrunner.archive.segment_file import safe_name
     from planrunner.estimators.results import Results
     from planrunner.reporting.export import export
-    from planrunner.running import stored_results
+    from planrunner.tasks.run import stored_results
 
     reader = RunReader.open(run)
     print_findings(reader.findings)
@@ -83,15 +83,15 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     }
     target: Path | None = args.output
     if target is None and args.json:
-        return Done(cli.DONE, found)
+        return Done(exit_codes.DONE, found)
     text = export(
         estimate, args.format, {"run": reader.run["run"], "analysis": str(number), "plan": reader.run["plan"]}
     )
     if target is None:
         print(text, end="")
-        return Done(cli.DONE)
+        return Done(exit_codes.DONE)
     target = target / f"{reader.run['run']}-{safe_name(name)}.{FORMS[args.format]}" if folder else target
     write_file(target, text)
     if not args.json:
         print(target)
-    return Done(cli.DONE, {**found, "file": str(target)})
+    return Done(exit_codes.DONE, {**found, "file": str(target)})

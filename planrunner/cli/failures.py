@@ -7,9 +7,9 @@ import tempfile
 import traceback
 from dataclasses import dataclass
 
-from planrunner import cli
+from planrunner.base.findings import COMMAND_LINE, Finding, InputError, Mark
+from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_findings
-from planrunner.plan.findings import COMMAND_LINE, Finding, InputError, Mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +37,15 @@ class _Known:
 
 
 _KINDS = {
-    "IntegrityError": _Known(cli.INTEGRITY, "run-integrity"),
-    "NotOrdinaryError": _Known(cli.INTEGRITY, "run-integrity"),
-    "InstrumentError": _Known(cli.FAULT, "run-instrument"),
-    "EstimationError": _Known(cli.WRONG_INPUT, "estimate-failed"),
-    "ReportError": _Known(cli.WRONG_INPUT, "report-failed"),
-    "ExportError": _Known(cli.WRONG_INPUT, "export-failed"),
+    "IntegrityError": _Known(exit_codes.INTEGRITY, "run-integrity"),
+    "NotOrdinaryError": _Known(exit_codes.INTEGRITY, "run-integrity"),
+    "InstrumentError": _Known(exit_codes.FAULT, "run-instrument"),
+    "EstimationError": _Known(exit_codes.WRONG_INPUT, "estimate-failed"),
+    "ReportError": _Known(exit_codes.WRONG_INPUT, "report-failed"),
+    "ExportError": _Known(exit_codes.WRONG_INPUT, "export-failed"),
 }
-_SYSTEM = _Known(cli.WRONG_INPUT, "file-system")
-_INTERNAL = _Known(cli.FAULT, "internal-error")
+_SYSTEM = _Known(exit_codes.WRONG_INPUT, "file-system")
+_INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> Failure:
@@ -54,7 +54,7 @@ def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> Failure:
     Of an exception that no rule foresees, the traceback is kept in a temporary file that the message names.
     """
     if isinstance(error, InputError):
-        return Failure(cli.WRONG_INPUT, tuple(error.findings))
+        return Failure(exit_codes.WRONG_INPUT, tuple(error.findings))
     for kind in type(error).__mro__:
         known = _KINDS.get(kind.__name__)
         if known is not None:

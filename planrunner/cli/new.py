@@ -6,11 +6,11 @@ import argparse
 import re
 from pathlib import Path
 
-from planrunner import cli
+from planrunner.base.findings import InputError, Mark, closest
+from planrunner.base.shipped import shipped
+from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json
 from planrunner.plan import source
-from planrunner.plan.findings import InputError, Mark, closest
-from planrunner.shipped import shipped
 
 SCHEMA = "plan.schema.json"
 _HEADER = re.compile(rb"^# yaml-language-server: \$schema=(\S+)", re.MULTILINE)  # by which editors find the schema
@@ -34,9 +34,9 @@ def run(args: argparse.Namespace) -> int:
     schema = _copy(plans[args.plan], target)
     if args.json:
         print_json({"plan": str(target), "schema": str(schema)})
-        return cli.DONE
+        return exit_codes.DONE
     print(f"{target}: check it with `planrunner check {target}`")
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _list(plans: dict[str, Path], *, as_json: bool) -> int:
@@ -46,11 +46,11 @@ def _list(plans: dict[str, Path], *, as_json: bool) -> int:
         titles[name] = written.text if isinstance(written, source.Scalar) else ""
     if as_json:
         print_json([{"name": name, "title": title} for name, title in titles.items()])
-        return cli.DONE
+        return exit_codes.DONE
     for name, title in titles.items():
         print(f"{name:<36} {title}")
     print("\nCopy one with: planrunner new NAME [FILE]")
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _copy(original: Path, target: Path) -> Path:

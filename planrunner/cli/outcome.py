@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planrunner import cli
+from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
     from planrunner.execution.outcome import Outcome
     from planrunner.reporting.verdict import Headline
-    from planrunner.running import Analysis
+    from planrunner.tasks.run import Analysis
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
@@ -32,7 +32,9 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
         print(f"Stopped {outcome.stopped} on request.", file=sys.stderr)
     print(f"{outcome.completed} of {outcome.segments} segments were recorded now and are kept.", file=sys.stderr)
     print(f"Go on with: planrunner resume {folder}", file=sys.stderr)
-    code = cli.INTERRUPTED if outcome.stopped and not outcome.failures and not outcome.unsafe else cli.FAULT
+    code = (
+        exit_codes.INTERRUPTED if outcome.stopped and not outcome.failures and not outcome.unsafe else exit_codes.FAULT
+    )
     if as_json:
         print_json(
             {
@@ -71,9 +73,9 @@ def finish(analysis: Analysis, *, as_json: bool) -> int:
 def code_of(results: Results) -> int:
     """Wrong input where the plan is why an estimate could not be made; else whether a limit failed or the data do not give an estimate."""
     if results.failures.keys() - set(results.unfit):
-        return cli.WRONG_INPUT
+        return exit_codes.WRONG_INPUT
     met = all(limit.verdict == "pass" for limit in results.limits)
-    return cli.DONE if met and not results.unfit else cli.LIMIT_FAILED
+    return exit_codes.DONE if met and not results.unfit else exit_codes.LIMIT_FAILED
 
 
 def print_results(results: Results, headline: Headline) -> None:

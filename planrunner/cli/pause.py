@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner import cli
 from planrunner.archive import pausing
 from planrunner.archive.verifying import open_run
+from planrunner.base.findings import InputError, Mark
+from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_json
-from planrunner.plan.findings import InputError, Mark
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +29,6 @@ def run(args: argparse.Namespace) -> int:
     pausing.ask_to_pause(folder)
     if args.json:
         print_json({"run": str(folder.path), "asked": "pause"})
-        return cli.DONE
+        return exit_codes.DONE
     print(f"The run waits after this segment, with the bench safe. Go on with: planrunner resume {folder.path}")
-    return cli.DONE
+    return exit_codes.DONE

@@ -11,8 +11,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TextIO
 
+from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.cli.excerpt import excerpt
-from planrunner.plan.findings import Finding, InputError, Mark
 from planrunner.reporting.printable import beneath, printable
 
 _COLOURS = {"error": "31;1", "warning": "33;1", "note": "36"}

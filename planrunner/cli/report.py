@@ -6,11 +6,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from planrunner import cli
+from planrunner.base.findings import COMMAND_LINE, InputError, closest
+from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done, each_run
 from planrunner.cli.printing import print_findings, write_file
-from planrunner.plan.findings import COMMAND_LINE, InputError, closest
-from planrunner.run_information import gather_for_issue
+from planrunner.plan.run_information import gather_for_issue
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
     """Run folders, and the names of reports. The first word is always a run; a later one is a run where it is a folder. Raises
     `InputError` for a name that no report has."""
-    from planrunner.checking import report_names
+    from planrunner.tasks.check import report_names
 
     known = report_names()
     runs, names = [Path(words[0])], []
@@ -65,7 +65,7 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
 
 def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
     """A certificate is issued for one item, and one file holds one report. Raises `InputError`."""
-    from planrunner.certificates import is_certificate
+    from planrunner.reporting.certificate_requirements import is_certificate
 
     given = {"--set": args.set, "--info": args.info, "--before": args.before, "--template": args.template}
     alone = [*(name for name in names if is_certificate(name)), *(option for option, value in given.items() if value)]
@@ -75,8 +75,9 @@ def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
 
 
 def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done:
-    from planrunner import certifying, running
     from planrunner.archive.run_reader import RunReader
+    from planrunner.tasks import certify as certifying
+    from planrunner.tasks import run as running
 
     recorded = RunReader.open(run).run["info"]
     given = gather_for_issue([*certifying.names(), *recorded], args.set, args.info)
@@ -94,4 +95,4 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
     if not args.json:
         for path in written:
             print(path)
-    return Done(cli.DONE, {**found, "files": [str(path) for path in written]})
+    return Done(exit_codes.DONE, {**found, "files": [str(path) for path in written]})

@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner import cli
 from planrunner.archive import pausing
 from planrunner.archive.verifying import open_run
+from planrunner.base.findings import COMMAND_LINE, InputError
+from planrunner.cli import exit_codes
 from planrunner.cli.operator import operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments
-from planrunner.plan.findings import COMMAND_LINE, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,9 +49,9 @@ def run(args: argparse.Namespace) -> int:
             print_json({"run": str(folder), "asked": "go on"})
         else:
             print("The run goes on.")
-        return cli.DONE
-    from planrunner import running
+        return exit_codes.DONE
     from planrunner.execution.stopping import StopRequest
+    from planrunner.tasks import run as running
 
     retake = running.Retake(tuple(args.retake), args.reason) if args.retake else None
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:

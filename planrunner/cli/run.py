@@ -9,7 +9,7 @@ from planrunner.cli.check import sound_plan
 from planrunner.cli.operator import add_attendance, operator_of
 from planrunner.cli.outcome import finish, tell
 from planrunner.cli.progress import run_progress
-from planrunner.run_information import gather
+from planrunner.plan.run_information import gather
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,8 +50,8 @@ def seed(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     sound = sound_plan(args.plan, args.bench)
     info = gather(sound.plan, args.set, args.info)
-    from planrunner import running
     from planrunner.execution.stopping import StopRequest
+    from planrunner.tasks import run as running
 
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
         folder, outcome = running.start(

@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from planrunner import cli
+from planrunner.cli import exit_codes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from planrunner.archive.provenance import versions
-    from planrunner.validation import validate
+    from planrunner.tasks.self_test import validate
 
     with tempfile.TemporaryDirectory(prefix="planrunner-") as folder:
         rows = list(validate(Path(folder)))
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
                 "comparisons": [asdict(row) | {"passed": row.passed} for row in rows],
             }
         )
-        return cli.DONE if passed else cli.LIMIT_FAILED
+        return exit_codes.DONE if passed else exit_codes.LIMIT_FAILED
     from planrunner.estimators.interface import Role, Table, TableColumn
     from planrunner.reporting import terminal
     from planrunner.reporting.columns import alike
@@ -55,4 +55,4 @@ def run(args: argparse.Namespace) -> int:
     console.print(terminal.data_table(Table("Self-test", columns, cells)))
     console.print(", ".join(f"{name} {version}" for name, version in versions().items()))
     print(f"{sum(row.passed for row in rows)} of {len(rows)} comparisons passed")
-    return cli.DONE if passed else cli.LIMIT_FAILED
+    return exit_codes.DONE if passed else exit_codes.LIMIT_FAILED

@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from planrunner import cli
 from planrunner.bench.model import safe_order
+from planrunner.cli import exit_codes
 from planrunner.cli.check import sound_plan
 from planrunner.cli.printing import print_json, write_file
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             }
         )
     if args.html is not None or args.json:
-        return cli.DONE
+        return exit_codes.DONE
     from planrunner.reporting import terminal
 
     console = terminal.console()
@@ -64,4 +64,4 @@ def run(args: argparse.Namespace) -> int:
         if design.predicted:
             console.print(terminal.predicted_table(name, design))
     print(f"Safe state in this order: {order}")
-    return cli.DONE
+    return exit_codes.DONE

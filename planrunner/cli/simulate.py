@@ -10,7 +10,7 @@ from planrunner.cli.outcome import finish, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_run_arguments, seed
-from planrunner.run_information import gather
+from planrunner.plan.run_information import gather
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from planrunner import running
     from planrunner.execution.stopping import StopRequest
-    from planrunner.simulating import simulation
+    from planrunner.tasks import run as running
+    from planrunner.tasks.simulate import simulation
 
     made = simulation(args.plan, args.bench, args.effects)
     print_findings(made.sound.findings)

@@ -10,11 +10,11 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from planrunner import cli
+from planrunner.base.findings import COMMAND_LINE, InputError, Mark
+from planrunner.base.regular_files import RefusedFileError, read_regular
 from planrunner.bench.model import Bench, read_bench
 from planrunner.bench.simulation import ask
-from planrunner.plan.findings import COMMAND_LINE, InputError, Mark
-from planrunner.regular_files import RefusedFileError, read_regular
+from planrunner.cli import exit_codes
 
 _LONGEST_NOTE = 1_000_000
 
@@ -86,7 +86,7 @@ def _tell(bench: Bench, request: dict[str, Any], ready: Path | None) -> int:
     control = simulation_of(bench).control
     reply = ask(control, request, _token(ready, control))
     print(", ".join(f"{name}: {value}" for name, value in reply.items()))
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _token(ready: Path | None, control: str) -> str:
@@ -150,7 +150,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
         serving.close()
         if args.ready:
             args.ready.unlink(missing_ok=True)
-    return cli.DONE
+    return exit_codes.DONE
 
 
 def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:

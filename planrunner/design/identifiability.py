@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.interface import Design, DesignBlock
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner import plugins
+from planrunner.base import plugins
 from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Setup
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site

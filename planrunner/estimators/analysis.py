@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from planrunner import plugins
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base import plugins
+from planrunner.base.findings import InputError
 from planrunner.estimators.basis_judgement import few_samples
 from planrunner.estimators.interface import (
     Design,
@@ -29,7 +30,6 @@ from planrunner.estimators.monte_carlo_validation import linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
-from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
 from planrunner.plan.validate_spec import USUAL, MonteCarloSpec

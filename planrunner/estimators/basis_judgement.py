@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planrunner.archive.recording import BATCHES
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
 from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit

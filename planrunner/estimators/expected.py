@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES, RecordedSegment, Statistics, expected_segment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.full_scale import input_direction
 from planrunner.estimators.interface import DesignRequest
 from planrunner.instruments.models import OutputModel
 from planrunner.physics.stimulus import Poses, Stimulus
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import Coefficient, Estimate, EstimationError
-from planrunner.plan.findings import closest
 from planrunner.plan.quantity import Quantity, parse_symmetric
 from planrunner.plan.units import UnknownUnitError, unit
 from planrunner.uncertainty.decision import CONFIDENCE, coverage_factor, decide

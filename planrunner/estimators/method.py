@@ -19,7 +19,8 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import InputError
 from planrunner.estimators.expected import ASSUMPTIONS, Expected, Known, expected_recording
 from planrunner.estimators.interface import (
     Coefficient,
@@ -33,7 +34,6 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.plan.channels import channels_of
-from planrunner.plan.findings import InputError
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 

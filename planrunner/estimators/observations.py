@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.instruments.models import NoiseModel, SensorModel
-from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
 

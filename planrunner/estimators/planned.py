@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.findings import closest
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError
 from planrunner.instruments.models import NoiseModel
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError, segment_means
-from planrunner.physics.terms import ErrorModel
-from planrunner.plan.findings import closest
 from planrunner.plan.schedule import Rest, Segment
 
 Array = NDArray[np.float64]

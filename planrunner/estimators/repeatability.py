@@ -17,7 +17,8 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -35,7 +36,6 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.root_of_square import root_of
-from planrunner.plan.findings import closest
 from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import InputError, Mark
 from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
 from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.instruments.models import Origin
-from planrunner.plan.findings import InputError, Mark
 from planrunner.uncertainty.influences import Budget, BudgetLine
 
 __all__ = ["FORMAT", "Origin", "Results", "segment_statistics"]

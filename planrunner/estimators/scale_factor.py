@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.flicker import drift_span, flicker_effects

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model.terms import ErrorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import Poses, Stimulus
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Segment, Spin
 from planrunner.uncertainty.influences import Influence, Inputs
 

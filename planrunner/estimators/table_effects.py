@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import Setup
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.stated_influences import mean_poses, mean_stimulus
@@ -21,7 +22,6 @@ from planrunner.instruments.models import TableModel
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
 from planrunner.physics.stimulus import Poses
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.influences import InputQuantity
 

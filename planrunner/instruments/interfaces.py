@@ -26,10 +26,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Finding
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
-from planrunner.plan.findings import Finding
 from planrunner.plan.kinds import Record
 from planrunner.plan.schedule import Motion, Segment
 

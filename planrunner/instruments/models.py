@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Literal
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
 __all__ = ["ChamberModel", "NoiseModel", "Origin", "OutputModel", "SensorModel", "TableAxis", "TableModel"]

@@ -3,8 +3,8 @@ of temperature."""
 
 from __future__ import annotations
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import Findings
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Schema
 from planrunner.plan.quantity import Quantity, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.findings import Findings, Mark
 from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
@@ -22,7 +23,6 @@ from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
 from planrunner.instruments.recording_pauses import stretches
 from planrunner.instruments.recording_scan import Progress, Wanted, scan
 from planrunner.instruments.recording_table import SegmentTable, read_segment_table
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
 

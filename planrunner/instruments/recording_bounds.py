@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
+from planrunner.base.regular_files import RefusedFileError, open_regular
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.regular_files import RefusedFileError, open_regular
 
 if TYPE_CHECKING:
     import pyarrow.parquet as pq

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_bounds import (
     CSV_BLOCK,
@@ -25,7 +26,6 @@ from planrunner.instruments.recording_bounds import (
     check_parquet,
     open_samples,
 )
-from planrunner.plan.findings import closest
 from planrunner.plan.span import EVERYTHING, Span
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from planrunner.plan.findings import Findings
+from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Choice, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.source import Node, Scalar

@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark
 from planrunner.instruments.recording_file import RecordingFile
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.span import ROUNDING, Span
 
 Array = NDArray[np.float64]

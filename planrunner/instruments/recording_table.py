@@ -7,9 +7,9 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import InputError, closest
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.findings import InputError, closest
 from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span

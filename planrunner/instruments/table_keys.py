@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from planrunner.base.findings import Findings
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import TableAxis, Unreachable, check_geometry
 from planrunner.plan import source
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 

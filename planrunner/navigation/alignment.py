@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import EAST_VELOCITY, INPUTS, SIZE, TILT, ErrorEquations
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.navigation.wgs84 import radii
 from planrunner.physics.earth import Site
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 
-from planrunner.compiled import compiled
+from planrunner.base.compiled import compiled
 from planrunner.navigation.wgs84 import (
     ECCENTRICITY_SQUARED,
     FLATTENING,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.navigation import attitude
 from planrunner.navigation.wgs84 import SEMI_MAJOR_AXIS, normal_gravity
 from planrunner.physics.earth import Site

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 
 EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.041067 deg/h
 

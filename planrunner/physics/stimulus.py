@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import cross
 from planrunner.plan.schedule import Rest, Segment, Spin

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import SLACK, Array, TableAxis, joint_directions, limits_in_words, spin_axis
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Motion, Rock, Spin

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from planrunner.plan.findings import Findings, closest
+from planrunner.base.findings import Findings, closest
 from planrunner.plan.kinds import CHANNEL, ListOf, Record, keys_of
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import Findings, Mark, closest
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan.model import Plan
 from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, SegmentSpec, State
 from planrunner.plan.sweep import SweepValue

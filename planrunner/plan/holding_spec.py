@@ -5,7 +5,7 @@ The readings are measured by the instruments themselves; `planrunner.plan.schedu
 
 from __future__ import annotations
 
-from planrunner.plan.findings import Findings
+from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Choice, Number, QuantityOf, Record, RecordOf, key
 from planrunner.plan.quantity import Quantity
 

@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from typing import Any, Protocol, dataclass_transform
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.plan.values import (
     CHANNEL,
     Boolean,

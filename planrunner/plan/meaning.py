@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from planrunner.base.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.findings import Findings, Mark, closest, elsewhere
 from planrunner.plan.model import EstimateSpec, Limit, Plan
 from planrunner.plan.selection import Detection, Labels
 

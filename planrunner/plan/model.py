@@ -9,11 +9,11 @@ import math
 from dataclasses import field
 from typing import Any
 
-from planrunner import plugins
-from planrunner.dataclass import dataclass
+from planrunner.base import plugins
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark
 from planrunner.plan import source
 from planrunner.plan.diagnosis_spec import DiagnosisSpec
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.kinds import (
     Choice,
     Kind,

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan import model
 from planrunner.plan.directions import DIRECTIONS
-from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest, Rock, Spin
 

@@ -16,9 +16,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, closest
 from planrunner.plan.directions import DIRECTIONS, Direction, perpendicular, word_of
-from planrunner.plan.findings import Findings, closest
 from planrunner.plan.quantity import PLAIN, QuantityError, anchored, parse_quantity
 from planrunner.plan.source import Mapping, Node, Scalar, Sequence
 

@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import Findings, Mark, closest
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan.source import Mapping, Node, Scalar
 from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, dimension_name, suggestion, unit
 

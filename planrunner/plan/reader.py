@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planrunner.base.findings import Findings, InputError
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.model import Plan
 

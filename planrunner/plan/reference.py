@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from planrunner import plugins
+from planrunner.base import plugins
 from planrunner.plan import diagnosis_spec, holding_spec, model, selection
 from planrunner.plan.kinds import (
     Boolean,

@@ -12,8 +12,8 @@ from dataclasses import field
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import Mark
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Mark
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import field
 from typing import Any
 
+from planrunner.base.findings import Findings
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.holding_spec import STABILITY, WATCH, Stability, Watch
 from planrunner.plan.kinds import (
     Boolean,

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase, translate
 
+from planrunner.base.findings import Findings, closest
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, closest
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.quantity import Quantity
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import yaml
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import MISLEADING, Findings, InputError, Mark
-from planrunner.regular_files import RefusedFileError, read_regular
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import MISLEADING, Findings, InputError, Mark
+from planrunner.base.regular_files import RefusedFileError, read_regular
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 40

@@ -23,9 +23,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, Mark, closest
 from planrunner.plan.kinds import ByShape, QuantityOf, Record, Schema, WordOr, keys_of
 from planrunner.plan.quantity import (
     Quantity,

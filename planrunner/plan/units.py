@@ -13,8 +13,8 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from planrunner.dataclass import dataclass
-from planrunner.plan.findings import nearest
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import nearest
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901
 ZERO_CELSIUS = 273.15  # K

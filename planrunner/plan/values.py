@@ -11,9 +11,9 @@ import re
 from functools import lru_cache
 from typing import Any, Protocol
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, closest
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, closest
 from planrunner.plan.quantity import Quantity, anchored, read_quantity
 from planrunner.plan.quantity import schema as quantity_schema
 

@@ -12,8 +12,47 @@ from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.results import Origin
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
-from planrunner.reporting.certificate import CertificateFacts
 from planrunner.reporting.verdict import Headline, headline
+
+
+@dataclass(frozen=True, slots=True)
+class Traced:
+    """A reference of the calibration: the site or an instrument, what it says of itself, and the calibration that is stated."""
+
+    name: str
+    identity: str = ""
+    certificate: str = ""
+    date: str = ""
+    due: str = ""
+    laboratory: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateFacts:
+    """What a certificate shows and no other report does. Dates are ISO 8601.
+
+    laboratory: the bench file's `laboratory`. told: run information, of the run and of the issue; corrected: names told otherwise at the
+    issue → as recorded with the run. performed: first and last day of the run. conditions: (name, text). events: what happened that the
+    method does not foresee, as (kind, segment, reason) with the kinds truncated, rejected, fault. before: estimates of the run before the
+    adjustment, by name. duration: from the first sample to the last, s. simulated: no real item was measured; replayed: a recording was
+    played back.
+    """
+
+    run: str
+    laboratory: Mapping[str, str] = field(default_factory=dict)
+    told: Mapping[str, str] = field(default_factory=dict)
+    corrected: Mapping[str, str] = field(default_factory=dict)
+    references: tuple[Traced, ...] = ()
+    conditions: tuple[tuple[str, str], ...] = ()
+    events: tuple[tuple[str, str, str], ...] = ()
+    performed: tuple[str, str] = ("", "")
+    issued: str = ""
+    plan_digest: str = ""
+    before: Mapping[str, Estimate] = field(default_factory=dict)
+    before_run: str = ""
+    duration: float | None = None
+    simulated: bool = False
+    replayed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,17 +13,15 @@ from typing import Any
 from planrunner.estimators.interface import Role, Table, TableColumn
 from planrunner.estimators.results import Origin
 from planrunner.reporting.columns import alike
+from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
 
-SHOWN = 0.005
-"""Hypotheses less probable than this are summed up as others."""
 SURE = 0.95
 """Probability of noise alone from which on there is said to be no gap."""
 CONSPICUOUS = 0.05
 """Places that noise alone makes as conspicuous more often than this are not shown."""
 MOST_PLACES = 12
-MOST_HYPOTHESES = 12
 MOST_PARAMETERS = 24
 FOOTER = (
     "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only "
@@ -215,15 +213,6 @@ def _hypotheses(found: Data) -> Table:
         (*alike(Role.LABEL, "Hypothesis"), *alike(Role.VALUE, "probability"), *alike(Role.LABEL, "in the 95 % set")),
         rows,
     )
-
-
-def ranked(found: Data) -> list[tuple[str, float]]:
-    """Hypotheses worth showing, the most probable first; the rest as `others`."""
-    posterior: Mapping[str, float] = found["posterior"]
-    order = sorted(posterior.items(), key=lambda pair: -pair[1])
-    shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
-    rest = sum(posterior.values()) - sum(p for _, p in shown)
-    return [*shown, ("others", rest)] if rest > SHOWN / 10 else shown
 
 
 def _parameters(found: Data) -> Table:

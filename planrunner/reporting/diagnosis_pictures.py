@@ -9,10 +9,26 @@ from typing import Any
 import numpy as np
 
 from planrunner.estimators.interface import Plot
-from planrunner.reporting.diagnosis_page import ranked
 from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
 
 Data = Mapping[str, Any]
+
+SHOWN = 0.005
+"""Hypotheses less probable than this are summed up as others."""
+
+
+MOST_HYPOTHESES = 12
+
+
+def ranked(found: Data) -> list[tuple[str, float]]:
+    """Hypotheses worth showing, the most probable first; the rest as `others`."""
+    posterior: Mapping[str, float] = found["posterior"]
+    order = sorted(posterior.items(), key=lambda pair: -pair[1])
+    shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
+    rest = sum(posterior.values()) - sum(p for _, p in shown)
+    return [*shown, ("others", rest)] if rest > SHOWN / 10 else shown
+
+
 MOST_CHANNELS = 6
 """Channels that spectra and means are drawn of, those with the largest gap first."""
 HOTTEST = 100.0

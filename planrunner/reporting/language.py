@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from planrunner.shipped import shipped
+from planrunner.base.shipped import shipped
 
 ENGLISH = "en"
 _PLACE = re.compile(r"%(?:%|\((\w+)\)s)")

@@ -25,7 +25,7 @@ FOOTER = (
 
 @dataclass(frozen=True, slots=True)
 class ShownRates:
-    """One set: rates (n,), rad/s, and dwells (n,), s, largest rate first; the rest as in `planrunner.designing_rates.RateSet`."""
+    """One set: rates (n,), rad/s, and dwells (n,), s, largest rate first; the rest as in `planrunner.tasks.design_rates.RateSet`."""
 
     rates: tuple[float, ...]
     dwells: tuple[float, ...]

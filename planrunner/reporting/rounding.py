@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from decimal import ROUND_HALF_EVEN, Decimal
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 
 _PLAIN_FROM, _PLAIN_TO = -5, 6  # decimal exponents of the leading digit that are written without a power of ten
 

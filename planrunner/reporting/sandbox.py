@@ -14,9 +14,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planrunner.regular_files import RefusedFileError, read_regular
+from planrunner.base.regular_files import RefusedFileError, read_regular
+from planrunner.base.shipped import shipped
 from planrunner.reporting.language import ENGLISH, languages, spoken
-from planrunner.shipped import shipped
 
 if TYPE_CHECKING:
     from jinja2 import Environment

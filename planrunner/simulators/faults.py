@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from planrunner.base.findings import Findings, InputError, closest
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, closest
 from planrunner.plan.kinds import Choice, ListOf, Number, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 

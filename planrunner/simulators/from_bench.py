@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from planrunner.base.findings import InputError, closest
 from planrunner.bench.model import Bench, InstrumentEntry, driver_of, read_bench, site_of
 from planrunner.bench.simulation import Simulation
 from planrunner.instruments.interfaces import Surroundings
 from planrunner.instruments.virtual.world import World
-from planrunner.plan.findings import InputError, closest
 from planrunner.simulators import sensor_units as units
 from planrunner.simulators.acutrol import Acutrol
 from planrunner.simulators.addresses import Address

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from planrunner.plan.findings import InputError
+from planrunner.base.findings import InputError
 from planrunner.simulators.addresses import Address
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.control import Control

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.decision import coverage_factor
 from planrunner.uncertainty.influences import Budget, BudgetLine, Influence, InputQuantity
 

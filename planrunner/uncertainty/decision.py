@@ -7,7 +7,7 @@ from enum import StrEnum
 from functools import lru_cache
 from typing import Literal
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 
 CONFIDENCE = 0.95
 

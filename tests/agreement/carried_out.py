@@ -8,11 +8,11 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-from planrunner import running
-from planrunner.checking import Sound, check_plan
+from planrunner.base.findings import InputError
 from planrunner.cli.outcome import code_of
 from planrunner.execution.stopping import StopRequest
-from planrunner.plan.findings import InputError
+from planrunner.tasks import run as running
+from planrunner.tasks.check import Sound, check_plan
 
 from .written_plans import Plan
 

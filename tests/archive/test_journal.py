@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.journal import FIRST, Journal, JournalScan, finite
 from planrunner.archive.storage import Storage
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.guarded_folder import GuardedFolder
 
 
 def write(path: Path, events: int, storage: Storage | None = None) -> Journal:

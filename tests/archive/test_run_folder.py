@@ -22,9 +22,9 @@ from planrunner.archive import formats, space
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.findings import InputError
+from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block
-from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Rest, Schedule, Segment
 
 

@@ -19,7 +19,7 @@ from planrunner.archive.journal_state import name_parts
 from planrunner.archive.segment_file import Part, SegmentData, SegmentWriter, file_stem, safe_name
 from planrunner.archive.segment_file import read_part as read_part_of
 from planrunner.archive.storage import Storage
-from planrunner.guarded_folder import GuardedFolder
+from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Block, InstrumentError
 
 UNITS = {"x": "deg/s", "y": "m/s^2"}

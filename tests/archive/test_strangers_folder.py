@@ -15,15 +15,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from planrunner import guarded_folder
 from planrunner.archive import journal
 from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import verify
-from planrunner.guarded_folder import GuardedFolder, NotOrdinaryError
+from planrunner.base import guarded_folder
+from planrunner.base.findings import InputError
+from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block
-from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Rest, Schedule, Segment
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="links, pipes and devices as POSIX has them")
@@ -210,7 +210,7 @@ def test_a_report_of_the_watchdog_that_is_a_link_is_not_copied(cut: Path, tmp_pa
         with pytest.raises(NotOrdinaryError, match="a link"):
             writer.take_watchdog_report()
     assert SECRET.strip() not in (cut / "journal.jsonl").read_bytes()
-    from planrunner.watchdog_report import append_report
+    from planrunner.bench.watchdog_report import append_report
 
     append_report(cut, "what the watchdog did\n")
     assert (secret.read_bytes(), (cut / "watchdog.txt").read_bytes()) == (SECRET, b"what the watchdog did\n")

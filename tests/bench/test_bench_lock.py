@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from planrunner import exclusive, plugins
+from planrunner.base import exclusive, plugins
+from planrunner.base.exclusive import ExclusiveFile, HeldError
+from planrunner.base.findings import InputError
 from planrunner.bench import lock
 from planrunner.bench.lock import bench_lock, lock_folder, watchdog_lock
 from planrunner.bench.model import Bench, parse_bench, real_instruments
-from planrunner.exclusive import ExclusiveFile, HeldError
 from planrunner.plan import source
-from planrunner.plan.findings import InputError
 from planrunner.plan.kinds import Record, Text, key
 
 

@@ -12,11 +12,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planrunner.base.findings import InputError
+from planrunner.base.shipped import shipped
 from planrunner.bench.model import locate, models, parse_bench, read_bench, safe_order, shipped_benches
 from planrunner.plan import source
-from planrunner.plan.findings import InputError
-from planrunner.plan.schema import bench_schema
-from planrunner.shipped import shipped
+from planrunner.tasks.write_schemas import bench_schema
 
 TABLE = """
   table:

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
-from planrunner.bench.inputs import check_vertical, stated_inputs
 from planrunner.bench.model import models, parse_bench, site_of
 from planrunner.instruments.interfaces import Surroundings
 from planrunner.instruments.virtual.carrier import VirtualCarrier, VirtualCarrierParameters
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
+from planrunner.uncertainty.stated_inputs import check_vertical, stated_inputs
 
 ARCSEC = math.radians(1 / 3600)
 BENCH = """planrunner_bench: 1

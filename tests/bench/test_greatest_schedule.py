@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.scheduling import build_schedule
-from planrunner.checking import check_plan
 from planrunner.cli.check import summary
 from planrunner.plan.expand import expand
-from planrunner.plan.findings import Findings
+from planrunner.tasks.check import check_plan
 
 PLAN = """\
 planrunner: 1

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.checking import check_plan
-from planrunner.plan.findings import Finding
+from planrunner.base.findings import Finding
+from planrunner.tasks.check import check_plan
 
 PLAN = """\
 planrunner: 1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from planrunner import plugins
+from planrunner.base import plugins
 from planrunner.bench import model
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.model import parse_bench, read_bench

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.calibration import check_validity
-from planrunner.bench.inputs import stated_inputs
 from planrunner.bench.model import models, parse_bench
-from planrunner.checking import check_plan
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.quantity import parse_quantity
+from planrunner.tasks.check import check_plan
 from planrunner.uncertainty.influences import InputQuantity, Inputs
+from planrunner.uncertainty.stated_inputs import stated_inputs
 
 ARCSEC = math.pi / 648000
 BENCH = """planrunner_bench: 1

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.checking import check_plan
+from planrunner.base.findings import Finding
 from planrunner.instruments.models import ChamberModel
-from planrunner.plan.findings import Finding
+from planrunner.tasks.check import check_plan
 
 PLAN = """\
 planrunner: 1

@@ -12,22 +12,23 @@ import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
+from planrunner.base.findings import Findings
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
-from planrunner.gap.closure import Choice, predictions
-from planrunner.gap.diagnosis import Diagnosis
-from planrunner.gap.diagnosis import diagnose as diagnosed
-from planrunner.gap.effects.interface import Variant
-from planrunner.gap.observed import Observed, observed
-from planrunner.gap.whole import forms, whole
+from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.closure import Choice, predictions
+from planrunner.gap.answer.diagnosis import Diagnosis
+from planrunner.gap.answer.diagnosis import diagnose as diagnosed
+from planrunner.gap.hypotheses.whole import forms, whole
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
+from planrunner.observation.samples import observed
 from planrunner.physics.earth import Site
 from planrunner.plan.expand import expand
-from planrunner.plan.findings import Findings
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
-from planrunner.proposing import Frame, propose_next
+from planrunner.tasks.propose import Frame, propose_next
 from tests.blind.folder import Shown
 from tests.blind.generator import channel_names, device_of
 from tests.blind.motion import WORDS, Array, Fault, vector

@@ -10,8 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from planrunner.cli import DONE, WRONG_INPUT, main
-from tests.test_diagnosing import change, laboratory, listed, set_at
+from planrunner.cli import main
+from planrunner.cli.exit_codes import DONE, WRONG_INPUT
+from tests.tasks.test_diagnose import change, laboratory, listed, set_at
 
 Ended = tuple[int, str, str]
 DRAW = np.random.default_rng(1)

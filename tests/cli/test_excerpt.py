@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.checking import check_plan
+from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.cli import main
 from planrunner.cli.excerpt import Excerpt, excerpt
 from planrunner.cli.printing import print_findings
 from planrunner.plan import source
-from planrunner.plan.findings import Finding, InputError, Mark
+from planrunner.tasks.check import check_plan
 
 PLAN = """\
 planrunner: 1

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.findings import Finding, InputError, nearest
 from planrunner.bench.model import benches_for, models, read_bench
-from planrunner.checking import check_plan
 from planrunner.cli import main
-from planrunner.designing_rates import RateOptions, design_rates, has_rates_alone
 from planrunner.estimators.interface import EstimationError
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import open_recording
-from planrunner.plan.findings import Finding, InputError, nearest
 from planrunner.plan.reader import load_plan
+from planrunner.plan.run_information import gather
 from planrunner.plan.units import suggestion
-from planrunner.run_information import gather
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.design_rates import RateOptions, design_rates, has_rates_alone
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 EIGHT = PLANS / "flexure_gyro_eight_position.yaml"

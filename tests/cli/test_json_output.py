@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from planrunner.cli import DONE, INTEGRITY, WRONG_INPUT, main
+from planrunner.cli import main
+from planrunner.cli.exit_codes import DONE, INTEGRITY, WRONG_INPUT
 
 ROOT = Path(__file__).resolve().parents[2]
 FLAGSHIP = str(ROOT / "plans" / "flexure_gyro_eight_position.yaml")

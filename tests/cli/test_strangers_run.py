@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from planrunner import running
 from planrunner.archive import verifying
 from planrunner.archive.origin import made_here
 from planrunner.archive.run_folder import RunWriter
@@ -21,6 +20,7 @@ from planrunner.archive.verifying import verify
 from planrunner.cli import main
 from planrunner.execution.stopping import StopRequest
 from planrunner.plan.schedule import Rest, Segment
+from planrunner.tasks import run as running
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
 VIRTUAL = FLAGSHIP.parent / "benches" / "virtual.yaml"

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.checking import check_plan
 from planrunner.cli import main
 from planrunner.design.cycles import Cable, CycleError, free_order, same_order
-from planrunner.designing_cycles import CycleOptions, design_cycle
 from planrunner.estimators.interface import EstimationError
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.rewriting import RewriteError, with_moves
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.design_cycles import CycleOptions, design_cycle
 
 DEG = math.pi / 180
 PRINTED = (180, 90, -180, -90, -180, -90, 180, 90)

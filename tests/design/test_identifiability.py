@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from planrunner.design.identifiability import identify, identify_block
+from planrunner.error_model.flexure_gyro import static_model
+from planrunner.error_model.terms import Array, Term
 from planrunner.estimators.interface import Design, DesignBlock
 from planrunner.physics.earth import Site
-from planrunner.physics.flexure_gyro import static_model
 from planrunner.physics.stimulus import Stimulus, segment_means
-from planrunner.physics.terms import Array, Term
 from planrunner.plan.schedule import Rest, Segment
 
 SITE = Site(math.radians(39.98))

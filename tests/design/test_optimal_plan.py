@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.checking import Checked, check_plan
+from planrunner.base.findings import Findings
 from planrunner.cli import main
-from planrunner.designed_plan import write_plan
-from planrunner.designing import Options, Study, design_plan, residual_ratios
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.orientation import OrientationKind, in_words
 from planrunner.plan.rewriting import as_written, cardinal_orientations, orientation_text, with_orientations
+from planrunner.tasks.check import Checked, check_plan
+from planrunner.tasks.design_positions import Options, Study, design_plan, residual_ratios
+from planrunner.tasks.designed_plan import write_plan
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
 QUICK = Options(restarts=2)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from planrunner.design import continuous, exchange
-from planrunner.designing import Options, design_plan
 from planrunner.estimators.interface import EstimationError
+from planrunner.tasks.design_positions import Options, design_plan
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 

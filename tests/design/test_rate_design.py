@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.checking import check_plan
 from planrunner.cli import main
-from planrunner.designing_rates import RateOptions, design_rates
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.rewriting import with_rates
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.design_rates import RateOptions, design_rates
 
 BENCH = """planrunner_bench: 1
 name: rates

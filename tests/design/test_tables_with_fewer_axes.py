@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.checking import check_plan
-from planrunner.designed_plan import write_plan
-from planrunner.designing import Options, design_plan
 from planrunner.estimators.interface import EstimationError
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.design_positions import Options, design_plan
+from planrunner.tasks.designed_plan import write_plan
 
 OUTER = "{name: outer, direction: east, max_rate: 100 deg/s, max_acceleration: 100 deg/s^2, lowest: -120 deg, highest: 120 deg}"
 INNER = "{name: inner, direction: north, max_rate: 100 deg/s, max_acceleration: 100 deg/s^2}"

@@ -15,13 +15,13 @@ from recorded import from_samples
 from scipy.spatial.transform import Rotation
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.findings import Findings
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
 from planrunner.estimators.rocking.rocking_drift import RockingDrift
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment
 

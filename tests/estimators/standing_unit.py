@@ -10,7 +10,7 @@ from recorded import from_samples, segment
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimateRequest, Setup
-from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigationParameters
+from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion

@@ -14,6 +14,7 @@ from recorded import from_means, segment, sensor
 from test_compensation_residual import TRADITIONAL, VERIFY
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
+from planrunner.base.findings import InputError
 from planrunner.cli.outcome import code_of
 from planrunner.estimators.analysis import Results, analyse, combined, design_of
 from planrunner.estimators.flexure_gyro.compensation_residual import CompensationResidualParameters
@@ -28,7 +29,6 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.limits import hold
-from planrunner.plan.findings import InputError
 from planrunner.plan.model import Limit
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Segment

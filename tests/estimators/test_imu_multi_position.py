@@ -272,8 +272,8 @@ def test_bad_recordings() -> None:
 
 def test_a_term_of_another_package_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its column is the cube of the force along x; the truth has 2·10⁻⁶ of it in every output."""
-    from planrunner import plugins
-    from planrunner.physics.terms import Term
+    from planrunner.base import plugins
+    from planrunner.error_model.terms import Term
 
     cube = Term(
         "cubed_x", "Cube of the force along x.", 9.8**3, "m^3/s^6", lambda one: one.specific_force[:, 0] ** 3, 3

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import hold
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.model import Limit
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from recorded import figure, from_means, segment, sensor
 from scipy.integrate import solve_ivp
 
-from planrunner.checking import check_plan
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -35,6 +34,7 @@ from planrunner.physics.modulation import schuler_drive
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Cycle, Motion, Move, Rest
+from planrunner.tasks.check import check_plan
 from tests.counted_calls import calls
 
 DEG = math.pi / 180

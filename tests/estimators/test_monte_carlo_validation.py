@@ -12,11 +12,11 @@ from scipy import integrate, stats
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude, pulses
 from test_stated_inputs_move_coefficients import SETUP
 
+from planrunner.error_model.flexure_gyro import physical_coefficients
 from planrunner.estimators.analysis import analyse, combined
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest
 from planrunner.estimators.monte_carlo_validation import TITLE, linear_chain, validated
-from planrunner.physics.flexure_gyro import physical_coefficients
 from planrunner.plan.expand import expand
 from planrunner.plan.model import EstimateSpec
 from planrunner.plan.reader import parse_plan

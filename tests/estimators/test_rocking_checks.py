@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.checking import Checked, check_plan
+from planrunner.tasks.check import Checked, check_plan
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = (ROOT / "plans" / "platform_rocking.yaml").read_text(encoding="utf-8")

@@ -14,8 +14,9 @@ from standing_unit import DEG_H, RATE, SITE, recorded, request, samples, sensor
 from planrunner.estimators import method
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.method import designed
+from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, CEP_SPREAD, stride
-from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation, StrapdownNavigationParameters
+from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
 from planrunner.physics.earth import Site
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from recorded import figure, from_means, from_samples, real, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.checking import check_plan
 from planrunner.estimators import method
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import (
@@ -39,6 +38,7 @@ from planrunner.estimators.temperature.curve import (
 from planrunner.estimators.temperature.temperature_model import TemperatureModel, TemperatureModelParameters
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
+from planrunner.tasks.check import check_plan
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 SITE = Site(math.radians(40.0))

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from tilted_recording import DEG, RATES, SITE, THETA, TRIAD, Gyro, inputs, plan_mounting, series, whole_turns
 
-from planrunner.checking import check_plan
 from planrunner.estimators import method
 from planrunner.estimators.interface import Design, DesignRequest, Setup
 from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.tasks.check import check_plan
 from planrunner.uncertainty.influences import Inputs
 
 ROOT = Path(__file__).resolve().parents[2]

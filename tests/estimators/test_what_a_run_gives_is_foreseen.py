@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.checking import Checked, check_plan
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.method import jacobian
 from planrunner.execution.stopping import StopRequest
-from planrunner.running import analyse_run, start
+from planrunner.tasks.check import Checked, check_plan
+from planrunner.tasks.run import analyse_run, start
 
 PLANS = Path(__file__).parents[2] / "plans"
 RATES = """\

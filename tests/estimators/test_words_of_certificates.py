@@ -29,6 +29,7 @@ from recorded import from_means, segment, sensor
 from standing_unit import recorded, request, samples
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.error_model.model import error_model
 from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by_magnitude
 from planrunner.estimators.accelerometer import gravity_magnitude
 from planrunner.estimators.accelerometer.accelerometer_multi_position import (
@@ -36,7 +37,6 @@ from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPositionParameters,
 )
 from planrunner.estimators.allan import allan_deviation
-from planrunner.estimators.error_model import error_model
 from planrunner.estimators.flexure_gyro.tables import describe
 from planrunner.estimators.imu.coefficients import Response, framed, reported
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup

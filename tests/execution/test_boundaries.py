@@ -15,10 +15,10 @@ from watched_bench import make_watched_bench
 
 from planrunner.archive.pausing import ask_to_pause, asked_to_pause, is_written, take_back
 from planrunner.archive.run_reader import RunReader
+from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.execution import operator
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
-from planrunner.guarded_folder import GuardedFolder
 from planrunner.instruments.interfaces import Condition, InstrumentError
 from planrunner.plan.schedule import Schedule
 

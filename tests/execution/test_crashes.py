@@ -28,10 +28,10 @@ from planrunner.archive.journal import JournalScan
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.storage import Storage
+from planrunner.base.findings import InputError
+from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.execution.executor import execute
 from planrunner.execution.stopping import StopRequest
-from planrunner.guarded_folder import GuardedFolder
-from planrunner.plan.findings import InputError
 
 HERE = Path(__file__).parent
 OPERATIONS = (

@@ -13,7 +13,7 @@ from typing import Any
 
 import planrunner.archive.journal
 import planrunner.archive.run_folder
-import planrunner.guarded_folder
+import planrunner.base.guarded_folder
 
 
 def break_with(folder: Path) -> None:
@@ -36,7 +36,7 @@ def break_with(folder: Path) -> None:
             return datetime.now(tz) + timedelta(seconds=ahead())
 
     folders, journal, run_folder = (
-        planrunner.guarded_folder,
+        planrunner.base.guarded_folder,
         planrunner.archive.journal,
         planrunner.archive.run_folder,
     )

@@ -30,7 +30,7 @@ IMPORTED = (
     "planrunner.cli.resume",
     "planrunner.cli.run",
     "planrunner.reporting.terminal",
-    "planrunner.running",
+    "planrunner.tasks.run",
 )
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from planrunner.gap.closure import FOLDS, Known, dealt_by_motion, measured
-from planrunner.gap.diagnosis import Diagnosis, Options, diagnose
-from planrunner.gap.observed import Observed
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.closure import FOLDS, Known, dealt_by_motion, measured
+from planrunner.gap.answer.diagnosis import Diagnosis, Options, diagnose
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import kept, record
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planrunner.gap.candidates import Weighed
-from planrunner.gap.confusability import energy, fitted, reproduced, shared
-from planrunner.gap.effects.interface import Variant
+from planrunner.error_model.effects.interface import Variant
+from planrunner.gap.answer.confusability import energy, fitted, reproduced, shared
+from planrunner.gap.hypotheses.candidates import Weighed
 
 
 def _weighed(columns: np.ndarray, data: np.ndarray) -> Weighed:

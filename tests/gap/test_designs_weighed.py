@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planrunner.gap.candidates import Weighing
-from planrunner.gap.designs_weighed import Left, eigen
-from planrunner.gap.weighing import ChannelWeights
+from planrunner.gap.evidence.designs_weighed import Left, eigen
+from planrunner.gap.evidence.weighing import ChannelWeights
+from planrunner.gap.hypotheses.candidates import Weighing
 from tests.gap.turntable import record
 
 Array = NDArray[np.float64]

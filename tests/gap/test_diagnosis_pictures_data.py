@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planrunner.gap.diagnosis import diagnose
-from planrunner.gap.observed import Observed
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import diagnose
 from tests.gap.turntable import DEG, GYRO_WHITE, record
 
 

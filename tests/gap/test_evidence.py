@@ -7,8 +7,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import hyp0f1
 
-from planrunner.gap.evidence import best_amplitudes, log_bayes_factors, log_mean_exp, pair_log_bayes_factor
-from planrunner.gap.posterior import PAIR_ENERGIES
+from planrunner.gap.answer.posterior import PAIR_ENERGIES
+from planrunner.gap.evidence.bayes_factors import (
+    best_amplitudes,
+    log_bayes_factors,
+    log_mean_exp,
+    pair_log_bayes_factor,
+)
 
 
 @pytest.mark.parametrize(("p", "away"), [(1, 0.0), (1, 3.0), (1, 30.0), (3, 0.5), (3, 6.0), (9, 12.0)])

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from planrunner.gap.candidates import FULL, Weighing
-from planrunner.gap.diagnosis import Options, diagnose
-from planrunner.gap.observed import ObservationError, Observed
-from planrunner.gap.posterior import PRIORS
-from planrunner.gap.where import levels
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import Options, diagnose
+from planrunner.gap.answer.posterior import PRIORS
+from planrunner.gap.answer.where import levels
+from planrunner.gap.hypotheses.candidates import FULL, Weighing
+from planrunner.observation.samples import ObservationError
 from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, kept, record
 
 Array = np.ndarray

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planrunner.gap.diagnosis import Diagnosis, Options, diagnose
-from planrunner.gap.next import FEWEST, Proposal, propose
-from planrunner.gap.observed import Observed
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import Diagnosis, Options, diagnose
+from planrunner.gap.answer.next import FEWEST, Proposal, propose
 from planrunner.plan.schedule import Motion, Rest, Segment, Spin
 from tests.gap.turntable import DEG, Fault, G, _frames, record
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planrunner.gap.bursts import BURSTS
-from planrunner.gap.candidates import Weighing
-from planrunner.gap.diagnosis import diagnose
-from planrunner.gap.observed import Observed
-from planrunner.gap.open_set import Kinds, competitors
-from planrunner.gap.patterns import CHANGING
-from planrunner.gap.repeating import PERIODIC
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.hypotheses.bursts import BURSTS
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.open_set import Kinds, competitors
+from planrunner.gap.hypotheses.patterns import CHANGING
+from planrunner.gap.hypotheses.repeating import PERIODIC
 from tests.gap.turntable import DEG, GYRO_WHITE, RATE, record
 
 Array = np.ndarray

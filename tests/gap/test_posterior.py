@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planrunner import plugins
-from planrunner.gap.candidates import Weighing
-from planrunner.gap.diagnosis import diagnose
-from planrunner.gap.forms import candidates_of
-from planrunner.gap.observed import Observed
+from planrunner.base import plugins
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import DEG, RATE, G, kept, record
 

@@ -14,10 +14,10 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from planrunner.diagnosing import diagnose_recorded, recorded_file
 from planrunner.estimators.accelerometer.gravity_magnitude import fit_magnitude
-from planrunner.gap.candidates import FULL
-from planrunner.gap.diagnosis import Diagnosis, Options
+from planrunner.gap.answer.diagnosis import Diagnosis, Options
+from planrunner.gap.hypotheses.candidates import FULL
+from planrunner.tasks.diagnose import diagnose_recorded, recorded_file
 
 PLANS = Path(__file__).parents[2] / "plans"
 G = 9.80665

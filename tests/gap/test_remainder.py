@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from planrunner.gap.candidates import Candidate
-from planrunner.gap.diagnosis import diagnose
-from planrunner.gap.observed import Observed
-from planrunner.gap.posterior import Posterior
-from planrunner.gap.remainder import as_probable, leading
-from planrunner.gap.verdict import Verdict, verdict
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.answer.posterior import Posterior
+from planrunner.gap.answer.remainder import as_probable, leading
+from planrunner.gap.answer.verdict import Verdict, verdict
+from planrunner.gap.hypotheses.candidates import Candidate
 from tests.gap.turntable import record
 
 Array = np.ndarray

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planrunner.gap import slow_noise
+from planrunner.gap.evidence import slow_noise
 
 STARTS, ENDS = np.array([0.0, 7.0, 30.0]), np.array([5.0, 19.0, 34.0])
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planrunner.gap.candidates import FULL, simulated
-from planrunner.gap.spectrum import spectrum, white_level
+from planrunner.gap.evidence.spectrum import spectrum, white_level
+from planrunner.gap.hypotheses.candidates import FULL, simulated
 from tests.gap.turntable import GYRO_WHITE, RATE, record
 
 

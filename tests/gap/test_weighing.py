@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from planrunner.gap import slow_noise
-from planrunner.gap.candidates import Weighing
-from planrunner.gap.effects.gyro import GyroGSensitivity, GyroScaleAsymmetry
-from planrunner.gap.evidence import gaussian
-from planrunner.gap.observed import Observed
+from planrunner.error_model.effects.gyro import GyroGSensitivity, GyroScaleAsymmetry
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence import slow_noise
+from planrunner.gap.evidence.bayes_factors import gaussian
+from planrunner.gap.hypotheses.candidates import Weighing
 from tests.gap.turntable import record
 
 

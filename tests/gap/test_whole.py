@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.gap.diagnosis import Diagnosis, diagnose
+from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
 from tests.blind import folder
 from tests.blind.device import SENSORS, clean_output, limit, random_device
 from tests.blind.effects import KINDS

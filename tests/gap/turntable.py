@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planrunner.gap.observed import Channel, Observed
+from planrunner.error_model.observed import Channel, Observed
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 

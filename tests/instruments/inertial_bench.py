@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import Surroundings
 from planrunner.instruments.virtual.carrier import VirtualCarrier, VirtualCarrierParameters
@@ -15,7 +16,6 @@ from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
 

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import models, read_bench, site_of
-from planrunner.checking import check_plan
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
+from planrunner.tasks.check import check_plan
 from tests.recorded_imu import rows, write_recording
 
 PLAN = Path(__file__).parents[2] / "plans" / "imu_recorded_over_temperature.yaml"

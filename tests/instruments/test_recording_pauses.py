@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
@@ -16,7 +17,6 @@ from planrunner.instruments.recording_file import HeldRecording
 from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.instruments.recording_pauses import stretches
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.span import EVERYTHING, Span

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
@@ -22,7 +23,6 @@ from planrunner.instruments.recording_file import HeldRecording, at_hand
 from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.span import Span

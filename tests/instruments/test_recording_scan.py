@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.cli import main
 from planrunner.instruments import recording_file
@@ -14,7 +15,6 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.virtual import ellipsoid
@@ -19,7 +20,6 @@ from planrunner.instruments.virtual.track import Progress, Track
 from planrunner.instruments.virtual.world import World
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 
 LONG = np.longdouble

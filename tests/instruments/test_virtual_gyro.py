@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.virtual.flexure_gyro import VirtualFlexureGyro, VirtualFlexureGyroParameters
@@ -16,7 +17,6 @@ from planrunner.instruments.virtual.streaming import BLOCK
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.physics.earth import Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Cycle, Move, Rest, Rock, Segment, Spin
 

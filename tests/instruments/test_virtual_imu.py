@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from inertial_bench import DEG, TRIAD, InertialBench, findings, read
 
+from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import HasModes, Resumable, StreamsSamples
 from planrunner.instruments.virtual.imu import VirtualImu
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
-from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Spin
 
 G = 9.80665

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import HasModes, InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.virtual.base_motion import base_axes, shaking
@@ -18,7 +19,6 @@ from planrunner.instruments.virtual.platform_parameters import VirtualPlatformPa
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
 

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import (
     HoldsOrientation,
@@ -24,7 +25,6 @@ from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParam
 from planrunner.instruments.virtual.thermal import Command, Lags, temperatures
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Cycle, Move, Rock, Spin
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from paper_lab import PaperChamber, PaperSensor, PaperTable, bench_file, packaged, state
 
-from planrunner import plugins
+from planrunner.base import plugins
+from planrunner.base.findings import InputError
 from planrunner.bench import lock, watchdog
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import read_bench
 from planrunner.bench.watchdog import Watchdog
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.findings import InputError
 
 
 @pytest.fixture

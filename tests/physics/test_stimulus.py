@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planrunner.error_model.terms import ACCEL_X, ACCEL_X_ACCEL_Z, BIAS, RATE_Z, ErrorModel, design_matrix
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.physics.stimulus import StimulusError, segment_means
-from planrunner.physics.terms import ACCEL_X, ACCEL_X_ACCEL_Z, BIAS, RATE_Z, ErrorModel, design_matrix
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 
 SITE = Site(math.radians(40), 9.80)
@@ -92,7 +92,7 @@ def test_model_predicts_by_name() -> None:
 
 
 def test_the_registered_terms_are_these() -> None:
-    from planrunner import plugins
+    from planrunner.base import plugins
 
     for name in plugins.names(plugins.TERMS):
         assert plugins.load(plugins.TERMS, name).name == name

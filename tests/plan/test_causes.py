@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.checking import check_plan
-from planrunner.plan.findings import Finding, Findings, Mark, elsewhere
+from planrunner.base.findings import Finding, Findings, Mark, elsewhere
+from planrunner.tasks.check import check_plan
 
 RECORD = Mark("plan.yaml", 3, 1, (6, 1))
 KEY = Mark("plan.yaml", 4, 5, (4, 9))

@@ -21,10 +21,10 @@ from planrunner.plan import directions
 directions.DIRECTIONS[{WORD!r}] = {DIRECTION!r}
 
 import numpy as np
-from planrunner.gap.where import _words
+from planrunner.gap.answer.where import _words
 from planrunner.instruments.table_keys import AxisSpec
 from planrunner.plan import model
-from planrunner.plan.findings import Findings
+from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Schema
 from planrunner.plan.orientation import OrientationKind, in_words
 from planrunner.plan.reference import type_words

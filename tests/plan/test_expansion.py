@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planrunner.base.findings import Findings
 from planrunner.plan.expand import MAX_SEGMENTS, StatedSegment, expand
-from planrunner.plan.findings import Findings
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.rewriting import with_rates

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.plan.expand import expand
-from planrunner.plan.findings import Findings
 from planrunner.plan.meaning import check_meaning
 from planrunner.plan.model import Plan
 from planrunner.plan.reader import load_plan, parse_plan

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.plan.expand import expand
-from planrunner.plan.findings import Findings
 from planrunner.plan.motion import motion_of
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Cycle, Motion, Rest, Rock, Spin

@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from planrunner.checking import check_plan
+from planrunner.base.findings import Finding, Findings, Mark
 from planrunner.plan import source
-from planrunner.plan.findings import Finding, Findings, Mark
+from planrunner.tasks.check import check_plan
 
 from .mutation import SHIPPED_PLANS
 

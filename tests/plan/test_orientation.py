@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planrunner.plan.findings import Findings
+from planrunner.base.findings import Findings
 from planrunner.plan.orientation import UNKNOWN, Orientation, OrientationKind
 from planrunner.plan.source import parse
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planrunner.checking import check_plan
+from planrunner.tasks.check import check_plan
 
 from .mutation import SHIPPED_PLANS, as_yaml, examples, mutate, mutate_bytes
 

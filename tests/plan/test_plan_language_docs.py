@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.findings import Finding
 from planrunner.plan.expand import expand
-from planrunner.plan.findings import Finding
 from planrunner.plan.meaning import check_meaning
 from planrunner.plan.motion import motion_of
 from planrunner.plan.quantity import Quantity

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from planrunner.base.findings import Findings, InputError, Mark
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, InputError, Mark
 
 
 def value_of(text: str) -> object:

@@ -45,7 +45,7 @@ exec(compile(source.replace(place, {DECLARED!r} + place), spec.origin, "exec"), 
 from planrunner.plan.expand import expand
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.reference import keys_reference
-from planrunner.plan.schema import plan_schema
+from planrunner.tasks.write_schemas import plan_schema
 
 plan, log = parse_plan({PLAN!r}, "plan.yaml")
 segments = expand(plan, log)

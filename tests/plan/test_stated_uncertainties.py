@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from planrunner import plugins
+from planrunner.base import plugins
+from planrunner.base.findings import Findings
 from planrunner.instruments.parameters import QuantityLike
 from planrunner.plan import source
 from planrunner.plan.expand import expand
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import ByShape, ListOf, MapOf, QuantityOf, Record, WordOr, keys_of
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.units import EXAMPLES
@@ -19,12 +19,12 @@ from planrunner.plan.units import EXAMPLES
 GROUPS = ("planrunner.instruments", "planrunner.estimators")
 
 USED = {
-    "SiteSpec.latitude": "planrunner/bench/inputs.py, as `latitude`",
-    "SiteSpec.gravity": "planrunner/bench/inputs.py, as `gravity`",
-    "SiteSpec.azimuth": "planrunner/bench/inputs.py, as `azimuth`",
+    "SiteSpec.latitude": "planrunner/uncertainty/stated_inputs.py, as `latitude`",
+    "SiteSpec.gravity": "planrunner/uncertainty/stated_inputs.py, as `gravity`",
+    "SiteSpec.azimuth": "planrunner/uncertainty/stated_inputs.py, as `azimuth`",
     "DeviationOfVertical.north": "planrunner/bench/model.py, with the latitude",
-    "MountedAxis.angle": "planrunner/bench/inputs.py, as `fixture angle`",
-    "MountedAxis.azimuth": "planrunner/bench/inputs.py, as `fixture azimuth`",
+    "MountedAxis.angle": "planrunner/uncertainty/stated_inputs.py, as `fixture angle`",
+    "MountedAxis.azimuth": "planrunner/uncertainty/stated_inputs.py, as `fixture azimuth`",
     "Limit.prior": "planrunner/uncertainty/global_risk.py",
     **{
         f"Installation.{pair}": "planrunner/estimators/rocking/influences.py"

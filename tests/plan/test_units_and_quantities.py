@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planrunner.base.findings import Findings, Mark
 from planrunner.plan import units
-from planrunner.plan.findings import Findings, Mark
 from planrunner.plan.quantity import (
     Quantity,
     QuantityError,

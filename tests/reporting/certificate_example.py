@@ -7,8 +7,7 @@ from typing import Any
 
 import reporting_example as example
 
-from planrunner.reporting.certificate import CertificateFacts, Traced
-from planrunner.reporting.context import ReportContext
+from planrunner.reporting.context import CertificateFacts, ReportContext, Traced
 
 TOLD = {
     "certificate_number": "2026-0117",

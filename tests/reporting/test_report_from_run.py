@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from planrunner.archive.run_reader import RunReader
-from planrunner.checking import check_plan
+from planrunner.base.shipped import shipped
 from planrunner.estimators.analysis import analyse
 from planrunner.execution.stopping import StopRequest
-from planrunner.reporting.from_run import report_context
 from planrunner.reporting.report import render_report
-from planrunner.running import sound_run, start
-from planrunner.shipped import shipped
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.report import report_context
+from planrunner.tasks.run import sound_run, start
 
 PLAN = """
 planrunner: 1

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.sensors import kvh1775, stim300, xsens
 from planrunner.instruments.sensors.declared_frame import DeclaredFrame as DeclaredDriver
 from planrunner.instruments.sensors.declared_frame import DeclaredFrameParameters
 from planrunner.instruments.wire.framing import Framer, Piece
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.simulators.declared_frame import CHECKS, Alarms, Check, DeclaredFrame, DeclaredUnit, Place
 from planrunner.simulators.faults import read_fault

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planrunner.plan.findings import InputError
+from planrunner.base.findings import InputError
 from planrunner.simulators.faults import Fault, FaultBoard, read_fault, read_script
 from planrunner.simulators.frame_faults import struck
 

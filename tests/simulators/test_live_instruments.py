@@ -9,10 +9,10 @@ import bench_pieces
 import numpy as np
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.instruments.interfaces import Surroundings
 from planrunner.instruments.virtual.imu import VirtualImu
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.source import parse
 from planrunner.plan.units import ZERO_CELSIUS

@@ -19,7 +19,8 @@ import pytest
 from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
 from planrunner.bench.simulation import Simulation, ask, attach
-from planrunner.cli import FAULT, WRONG_INPUT, main
+from planrunner.cli import main
+from planrunner.cli.exit_codes import FAULT, WRONG_INPUT
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.simulators.addresses import Address
 from planrunner.simulators.ports import PortError

@@ -16,12 +16,12 @@ from typing import Any, Self
 
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.bench.clock import WallClock
 from planrunner.instruments.interfaces import Surroundings
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import rotation_about
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 
 TRANSCRIPTS = Path(__file__).parent / "transcripts"

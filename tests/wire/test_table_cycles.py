@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from planrunner.base.findings import Findings
 from planrunner.instruments.interfaces import InstrumentError, OwnLimits
 from planrunner.instruments.tables import timed_motion
 from planrunner.instruments.tables.acutrol import AcutrolParameters
@@ -17,7 +18,6 @@ from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, S
 from planrunner.instruments.tables.axis_table import AxisTable
 from planrunner.instruments.tables.profiles import turns_of
 from planrunner.plan import source
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Cycle, Move, Segment
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.still_detection import detection_limits, longest_span, still_spans
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis

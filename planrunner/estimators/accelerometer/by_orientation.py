@@ -12,9 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.model import error_model
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.basis_judgement import judge, require_basis
-from planrunner.estimators.error_model import error_model
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import (
     Cell,
@@ -36,7 +37,6 @@ from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.triad import scale_and_misalignments
 from planrunner.physics.earth import Site
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit
 

@@ -1,6 +1,6 @@
 """Allan deviations of outputs at rest, and the noise coefficients Q, N, B, K of IEEE Std 952 fitted to the Allan variance.
 
-Reading and gaps are in `allan_phase`, sums in `allan_kernel`, confidence in `allan_confidence`, the fit in `allan_fit`.
+Reading and gaps are in `phase`, sums in `allan_kernel`, confidence in `confidence`, the fit in `fit`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.findings import closest
 from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.fit import FLAT, TERMS, NoiseFit, expected_covariance, fit_noise
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
@@ -41,7 +42,6 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Foresight
 from planrunner.estimators.root_of_square import root_of
-from planrunner.plan.findings import closest
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest

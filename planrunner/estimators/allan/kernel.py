@@ -1,6 +1,6 @@
 """Sums of squared differences of a phase record, compiled by numba: the inner loops of the Allan family.
 
-The module is imported only where such sums are needed (see `planrunner.compiled`).
+The module is imported only where such sums are needed (see `planrunner.base.compiled`).
 
 The overlapping sums go through the record in short pieces, all averaging times per piece: with octave averaging times a piece that one
 averaging time has fetched from memory is the next one's middle, so that memory is read once an octave instead of three times.
@@ -12,7 +12,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from planrunner.compiled import compiled
+from planrunner.base.compiled import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

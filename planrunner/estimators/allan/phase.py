@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError, UnfitDataError
-from planrunner.plan.findings import closest
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.allan.confidence import freedom_of_runs
 from planrunner.estimators.allan.table import octave_factors
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark

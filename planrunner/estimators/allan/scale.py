@@ -10,11 +10,11 @@ import math
 import re
 from collections.abc import Mapping
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, closest
 from planrunner.estimators.allan.units import named_units
 from planrunner.estimators.interface import Coefficient, Design, Estimate, EstimationError
 from planrunner.plan import source
-from planrunner.plan.findings import Findings, closest
 from planrunner.plan.kinds import QuantityOf, Schema
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.units import Unit, UnknownUnitError, unit

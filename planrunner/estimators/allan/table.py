@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.allan.confidence import freedom_of_runs, interval, noise_exponent
 from planrunner.estimators.allan.phase import Phase
 

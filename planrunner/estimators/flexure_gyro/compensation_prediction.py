@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.monte_carlo import square_root
 
 Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model import flexure_gyro
 from planrunner.estimators.flexure_gyro.compensation_influences import (
     compensation_influences,
     recovery,
@@ -45,7 +46,6 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Foresight
 from planrunner.estimators.observation_effects import explained
 from planrunner.estimators.observations import Observations, observe, within_segment_noise
-from planrunner.physics import flexure_gyro
 from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence

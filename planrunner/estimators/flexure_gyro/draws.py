@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model import flexure_gyro
 from planrunner.estimators.outputs_fit import OutputsFit
-from planrunner.physics import flexure_gyro
 from planrunner.uncertainty.influences import Influence
 from planrunner.uncertainty.monte_carlo import Draws, influence_draws, t_draws
 

@@ -8,7 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model import flexure_gyro
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.expected import Known
@@ -16,6 +18,7 @@ from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro import tables
 from planrunner.estimators.flexure_gyro.draws import physical_draws
+from planrunner.estimators.flexure_gyro.tables import PhysicalSet
 from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Coefficient,
@@ -33,9 +36,7 @@ from planrunner.estimators.planned import matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
-from planrunner.physics import flexure_gyro
 from planrunner.physics.earth import Site
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -76,22 +77,6 @@ class FlexureGyroStaticParameters(Record):
         default=True,
     )
     drift_span: Quantity = drift_span()
-
-
-@dataclass(frozen=True, slots=True)
-class PhysicalSet:
-    """Physical and output coefficients in the field's units with the gradients that carry covariance from SI [U; V].
-
-    values, units: (q,), first the physical ones, then U0 …, V0 …; gradients: (q, 2·p), d(value in its unit)/d(SI coefficient); factors:
-    (q,), SI value over value.
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    units: tuple[str, ...]
-    gradients: Array
-    physical: int
-    factors: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

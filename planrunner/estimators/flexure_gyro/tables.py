@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.fit_tables import bases_shown, basis_table
 from planrunner.estimators.interface import Table
 from planrunner.estimators.outputs_fit import OutputsFit
 
-if TYPE_CHECKING:
-    from planrunner.estimators.flexure_gyro.flexure_gyro_static import PhysicalSet
-
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicalSet:
+    """Physical and output coefficients in the field's units with the gradients that carry covariance from SI [U; V].
+
+    values, units: (q,), first the physical ones, then U0 …, V0 …; gradients: (q, 2·p), d(value in its unit)/d(SI coefficient); factors:
+    (q,), SI value over value.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    units: tuple[str, ...]
+    gradients: Array
+    physical: int
+    factors: Array
+
 
 _WORDS = {
     "SF_X": "Torquer scale factor, x",

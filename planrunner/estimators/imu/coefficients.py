@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.triad import own_frame, scale_and_misalignments, turned_gradient
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 
 Array = NDArray[np.float64]

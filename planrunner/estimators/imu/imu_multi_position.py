@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.error_model.model import error_model, term_names
+from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
-from planrunner.estimators.error_model import error_model, term_names
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
@@ -41,7 +42,6 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_influences import mean_stimulus, stated_influences
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
-from planrunner.physics.terms import ErrorModel
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Rest, Segment

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, HOUR, NAUTICAL_MILE
 from planrunner.instruments.models import TableModel

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Plot
 from planrunner.estimators.rocking.influences import Runs
 from planrunner.estimators.rocking.parameters import RockingDriftParameters

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])

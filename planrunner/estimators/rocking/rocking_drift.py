@@ -3,8 +3,8 @@
 The base rocks; the stabilised element should stay still in inertial space; its drift shows as a tilt of gravity. Runs of 10 min in
 navigation, caged before each, come as static, dynamic, dynamic, static in states that differ by a turn of the base by 90°. Of each run:
 (1) low-pass filter, (2) installation angles, (3) tilts, (4) their change from a window at t0 to one at t1, (5) less the change that an
-inertially fixed element shows; then (6) dynamic less static. Reading is in `rocking_windows`, steps 2 to 5 in `rocking_solution`,
-step 6 and random pairings in `rocking_statistics`.
+inertially fixed element shows; then (6) dynamic less static. Reading is in `windows`, steps 2 to 5 in `solution`,
+step 6 and random pairings in `statistics`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.rocking.attitude import LevelState, level_state
 from planrunner.plan.schedule import Cycle, Rest, Rock, Segment, Spin

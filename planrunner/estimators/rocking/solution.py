@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimateRequest, EstimationError, Setup
 from planrunner.estimators.rocking.attitude import (
     UP,
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """What the solution rests on beside the data. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order
-    of `rocking_parameters.INSTALLATION`; turned: rad, by which the table's azimuth is really farther east."""
+    of `parameters.INSTALLATION`; turned: rad, by which the table's azimuth is really farther east."""
 
     earth: Array
     gravity: float

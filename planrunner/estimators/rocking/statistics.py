@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.rocking.runs import Quadruple
 from planrunner.uncertainty.budget import effective_degrees_of_freedom
 

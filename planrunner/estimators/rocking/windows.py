@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.plan.units import UnknownUnitError, unit
 

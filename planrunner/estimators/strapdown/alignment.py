@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.strapdown.reading import IncrementReader, Increments, reference_speed
 from planrunner.instruments.models import TableModel

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.findings import closest
 from planrunner.estimators.full_scale import beyond_full_scale, shares_by_name
 from planrunner.estimators.interface import Coefficient, Design, DesignRequest, EstimationError, Remark, Unpredicted
 from planrunner.estimators.method import Foresight
@@ -25,14 +26,13 @@ from planrunner.estimators.strapdown.alignment import (
     stillness,
     to_navigation,
 )
+from planrunner.estimators.strapdown.navigating import StrapdownNavigationParameters, parts
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigationParameters, parts
 from planrunner.estimators.strapdown.uncertainty import NAMES, PERIODS, SCHULER_PERIOD
 from planrunner.navigation import attitude
 from planrunner.navigation.alignment import FineAlignment
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.physics.rotation_cycle import RotationCycle
-from planrunner.plan.findings import closest
 from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
 from planrunner.plan.units import UnknownUnitError, unit
 

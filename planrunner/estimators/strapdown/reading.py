@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError
-from planrunner.plan.findings import closest
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
 Array = NDArray[np.float64]

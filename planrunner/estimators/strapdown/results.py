@@ -1,6 +1,6 @@
 """Results of a strapdown navigation: coefficients, tables, courses and what must be said beside them.
 
-What leaves the figures uncertain is in `strapdown_uncertainty`.
+What leaves the figures uncertain is in `uncertainty`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Plot, Role, Table, TableColumn
+from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_INTERVAL, CEP_SHARE, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown.strapdown_navigation import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.uncertainty import DEGREE, NAMES, PERIODS, RATE, SCHULER_PERIOD, Spread, influences
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, ErrorEquations

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.strapdown.alignment import levelled_out
+from planrunner.estimators.strapdown.navigating import Navigated, StrapdownNavigationParameters
 from planrunner.estimators.strapdown.navigation_errors import CEP_SHARE, CEP_SPREAD, HOUR, NAUTICAL_MILE
-from planrunner.estimators.strapdown.strapdown_navigation import Navigated, StrapdownNavigationParameters
 from planrunner.navigation import attitude
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.navigation.wgs84 import radii

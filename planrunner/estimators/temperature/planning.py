@@ -8,10 +8,10 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import DesignRequest, Remark
 from planrunner.estimators.temperature.curve import FEWEST, groups_of
 from planrunner.estimators.temperature.points import given_by_temperature
-from planrunner.plan.findings import closest
 from planrunner.plan.units import ZERO_CELSIUS
 
 

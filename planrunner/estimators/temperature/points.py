@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import Estimate, EstimationError
-from planrunner.plan.findings import closest
 from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, unit
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """How coefficients or outputs follow temperature: a polynomial or a spline whose order is chosen by held-out error.
 
-Values come from `temperature_points`, curves and the choice of their order from `temperature_curve`.
+Values come from `points`, curves and the choice of their order from `curve`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.interface import (
     Coefficient,

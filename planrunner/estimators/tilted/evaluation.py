@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.rate_lines import RateLines, fit_lines
 from planrunner.estimators.tilted.rate_series import RateSeries

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.table_effects import orthogonality_tilts, rate_effects

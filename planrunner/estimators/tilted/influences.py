@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.table_effects import rate_part
 from planrunner.estimators.tilted.evaluation import (

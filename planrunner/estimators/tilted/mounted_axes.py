@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.estimators.interface import EstimationError
-from planrunner.plan.findings import closest
 from planrunner.plan.schedule import Segment, Spin
 
 Array = NDArray[np.float64]

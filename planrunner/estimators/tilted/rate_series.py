@@ -11,7 +11,7 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import matches

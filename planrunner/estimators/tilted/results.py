@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Coefficient, CoefficientRole
 from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import QUANTITIES, Findings, Group

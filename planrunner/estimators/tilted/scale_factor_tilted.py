@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
     Design,

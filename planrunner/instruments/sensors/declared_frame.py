@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.recording_keys import NAME, UnitText
@@ -24,10 +25,10 @@ from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_m
 from planrunner.instruments.sensors.samples import FrameLayout, Status
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire import checksums
-from planrunner.instruments.wire.columns import FLOAT, SIGNED, UNSIGNED, Field
+from planrunner.instruments.wire.codes import FLOAT, SIGNED, UNSIGNED
+from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Framing
 from planrunner.instruments.wire.host_clock import Counter
-from planrunner.plan.findings import InputError
 from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, RecordOf, Text, key
 
 TYPES = {

@@ -19,7 +19,8 @@ from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_m
 from planrunner.instruments.sensors.samples import Array, Decoder, FrameLayout, Samples, Status, byte
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import CRC32_MPEG2, SUM8
-from planrunner.instruments.wire.columns import FLOAT, Field
+from planrunner.instruments.wire.codes import FLOAT
+from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Frames, Framing
 from planrunner.instruments.wire.host_clock import Counter
 from planrunner.instruments.wire.serial_stream import SerialStream

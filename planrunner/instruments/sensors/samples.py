@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.instruments.wire.columns import UNSIGNED, Field, numbers, whole_numbers
+from planrunner.instruments.wire.codes import UNSIGNED
+from planrunner.instruments.wire.columns import Field, numbers, whole_numbers
 from planrunner.instruments.wire.framing import Frames, Framing
 from planrunner.instruments.wire.host_clock import Counter
 

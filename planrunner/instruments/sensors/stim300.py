@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from planrunner.base.findings import Findings, InputError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
 from planrunner.instruments.sensors.samples import FrameLayout, Status, byte
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import CRC32_MPEG2
-from planrunner.instruments.wire.columns import UNSIGNED, Field
+from planrunner.instruments.wire.codes import UNSIGNED
+from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Framing
 from planrunner.instruments.wire.host_clock import Counter
-from planrunner.plan.findings import Findings, InputError
 from planrunner.plan.kinds import Choice, Schema, key
 from planrunner.plan.source import Node, Scalar
 

@@ -12,17 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import Clock, InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_model
 from planrunner.instruments.sensors.samples import Decoder, FrameLayout, Samples
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import CRC16_XMODEM, XOR8
-from planrunner.instruments.wire.columns import FLOAT, UNSIGNED, Field
-from planrunner.instruments.wire.framing import LINE, Frames, Framing
+from planrunner.instruments.wire.codes import FLOAT, LINE, UNSIGNED
+from planrunner.instruments.wire.columns import Field
+from planrunner.instruments.wire.framing import Frames, Framing
 from planrunner.instruments.wire.host_clock import Counter
 from planrunner.instruments.wire.serial_stream import SerialStream
-from planrunner.plan.findings import InputError
 from planrunner.plan.kinds import Choice, ListOf, key
 
 BASE_RATE = 800.0  # Hz, of which binary output takes every n-th

@@ -19,8 +19,9 @@ from planrunner.instruments.sensors.keys import SerialSensorParameters, sensor_m
 from planrunner.instruments.sensors.samples import Array, FrameLayout, Samples, Status, Whole
 from planrunner.instruments.sensors.serial_sensor import SerialSensor
 from planrunner.instruments.wire.checksums import ZERO_SUM8
-from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, Field, alike
-from planrunner.instruments.wire.framing import XBUS, Framer, Frames, Framing
+from planrunner.instruments.wire.codes import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, XBUS
+from planrunner.instruments.wire.columns import Field, alike
+from planrunner.instruments.wire.framing import Framer, Frames, Framing
 from planrunner.instruments.wire.host_clock import Counter
 from planrunner.instruments.wire.serial_stream import SerialStream
 from planrunner.plan.kinds import Boolean, Choice, ListOf, key

@@ -5,8 +5,8 @@ from __future__ import annotations
 import string
 from dataclasses import dataclass
 
+from planrunner.base.findings import Findings, closest
 from planrunner.instruments.wire.replies import written
-from planrunner.plan.findings import Findings, closest
 from planrunner.plan.kinds import Schema
 from planrunner.plan.source import Node, Scalar
 

@@ -6,21 +6,17 @@ that, and its noise. The sensor knows nothing of effects, and an effect nothing 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
-from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.virtual.courses import Rocking, Spinning
-from planrunner.physics.table_motion import about_one_axis
-from planrunner.plan.schedule import Rock, Segment, Spin
+from planrunner.base.dataclass import dataclass
+from planrunner.plan.schedule import Segment
 
 if TYPE_CHECKING:
-    from planrunner.instruments.virtual.world import World
+    pass
 
 Array = NDArray[np.float64]
 
@@ -54,30 +50,3 @@ class Added(Protocol):
 
     def noise(self, output: str, gives: Gives) -> Gives:
         """The noise of an output with what is added."""
-
-
-def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
-    """Angle [rad] and rate [rad/s] of the table about what the segment turns about, since the orientation was taken, (n,) each.
-
-    Rocking counts where the outermost axis alone rocks.
-    """
-    course, motion = world.course, segment.motion
-    if isinstance(motion, Spin) and isinstance(course, Spinning):
-        joint, sense = course.joint, math.copysign(1.0, motion.rate) * math.copysign(1.0, course.rate)
-    elif isinstance(motion, Rock) and isinstance(course, Rocking):
-        joint, sense = 0, 1.0
-        if not about_one_axis(motion):
-            raise InstrumentError(f"'{segment.label}' rocks several rings: that is no angle about one axis")
-    else:
-        return np.zeros(len(times)), np.zeros(len(times))
-    angle, rate = (np.broadcast_to(value, times.shape) for value in course.follow(times)[joint])
-    return sense * (angle - course.angles[joint]), sense * rate
-
-
-def mean_angle(world: World, segment: Segment, times: Array, interval: float) -> Array:
-    """Mean angle [rad] over sampling intervals that end at `times`: like the outputs, which are means too."""
-    places, weights = np.polynomial.legendre.leggauss(3)
-    total = np.zeros(len(times))
-    for place, weight in zip(places, weights, strict=True):
-        total += weight / 2 * turned(world, segment, times + (place - 1) / 2 * interval)[0]
-    return total

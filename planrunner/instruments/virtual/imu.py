@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import InputError
 from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
-from planrunner.instruments.virtual.added import Gives, Moments, mean_angle, turned
+from planrunner.instruments.virtual.added import Gives, Moments
 from planrunner.instruments.virtual.averages import interval_means
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
 from planrunner.instruments.virtual.noise import Counter, Flicker, RandomWalk, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
+from planrunner.instruments.virtual.table_angle import mean_angle, turned
 from planrunner.instruments.virtual.world import Components, World
-from planrunner.plan.findings import InputError
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS, unit
 

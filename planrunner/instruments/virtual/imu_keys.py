@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from planrunner.base.findings import Findings
 from planrunner.instruments.parameters import Polynomial, QuantityLike
-from planrunner.plan.findings import Findings
 from planrunner.plan.kinds import Boolean, Choice, MapOf, QuantityOf, Record, RecordOf, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 

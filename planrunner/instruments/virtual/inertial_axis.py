@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.models import NoiseModel, OutputModel, Senses
 from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.imu_keys import (

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.virtual.base_motion import base_axes, mean_square_rate, turn, turn_by
 from planrunner.instruments.virtual.world import World
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Block, InstrumentError
 from planrunner.instruments.models import SensorModel
 from planrunner.instruments.virtual.world import World

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.virtual import ellipsoid
 from planrunner.instruments.virtual.courses import Stretch

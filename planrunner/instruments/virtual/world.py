@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.dataclass import dataclass
+from planrunner.base.dataclass import dataclass
 from planrunner.instruments.interfaces import Clock, Surroundings
 from planrunner.instruments.virtual import courses, thermal
 from planrunner.instruments.virtual.added import Added

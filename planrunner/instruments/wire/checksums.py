@@ -14,9 +14,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.instruments.wire.codes import CRC, NEGATIVE_SUM, NONE, SUM, XOR
+
 Bytes = NDArray[np.uint8]
 _ALL = 0xFFFFFFFF
-NONE, CRC, SUM, NEGATIVE_SUM, XOR = range(5)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.instruments.wire.codes import SIGNED
 from planrunner.instruments.wire.framing import Frames
-
-UNSIGNED, SIGNED, FLOAT, FRACTION_FIRST = range(4)
 
 
 @dataclass(frozen=True, slots=True)

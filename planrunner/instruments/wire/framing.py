@@ -14,9 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.instruments.wire.checksums import CRC, UNCHECKED, Bytes, Checksum
+from planrunner.instruments.wire.checksums import UNCHECKED, Bytes, Checksum
+from planrunner.instruments.wire.codes import CRC, FIXED
 
-FIXED, XBUS, LINE = range(3)
 MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 
 

@@ -11,10 +11,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from planrunner.compiled import compiled
-from planrunner.instruments.wire.checksums import CRC, NEGATIVE_SUM, NONE, XOR
-from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED
-from planrunner.instruments.wire.framing import FIXED, LINE, XBUS
+from planrunner.base.compiled import compiled
+from planrunner.instruments.wire.codes import (
+    CRC,
+    FIXED,
+    FLOAT,
+    FRACTION_FIRST,
+    LINE,
+    NEGATIVE_SUM,
+    NONE,
+    SIGNED,
+    UNSIGNED,
+    XBUS,
+    XOR,
+)
 
 LINE_FEED, CARRIAGE_RETURN, ASTERISK, COMMA = 10, 13, 42, 44
 BIG = np.int64(0)  # byte order, as `little` of the functions below

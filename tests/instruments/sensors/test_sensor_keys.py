@@ -10,8 +10,8 @@ import pytest
 from bench_entries import findings_of, model_of, parameters_of
 from published_vectors import decoded
 
+from planrunner.base.findings import InputError
 from planrunner.instruments.sensors.declared_frame import DeclaredFrame
-from planrunner.plan.findings import InputError
 
 DECLARED = (
     "driver: declared_frame; sample_rate: 200 Hz; sync: A5 5A; length: 14; "

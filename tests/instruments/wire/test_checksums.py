@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planrunner.instruments.wire import checksums
-from planrunner.instruments.wire.checksums import CRC, Checksum
+from planrunner.instruments.wire.checksums import Checksum
+from planrunner.instruments.wire.codes import CRC
 from planrunner.instruments.wire.framing import Framer, Framing, Piece
 
 # Values for the nine digits, as the catalogue of parametrised CRC algorithms (reveng) prints them.

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from planrunner.instruments.wire.columns import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, Field, numbers, whole_numbers
+from planrunner.instruments.wire.codes import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED
+from planrunner.instruments.wire.columns import Field, numbers, whole_numbers
 from planrunner.instruments.wire.framing import Frames
 
 ROWS, LENGTH = 200, 16

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planrunner.instruments.wire.checksums import CRC32, UNCHECKED, XOR8, ZERO_SUM8
-from planrunner.instruments.wire.framing import LINE, XBUS, Framer, Framing, Piece
+from planrunner.instruments.wire.codes import LINE, XBUS
+from planrunner.instruments.wire.framing import Framer, Framing, Piece
 
 FIXED_FRAMES = Framing(b"\xa5\x5a", 12, checksum=CRC32, check_bytes=4, trailer=b"\r\n")
 XBUS_FRAMES = Framing(b"\xfa\xff", 300, XBUS, ZERO_SUM8, 1, 1)

@@ -1,0 +1,212 @@
+"""Findings: what is wrong with a file, where, and what to do about it.
+
+Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all of them in one run. The codes
+are documented in `docs/findings.md`, and a test holds the two together.
+
+A check that builds on other parts of the file names them with `Findings.resting_on`. What it finds is then a consequence where one of
+these parts holds an error already: the list keeps it, with its cause, and shows the cause alone.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import field, replace
+from functools import lru_cache
+from typing import Any, Literal
+
+from planrunner.base.dataclass import dataclass
+
+Severity = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place in a file, or `COMMAND_LINE`. Lines and columns count from 1, as editors show them.
+
+    end: line and column just after what stands there, where that is known. text: all of the file as it was read, for excerpts.
+    """
+
+    file: str
+    line: int = 1
+    column: int = 1
+    end: tuple[int, int] | None = field(default=None, compare=False, repr=False)
+    text: str | None = field(default=None, compare=False, repr=False)
+
+    def covers(self, other: Mark) -> bool:
+        """Whether another place lies within what stands here."""
+        if self.file != other.file:
+            return False
+        begin, there = (self.line, self.column), (other.line, other.column)
+        return begin == there if self.end is None else begin <= there < max(self.end, (self.line, self.column + 1))
+
+    def __str__(self) -> str:
+        if self == COMMAND_LINE:  # it has no lines
+            return "command line"
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+COMMAND_LINE = Mark("<command line>")
+"""The place of what is wrong with the arguments of a command."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One finding; `str()` gives the line that the terminal shows, without the hint.
+
+    cause: the error that this one follows from; such a finding is kept but not shown.
+    """
+
+    mark: Mark
+    code: str
+    severity: Severity
+    message: str
+    hint: str = ""
+    cause: Finding | None = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return f"{self.mark}: {self.severity}[{self.code}]: {self.message}"
+
+    def to_json(self) -> dict[str, Any]:
+        place = {"file": self.mark.file, "line": self.mark.line, "column": self.mark.column}
+        return {
+            **place,
+            "code": self.code,
+            "severity": self.severity,
+            "message": self.message,
+            "hint": self.hint,
+        }
+
+
+@dataclass(slots=True)
+class Findings:
+    """A growing list of findings; identical ones are kept once.
+
+    Iterating gives those to show, in the order of the file: what follows from an error in the list is left out.
+    """
+
+    items: list[Finding] = field(default_factory=list)
+    _seen: set[Finding] = field(default_factory=set, repr=False, compare=False)
+    _errors: list[Finding] = field(default_factory=list, repr=False, compare=False)
+    _cause: Finding | None = field(default=None, repr=False, compare=False)
+    raised: int = field(default=0, init=False, repr=False, compare=False)
+    """How many errors were added, repeated ones too: whether a check found any is seen from this, not from the list."""
+
+    def __post_init__(self) -> None:
+        given, self.items = self.items, []
+        self.extend(given)
+
+    def error(self, code: str, mark: Mark, message: str, hint: str = "") -> None:
+        self._add(Finding(mark, code, "error", message, hint))
+
+    def warning(self, code: str, mark: Mark, message: str, hint: str = "") -> None:
+        self._add(Finding(mark, code, "warning", message, hint))
+
+    def note(self, code: str, mark: Mark, message: str, hint: str = "") -> None:
+        self._add(Finding(mark, code, "note", message, hint))
+
+    def extend(self, findings: Iterable[Finding]) -> None:
+        for finding in findings:
+            self._add(finding)
+
+    @contextmanager
+    def resting_on(self, *parts: Mark) -> Iterator[None]:
+        """What is added inside supposes that these parts are right: it follows from the first error that one of them holds on entry.
+
+        A check therefore runs after those of the parts that it builds on. A part may also be the mark of an error that is known.
+        """
+        before = self._cause
+        self._cause = before or self.error_in(*parts)
+        try:
+            yield
+        finally:
+            self._cause = before
+
+    def error_in(self, *parts: Mark) -> Finding | None:
+        """The first error within these parts (or what that one follows from); None where there is none."""
+        found = next((error for error in self._errors if any(part.covers(error.mark) for part in parts)), None)
+        return found if found is None or found.cause is None else found.cause
+
+    def _add(self, finding: Finding) -> None:
+        if self._cause is not None and finding.cause is None:
+            finding = replace(finding, cause=self._cause)
+        self.raised += finding.severity == "error"
+        if finding not in self._seen:
+            self._seen.add(finding)
+            self.items.append(finding)
+            if finding.severity == "error":
+                self._errors.append(finding)
+
+    @property
+    def errors(self) -> list[Finding]:
+        """The errors among them, in the order in which they were found, with those that follow from another."""
+        return self._errors
+
+    def __iter__(self) -> Iterator[Finding]:
+        shown = [item for item in self.items if item.cause is None]
+        return iter(sorted(shown, key=lambda item: (item.mark.file, item.mark.line, item.mark.column)))
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+
+class InputError(Exception):
+    """The input is wrong (exit code 2). Carries findings; the command line prints them, never a traceback."""
+
+    def __init__(self, findings: Iterable[Finding]):
+        self.findings = list(findings)
+        super().__init__("\n".join(map(str, self.findings)))
+
+    @classmethod
+    def at(cls, mark: Mark, code: str, message: str, hint: str = "") -> InputError:
+        return cls([Finding(mark, code, "error", message, hint)])
+
+
+def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
+    """Where else one finding holds, for its message: ' (also on lines 12 and 13)'; nothing where it holds in one line alone."""
+    lines = sorted({mark.line for mark in marks} - {first.line})
+    if not lines:
+        return ""
+    shown = [str(line) for line in lines[:_MOST_LINES]]
+    if len(lines) > _MOST_LINES:
+        shown.append(f"{len(lines) - _MOST_LINES} more")
+    return f" (also on line{'s' if len(lines) > 1 else ''} {' and '.join([', '.join(shown[:-1]), shown[-1]] if shown[1:] else shown)})"
+
+
+_MOST_LINES = 8
+
+
+MISLEADING = re.compile("[\x80-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]")
+"""Characters that no reader sees and that change how the others read: marks of the reading order, of no width, controls of terminals.
+A name that holds one looks like another name."""
+
+
+def closest(word: str, known: Iterable[str]) -> str:
+    """A hint naming the closest known word, or all of them when none is close."""
+    names = tuple(sorted(known))
+    near = _nearest(word[:80], names)
+    if near is not None:
+        return f"did you mean '{near}'?"
+    shown = names if len(names) <= _MOST_NAMES else (*names[:_MOST_NAMES], f"and {len(names) - _MOST_NAMES} more")
+    return f"known here: {', '.join(shown)}" if names else ""
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that a misspelt one is most likely meant for; None where none is close."""
+    return _nearest(word[:80], tuple(sorted(known)))
+
+
+@lru_cache(maxsize=1024)
+def _nearest(word: str, names: tuple[str, ...]) -> str | None:
+    letters = set(word.lower())
+    # Comparing sequences is slow; a word that shares less than half of its letters cannot be close.
+    likely = {name.lower(): name for name in names if 2 * len(letters & set(name.lower())) >= len(letters)}
+    match = difflib.get_close_matches(word.lower(), likely, n=1, cutoff=_ALIKE)
+    return likely[match[0]] if match else None
+
+
+_MOST_NAMES = 25
+_ALIKE = 0.66
+"""Likeness above which a word may be a slip of another: 'mim' and 'min' have 0.67, 'vibration' and 'orientation' 0.60."""

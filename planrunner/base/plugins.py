@@ -1,0 +1,53 @@
+"""Plug-ins: instruments, estimators and error-model terms, found by name through entry points.
+
+The project's own stand behind the same door as everybody else's. Names are known without importing anything; a plug-in's
+module is imported when its name is used.
+"""
+
+from __future__ import annotations
+
+from functools import cache, lru_cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from typing import Any, Protocol
+
+from planrunner.base.findings import InputError, Mark, closest
+
+INSTRUMENTS = "planrunner.instruments"
+ESTIMATORS = "planrunner.estimators"
+TERMS = "planrunner.terms"
+
+
+class _Selectable(Protocol):
+    def select(self, *, group: str) -> EntryPoints: ...
+
+
+@cache
+def _installed() -> _Selectable:
+    """Those of all that is installed; to find them, the files of every distribution are read."""
+    return entry_points()
+
+
+@lru_cache(maxsize=8)
+def _table(group: str) -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in sorted(_installed().select(group=group), key=lambda entry: entry.name)}
+
+
+def names(group: str) -> tuple[str, ...]:
+    """The names that are installed in a group, sorted."""
+    return tuple(_table(group))
+
+
+@lru_cache(maxsize=256)
+def load(group: str, name: str) -> Any:
+    """The plug-in itself. Raises `InputError` when it is unknown or cannot be imported."""
+    if name not in _table(group):
+        raise InputError.at(
+            Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group))
+        )
+    try:
+        return _table(group)[name].load()
+    except Exception as error:
+        entry = _table(group)[name]
+        hint = "reinstall the package that provides it"
+        message = f"the plug-in '{name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error}"
+        raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint) from error

@@ -1,0 +1,18 @@
+"""Where the files that come with planrunner lie: inside an installed wheel, or at the top of a source tree."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+
+@lru_cache(maxsize=8)
+def shipped(folder: str) -> Path:
+    """The folder `plans`, `schemas`, `templates` or `locales` that this installation carries. Raises FileNotFoundError when it
+    has none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for path in (package / "_shipped" / folder, package.parent / folder):
+        if path.is_dir():
+            return path
+    raise FileNotFoundError(2, "planrunner was installed without this folder; install it again", folder)

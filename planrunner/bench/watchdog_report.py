@@ -1,0 +1,33 @@
+"""The watchdog's report in a run folder: written by the watchdog's process, taken into the journal when the run is resumed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
+
+NAME = "watchdog.txt"
+MOST_BYTES = 2**18
+"""Bytes that a report has at most."""
+_ASIDE = "watchdog.partial"
+
+
+def append_report(run: Path, text: str) -> None:
+    """Add to the report, so that whoever finds it finds it whole. Raises `OSError`."""
+    folder = GuardedFolder.open(run)
+    before = b""
+    with contextlib.suppress(FileNotFoundError, NotOrdinaryError):  # what is no report gives way to this one
+        before = folder.read(NAME, MOST_BYTES)
+    with folder.open_new(_ASIDE) as file:
+        file.write(before + text.encode("utf-8", "backslashreplace"))
+        os.fsync(file.fileno())
+    folder.replace(_ASIDE, NAME)
+
+
+def read_report(run: GuardedFolder) -> str | None:
+    """The report; None when there is none. Raises `OSError`."""
+    if run.entry(NAME) is None:
+        return None
+    return run.read(NAME, MOST_BYTES).decode("utf-8", "replace")

@@ -1,0 +1,206 @@
+"""Effects of the catalogue added to a simulation: what is stated of them, in their units, and what they do to a sensor's outputs.
+
+An effect is added with the very columns that a diagnosis looks for. That the diagnosis then finds it shows that the two agree with each
+other, and nothing of how the world is; for that there are recordings made by others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base import plugins
+from planrunner.base.findings import InputError, Mark, closest
+from planrunner.error_model.effects.interface import Column, Shaped, Variant, is_whole
+from planrunner.error_model.observed import Observed
+from planrunner.plan.quantity import QuantityError, without_uncertainty
+from planrunner.plan.units import UnknownUnitError, unit
+
+Array = NDArray[np.float64]
+EFFECTS = "planrunner.effects"
+STAGES = ("stimulus", "sensor", "output", "acquisition", "covariance")
+NOISE = {
+    "white": ("density", "deg/s*sqrt(s)"),
+    "resolution": ("count", "deg/s"),
+    "random walk": ("density", "deg/s/sqrt(s)"),
+}
+"""Noise that an effect makes: its one parameter and that one's unit. White noise and counts replace the sensor's own."""
+_UNUSUAL = 3.0  # times the declared noise, where nothing is said
+_WALK = 1e-4  # deg/s/√s, likewise
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """natural: value that it has where nothing is said, in `unit`."""
+
+    name: str
+    unit: str
+    natural: float
+
+
+@dataclass(frozen=True)
+class Addition:
+    """An effect with all its parameters, in their units. units: of the parameters."""
+
+    effect: Any
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+
+    @property
+    def id(self) -> str:
+        return str(self.effect.id)
+
+
+def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
+    """An effect with what is stated of it. stated: parameter → value with its unit; the empty name stands for the only one, or for all
+    amplitudes. What is not stated has its natural size, except that amplitudes are zero where others are named.
+
+    observed: any recording or schedule of the plan, which says what parameters there are. Raises `InputError`.
+    """
+    if name not in plugins.names(EFFECTS):
+        hint = closest(name, plugins.names(EFFECTS))
+        raise InputError.at(mark, "effect-unknown", f"no effect '{name}' is installed", hint)
+    effect = plugins.load(EFFECTS, name)()
+    known = {parameter.name: parameter for parameter in parameters(effect, observed)}
+    if not known:
+        hint = "look at the sensor's outputs, the plan's motions and the site's magnetic_field"
+        raise InputError.at(mark, "effect-cannot-act", f"'{name}' cannot act on this sensor under this plan", hint)
+    shape = getattr(effect, "shape_name", None)
+    named = any(key not in ("", shape) for key in stated)
+    values = {one.name: 0.0 if named and one.name != shape else one.natural for one in known.values()}
+    for key, text in stated.items():
+        amplitudes = [one for one in known if one != shape] or list(known)
+        for one in [key] if key else amplitudes:
+            if one not in known:
+                message = f"'{name}' has no parameter '{key}'"
+                raise InputError.at(mark, "effect-parameter", message, closest(key, known))
+            values[one] = _value(text, known[one], name, mark)
+    return Addition(effect, values, {one.name: one.unit for one in known.values()})
+
+
+def _value(text: str, parameter: Parameter, effect: str, mark: Mark) -> float:
+    """A number in the parameter's unit, from a text with that unit, one of its dimension, or none."""
+    number, _, given = text.strip().partition(" ")
+    wanted = parameter.unit
+    hint = f"write a number, or a number with a unit such as '{parameter.natural:g} {wanted}'"
+    try:
+        if given.strip() in ("", wanted):
+            value = float(number)
+        else:
+            quantity = without_uncertainty(text)
+            value = quantity.to(wanted)
+            if quantity.unit.dimension != unit(wanted).dimension:
+                raise ValueError
+    except (ValueError, QuantityError, UnknownUnitError):
+        message = f"'{text}' is no value of '{parameter.name}' of {effect}, which is in {wanted}"
+        raise InputError.at(mark, "effect-value", message, hint) from None
+    if not math.isfinite(value):
+        raise InputError.at(mark, "effect-value", f"'{text}' is not a finite number", hint)
+    return value
+
+
+def parameters(effect: Any, observed: Observed) -> list[Parameter]:
+    """What can be stated of an effect; nothing where it cannot act."""
+    if effect.stage == "covariance":
+        gyros = observed.of_kind("gyro")
+        if not gyros:
+            return []
+        name, text = NOISE[effect.noise]
+        channel = observed.channels[gyros[0]]
+        declared = {
+            "white": channel.white,
+            "resolution": max(channel.resolution, channel.white * math.sqrt(observed.sample_rate)),
+            "random walk": _WALK * math.radians(1.0) / _UNUSUAL,
+        }[effect.noise]
+        return [Parameter(name, text, _UNUSUAL * declared / math.radians(1.0))]
+    found = []
+    variants = effect.variants(observed)
+    if not variants:
+        return []
+    middle: Variant = variants[len(variants) // 2]
+    shape = getattr(effect, "shape_name", None)
+    if shape is not None and middle.shape is not None:
+        found.append(Parameter(shape, effect.shape_unit, middle.shape))
+    if getattr(effect, "each", None) == "orientation":
+        column = middle.columns[0]
+        return [*found, Parameter("size", column.unit, column.magnitude / column.factor)]
+    if not is_whole(middle.columns):
+        found += [Parameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns]
+    return found
+
+
+def added(observed: Observed, levels: Array, additions: Sequence[Addition], seed: int) -> Array:
+    """Outputs without noise (N, K), SI, with the effects, stage by stage. seed: of what is drawn for each orientation."""
+    out = levels.copy()
+    for stage in STAGES[:-1]:
+        seen = replace(observed, fitted=out.copy())
+        for item in additions:
+            if item.effect.stage == stage:
+                for column, amplitude in _amplitudes(item, seen, seed):
+                    here = 1.0 if column.segments is None else column.segments[seen.owner]
+                    for channel, part in column.parts.items():
+                        out[:, channel] += amplitude * part * here
+    return out
+
+
+def _amplitudes(item: Addition, observed: Observed, seed: int) -> list[tuple[Column, float]]:
+    """Columns with their amplitudes in SI."""
+    effect = item.effect
+    if getattr(effect, "each", None) == "orientation":
+        return _each_orientation(item, observed, seed)
+    shape = item.values.get(getattr(effect, "shape_name", "") or "")
+    if isinstance(effect, Shaped):
+        assert shape is not None
+        columns = effect.at(observed, shape).columns if len(effect.grid(observed)) else ()
+    else:
+        variants = effect.variants(observed)
+        if shape is not None:
+            variants = sorted(variants, key=lambda variant: abs((variant.shape or 0.0) - shape))
+        columns = variants[0].columns if variants else ()
+    if is_whole(columns):
+        return [(columns[0], 1.0)]
+    return [(column, item.values[column.name] * column.factor) for column in columns]
+
+
+def _each_orientation(item: Addition, observed: Observed, seed: int) -> list[tuple[Column, float]]:
+    """Amplitudes of the orientations, the same whenever one is taken: drawn from the seed and the orientation."""
+    (variant,) = item.effect.variants(_among_others(observed))
+    found = []
+    for column in variant.columns:
+        number = int(column.name.split("_")[1]) - 1
+        if number == 0:  # the others are there for company only
+            axis = "xyz".index(column.name[-1])
+            place = np.rint(observed.attitude[0].ravel() * 1e6).astype(np.int64).view(np.uint32).tolist()
+            drawn = float(np.random.default_rng([seed, axis, *place]).standard_normal())
+            parts = {channel: part[: len(observed.time)] for channel, part in column.parts.items()}
+            found.append((replace(column, parts=parts, segments=None), item.values["size"] * column.factor * drawn))
+    return found
+
+
+def _among_others(observed: Observed) -> Observed:
+    """One segment, and stubs of it in other orientations: one orientation alone has no error of its own."""
+    turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
+    half = np.diag([1.0, -1.0, -1.0])
+    attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]
+    ends = len(observed.time) + np.arange(len(attitudes))
+    sample = {
+        name: np.concatenate([getattr(observed, name), np.repeat(getattr(observed, name)[-1:], len(attitudes) - 1)])
+        for name in ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
+    }
+    extended: dict[str, Any] = sample
+    return replace(
+        observed,
+        labels=observed.labels * len(attitudes),
+        motions=observed.motions * len(attitudes),
+        attitude=np.array(attitudes),
+        bounds=np.concatenate(([0], ends)).astype(np.int64),
+        last_change=np.repeat(observed.last_change, len(attitudes)),
+        values=np.zeros((int(ends[-1]), len(observed.channels))),
+        fitted=None,
+        **extended,
+    )

@@ -1,0 +1,118 @@
+"""Effects at a gyro's output: its bandwidth, its dead zone and its limits, exact at every value of a grid; and those on its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Array, Shaped, Variant, on_stimulus, whole
+from planrunner.error_model.observed import Observed
+
+DEG = np.pi / 180
+
+
+class GyroBandwidth(Shaped):
+    """First-order lag 1/(τs + 1) of the output, steady when a segment begins; visible where the rate changes."""
+
+    id, stage, shape_name, shape_unit = "gyro_bandwidth", "output", "tau", "s"
+
+    def grid(self, observed: Observed) -> Array:
+        return np.geomspace(5e-4, 0.2, 14) if observed.acceleration.any() else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        change = lagged(observed, value) - observed.omega
+        parts = on_stimulus(observed, change, None)
+        return Variant((whole(parts, observed.unsteady),), value)
+
+
+def lagged(observed: Observed, tau: float) -> Array:
+    """The nominal rate (N, 3) behind a first-order lag, while the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), p its pulsation, as steady
+    harmonic motion has it."""
+    pulse = observed.pulsation
+    change = -(tau * observed.acceleration + (pulse * tau) ** 2 * observed.rate) / (1 + (pulse * tau) ** 2)
+    return np.asarray(observed.omega + np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis)
+
+
+class GyroDeadZone(Shaped):
+    """Lock-in: 0 for |y| < d, else sign(y)·√(y² − d²)."""
+
+    id, stage, shape_name, shape_unit = "gyro_dead_zone", "output", "d", "deg/s"
+
+    def grid(self, observed: Observed) -> Array:
+        return np.geomspace(1e-3, 2.0, 18) if observed.of_kind("gyro") else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        squares = (value * DEG) ** 2
+        return _changed(observed, lambda y: np.copysign(np.sqrt(np.maximum(y**2 - squares, 0.0)), y), value, None)
+
+
+class GyroSaturation(Shaped):
+    """Output clipped at ±limit."""
+
+    id, stage, shape_name, shape_unit = "gyro_saturation", "output", "limit", "deg/s"
+
+    def grid(self, observed: Observed) -> Array:
+        if not observed.of_kind("gyro") or not observed.rate.any():
+            return np.empty(0)
+        largest = float(np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max())
+        return largest / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        return self._clipped(observed, value, _largest(observed))
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        grid = self.grid(observed)
+        largest = _largest(observed) if len(grid) else np.empty(0)
+        return [self._clipped(observed, float(value), largest) for value in grid]
+
+    @staticmethod
+    def _clipped(observed: Observed, value: float, largest: Array) -> Variant:
+        return _changed(observed, lambda y: np.clip(y, -value * DEG, value * DEG), value, largest > value * DEG)
+
+
+def _largest(observed: Observed) -> Array:
+    """The largest nominal output of any gyro in each segment, (S,)."""
+    whole = np.abs(observed.nominal_output[:, observed.of_kind("gyro")]).max(axis=1)
+    return np.maximum.reduceat(whole, observed.bounds[:-1])
+
+
+def _changed(
+    observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
+) -> Variant:
+    """A function of the gyros' nominal output, as what it adds. acting: (S,), the only segments where it adds anything, if not in all."""
+    nominal, gyros = observed.nominal_output, observed.of_kind("gyro")
+    change = np.zeros((len(nominal), len(gyros)))
+    for part in [slice(None)] if acting is None else [observed.segments()[index] for index in np.flatnonzero(acting)]:
+        here = nominal[part, gyros]
+        change[part] = output(here) - here
+    parts = {index: change[:, place] for place, index in enumerate(gyros)}
+    return Variant((whole(parts, acting),), shape)
+
+
+class GyroBiasRandomWalk:
+    """A bias that walks at random beyond the declared noise: covariance q²·min(t, t') between moments."""
+
+    id, stage, noise = "gyro_bias_random_walk", "covariance", "random walk"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+class GyroNoiseExcess:
+    """White noise density larger than declared."""
+
+    id, stage, noise = "gyro_noise_excess", "covariance", "white"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
+class GyroQuantization:
+    """Resolution coarser than declared: every output is a multiple of a larger count."""
+
+    id, stage, noise = "gyro_quantization", "covariance", "resolution"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []

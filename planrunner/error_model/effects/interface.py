@@ -1,0 +1,128 @@
+"""What a candidate effect is: physics that the nominal simulation lacks, as columns over the samples of a recording.
+
+An effect is a class found through the entry-point group `planrunner.effects`, a group beside that of the error-model terms: a term is one
+column of one output at segment means and is solved for; an effect may act on several channels at once, on samples, with a shape, or on the
+noise, and is asked whether the data want it.
+
+    class MyEffect:
+        id = "my_effect"                      # the entry point's name
+        stage = "sensor"                      # stimulus, sensor, output, acquisition, covariance
+        def variants(self, observed) -> list[Variant]
+
+A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
+covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
+drawn anew for every orientation; its columns are then those of the orientations in turn, numbered by the order of their first use.
+
+An effect that is not linear once it is large has a method `around` besides, as `Curved` says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.observed import Observed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: SI value of one
+    unit, for people. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI; segments: (S,), where it
+    acts, everywhere without it. whole: the effect is there as a whole or not at all, so that its amplitude is no parameter."""
+
+    name: str
+    unit: str
+    factor: float
+    magnitude: float
+    parts: Mapping[int, Array] = field(repr=False)
+    segments: NDArray[np.bool_] | None = field(default=None, repr=False)
+    whole: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without one. widths: where several
+    effects stand together, how many columns each has in turn."""
+
+    columns: tuple[Column, ...]
+    shape: float | None = None
+    widths: tuple[int, ...] = ()
+
+
+class Effect(Protocol):
+    """A candidate."""
+
+    id: str
+    stage: str
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        """The effect's forms on this recording; empty where it cannot act (no such channel, no rotation)."""
+
+
+class Curved(Protocol):
+    """An effect that is linear only while it is small."""
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        """Its columns as secants: multiplied by these amplitudes, SI, they give the whole of it."""
+
+
+class Shaped:
+    """An effect whose shape is one positive number: `shape_name`, in `shape_unit`. Its variants are those `at` the values of a `grid` in
+    even ratios; between them the diagnosis asks for more."""
+
+    shape_name: str
+    shape_unit: str
+
+    def grid(self, observed: Observed) -> Array:
+        """Values of the shape, empty where the effect cannot act."""
+        raise NotImplementedError
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        """The effect at one value."""
+        raise NotImplementedError
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return [self.at(observed, float(value)) for value in self.grid(observed)]
+
+
+def per_axis(
+    observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
+) -> list[Column]:
+    """One column an input axis of a triad: `signature` (N,) for all, or (N, 3), of which each takes its own."""
+    columns = []
+    for axis, index, share in observed.inputs(kind):
+        own = signature if signature.ndim == 1 else signature[:, axis]
+        part = own if isinstance(share, float) else share * own
+        columns.append(Column(f"{name}_{'xyz'[axis]}", unit, factor, magnitude, {index: part}))
+    return columns
+
+
+def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
+    """Parts of a column that changes what is felt: additional rate (N, 3) and specific force (N, 3)."""
+    parts = {}
+    for index, channel in enumerate(observed.channels):
+        felt = omega if channel.kind == "gyro" else force
+        if felt is not None:
+            parts[index] = observed.seen(index, felt)
+    return parts
+
+
+def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
+    """The column of an effect that is there as a whole, at its shape alone: a lag, a limit, a delay."""
+    return Column("share", "1", 1.0, 1.0, parts, segments, True)
+
+
+def single(columns: Sequence[Column]) -> list[Variant]:
+    """The variants of an effect without a shape."""
+    return [Variant(tuple(columns))] if columns else []
+
+
+def is_whole(columns: Sequence[Column]) -> bool:
+    """Whether an effect is there as a whole, at its shape alone: a lag, a limit, a delay."""
+    return len(columns) == 1 and columns[0].whole

@@ -1,0 +1,92 @@
+"""What a full nominal model holds, as candidates for a poorer one: bias, scale factor, misalignment, Earth rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, per_axis, single, whole
+from planrunner.error_model.observed import Observed
+
+DEG = 3.141592653589793 / 180
+G = 9.80665
+
+
+def felt(observed: Observed, kind: str) -> Array:
+    """What a triad measures, (N, 3)."""
+    return observed.omega if kind == "gyro" else observed.force
+
+
+def bias(observed: Observed, kind: str) -> list[Column]:
+    """A constant per axis."""
+    unit, factor = ("deg/s", DEG) if kind == "gyro" else ("mg", 1e-3 * G)
+    one = observed.time * 0 + 1
+    return per_axis(observed, kind, "bias", unit, factor, factor, one)
+
+
+def scale_factor(observed: Observed, kind: str) -> list[Column]:
+    """Output + k·(what the axis feels) per axis."""
+    return per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
+
+
+def misalignment(observed: Observed, kind: str) -> list[Column]:
+    """Output + m·(what another axis of the sensor feels), six per triad; in unknown orientations the sums of opposite ones, three."""
+    columns = []
+    for other in range(3):
+        for column in per_axis(
+            observed, kind, f"towards_{'xyz'[other]}", "arcsec", DEG / 3600, 1e-3, felt(observed, kind)[:, other]
+        ):
+            own = "xyz".index(column.name[-1])
+            if observed.along is None and own != other:
+                columns.append(column)
+            elif observed.along is not None and own < other:
+                columns.append(replace(column, name=f"gamma_{'xyz'[own]}{'xyz'[other]}"))
+    return columns
+
+
+PARTS = {"bias": bias, "scale_factor": scale_factor, "misalignment": misalignment}
+
+
+class _OfTriad:
+    """One part of the nominal model of one triad."""
+
+    stage = "sensor"
+
+    def __init__(self, kind: str, part: str):
+        self.id, self.kind, self.part = f"{kind}_{part}", kind, part
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return single(PARTS[self.part](observed, self.kind))
+
+
+class EarthRate:
+    """The Earth's rotation, where the nominal simulation leaves it out."""
+
+    id, stage = "earth_rate", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        parts = on_stimulus(observed, observed.earth_rate, None)
+        return single([whole(parts)] if parts else [])
+
+
+def gyro_bias() -> _OfTriad:
+    return _OfTriad("gyro", "bias")
+
+
+def gyro_scale_factor() -> _OfTriad:
+    return _OfTriad("gyro", "scale_factor")
+
+
+def gyro_misalignment() -> _OfTriad:
+    return _OfTriad("gyro", "misalignment")
+
+
+def accel_bias() -> _OfTriad:
+    return _OfTriad("accel", "bias")
+
+
+def accel_scale_factor() -> _OfTriad:
+    return _OfTriad("accel", "scale_factor")
+
+
+def accel_misalignment() -> _OfTriad:
+    return _OfTriad("accel", "misalignment")

@@ -1,0 +1,85 @@
+"""Effects of the site, of where the sensor sits, and of how its data are taken."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planrunner.error_model.effects.interface import (
+    Array,
+    Column,
+    Shaped,
+    Variant,
+    on_stimulus,
+    per_axis,
+    single,
+    whole,
+)
+from planrunner.error_model.observed import Observed
+
+DEG = np.pi / 180
+
+
+class MagneticSensitivity:
+    """Gyro output + K·m, K a 3×3 matrix, m the Earth's field in sensor axes, which turns with the sensor."""
+
+    id, stage = "magnetic_sensitivity", "sensor"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if observed.magnetic is None:
+            return []
+        field = observed.in_sensor_axes(observed.magnetic / np.linalg.norm(observed.magnetic))
+        columns = []
+        for i, name in enumerate("xyz"):
+            columns += per_axis(observed, "gyro", f"K_{name}", "deg/s/field", DEG, 1e-3 * DEG, field[:, i])
+        return single(columns)
+
+
+class SiteLatitude:
+    """The Earth rate was computed for the wrong latitude: Ω·(0, −sin φ, cos φ) per rad where the error is small."""
+
+    id, stage = "site_latitude", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return self.around(observed, np.zeros(1))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        half = float(amplitudes[0]) / 2
+        phi = observed.site.latitude + half  # the secant of a circle is parallel to the tangent halfway
+        change = observed.site.earth_rate * np.sinc(half / np.pi) * np.array([0.0, -np.sin(phi), np.cos(phi)])
+        parts = on_stimulus(observed, observed.in_sensor_axes(change), None)
+        return single([Column("error", "deg", DEG, DEG, parts)] if parts else [])
+
+
+class LeverArm:
+    """Accelerometers off the axis of rotation: ω×(ω×r) + α×r, r in sensor axes, ω and α the table's."""
+
+    id, stage = "lever_arm", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.rate.any() or not observed.of_kind("accel"):
+            return []
+        turn = observed.rate[:, None] * observed.table_axis
+        spin_up = observed.acceleration[:, None] * observed.table_axis
+        columns = []
+        for name, arm in zip("xyz", np.eye(3), strict=True):
+            felt = np.cross(turn, np.cross(turn, arm)) + np.cross(spin_up, arm)
+            columns.append(Column(f"r_{name}", "mm", 1e-3, 1e-2, on_stimulus(observed, None, felt)))
+        return single(columns)
+
+
+class TimeLatency(Shaped):
+    """Sensor data are late by a constant delay: what was felt earlier."""
+
+    id, stage, shape_name, shape_unit = "time_latency", "acquisition", "delay", "s"
+
+    def grid(self, observed: Observed) -> Array:
+        return np.geomspace(5e-4, 0.1, 10) if observed.acceleration.any() else np.empty(0)
+
+    def at(self, observed: Observed, value: float) -> Variant:
+        """While the table rocks, harmonic motion of pulsation p: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd."""
+        pulse = observed.pulsation
+        earlier = value * np.sinc(pulse * value / np.pi)  # sin(pd)/p
+        change = observed.rate * (np.cos(pulse * value) - 1) - observed.acceleration * earlier
+        turned = np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis
+        parts = on_stimulus(observed, turned, None)
+        return Variant((whole(parts, observed.unsteady),), value)

@@ -1,0 +1,131 @@
+"""Effects of the table: where it really points and how it really turns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planrunner.error_model.effects.interface import Array, Column, Variant, on_stimulus, single
+from planrunner.error_model.observed import Observed
+from planrunner.plan.schedule import Rest
+
+ARCSEC = np.pi / 180 / 3600
+EAST, NORTH, UP = np.eye(3)
+
+
+def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
+    """The base turned by an angle ε about a site axis: every site vector v is felt as v − ε·axis × v by the sensor.
+
+    Attitude = A·R(−θ)·(I − ε[axis×]): the table's own rate turns with the base and is felt as before. turned: (3,), rad, the rotation
+    vector φ that all columns make up together; zero where the angles are small.
+    """
+    earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
+    omega = observed.in_sensor_axes(_secant(axis, earth, turned))
+    felt = observed.in_sensor_axes(_secant(axis, force, turned))
+    return Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, felt))
+
+
+def _secant(axis: Array, vector: Array, turned: Array) -> Array:
+    """Change of a vector per radian about an axis. Summed over the axes with the components of φ it is (R(−φ) − I)·v, by Rodrigues'
+    formula −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v)."""
+    first = np.cross(axis, vector)
+    angle = float(np.linalg.norm(turned)) / np.pi
+    return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))
+
+
+class TableTilt:
+    """The table's base is not level: two angles about east and north."""
+
+    id, stage = "table_tilt", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return self.around(observed, np.zeros(2))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        turned = np.append(amplitudes, 0.0)
+        return single([tilted(observed, EAST, "about_east", turned), tilted(observed, NORTH, "about_north", turned)])
+
+
+class TableAzimuth:
+    """The table's north is not north: one angle about up."""
+
+    id, stage = "table_azimuth", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return self.around(observed, np.zeros(1))
+
+    def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
+        return single([tilted(observed, UP, "about_up", float(amplitudes[0]) * UP)])
+
+
+class TablePositionError:
+    """Each orientation is set with its own small random error, the same each time it is set: three angles in sensor axes."""
+
+    id, stage, each = "table_position_error", "stimulus", "orientation"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        keys = [tuple(np.round(attitude, 6).ravel() + 0.0) for attitude in observed.attitude]
+        distinct = list(dict.fromkeys(keys))
+        if len(distinct) < 4:
+            return []
+        which = np.array([distinct.index(key) for key in keys])
+        columns = []
+        for i, axis in enumerate(np.eye(3)):
+            parts = on_stimulus(observed, -np.cross(axis, observed.omega), -np.cross(axis, observed.force))
+            for number in range(len(distinct)):
+                name = f"orientation_{number + 1}_{'xyz'[i]}"
+                columns.append(Column(name, "arcsec", ARCSEC, 20 * ARCSEC, parts, which == number))
+        return single(columns)
+
+
+class TableRateRipple:
+    """Rate × (1 + a·cos(nθ + φ)), n = 1 or 2 per turn, which the encoder does not show."""
+
+    id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.rate.any():
+            return []
+        turn = observed.rate[:, None] * observed.table_axis
+        found = []
+        for n in (1, 2):
+            waves = {"cos": np.cos(n * observed.angle), "sin": np.sin(n * observed.angle)}
+            columns = tuple(
+                Column(name, "ppm", 1e-6, 1e-3, on_stimulus(observed, wave[:, None] * turn, None))
+                for name, wave in waves.items()
+            )
+            found.append(Variant(columns, float(n)))
+        return found
+
+
+class TableWobble:
+    """While the table turns, attitude = (I + [δ×])·R(θ), δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes, and the rate that goes with it.
+
+    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]): seen from the turning table the payload is tilted by the constant δ₀ = a·(cos φ, sin
+    φ, 0), and
+    everything that the sensor feels, the table's rate included, is turned by −δ₀ in its axes.
+    """
+
+    id, stage = "table_wobble", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        moving = np.array([not isinstance(motion, Rest) for motion in observed.motions])
+        if not moving.any():
+            return []
+        columns = []
+        for name, axis in (("cos", EAST), ("sin", NORTH)):
+            delta = np.einsum("sij,j->si", observed.attitude, axis)[observed.owner]
+            omega, force = -np.cross(delta, observed.omega), -np.cross(delta, observed.force)
+            columns.append(Column(name, "arcsec", ARCSEC, 60 * ARCSEC, on_stimulus(observed, omega, force), moving))
+        return single(columns)
+
+
+class TableRateError:
+    """True rate = commanded × (1 + ε): a nominal model with free scale factors absorbs it."""
+
+    id, stage = "table_rate_error", "stimulus"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        if not observed.rate.any():
+            return []
+        turn = observed.rate[:, None] * observed.table_axis
+        return single([Column("epsilon", "ppm", 1e-6, 1e-3, on_stimulus(observed, turn, None))])

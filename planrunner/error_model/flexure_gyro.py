@@ -1,0 +1,160 @@
+"""The flexure gyro: how its physical coefficients and the coefficients of its two outputs belong together.
+
+Static model of the torquer outputs (CN100554884C), rows of the design matrix [1, ω_Y, ω_X, a_X, a_Y, a_Z]:
+
+    i_x = U0 + U1·ω_Y + U2·ω_X + U3·a_X + U4·a_Y + U5·a_Z        i_y = V0 + V1·ω_Y + V2·ω_X + V3·a_X + V4·a_Y + V5·a_Z
+
+    U1 =  cos(ε+ξ)/(SF_Y·cos ξ)   U2 = sin(ε+ξ)/(SF_Y·cos ξ)   V1 = −sin ε/(SF_X·cos ξ)   V2 = cos ε/(SF_X·cos ξ)
+    [U_k; V_k] = M·[D(X)_k; D(Y)_k],   M = [[U1, U2], [V1, V2]],   k = F, X, Y, Z for columns 0, 3, 4, 5
+
+As in the source, D(X) is paired with the ω_Y column and D(Y) with the ω_X column: D(X) is the drift of the output that senses rate
+about Y. Product terms are further columns k. Everything here is SI: scale factors rad/s per output unit, angles rad, drifts rad/s
+and rad/s per m/s^2 (or per (m/s^2)^2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.terms import (
+    ACCEL_X,
+    ACCEL_X_ACCEL_Z,
+    ACCEL_Y,
+    ACCEL_Y_ACCEL_Z,
+    ACCEL_Z,
+    BIAS,
+    RATE_X,
+    RATE_Y,
+    ErrorModel,
+    Term,
+)
+
+Array = NDArray[np.float64]
+
+PRODUCTS: dict[str, tuple[Term, str]] = {
+    "accel_x_accel_z": (ACCEL_X_ACCEL_Z, "XZ"),
+    "accel_y_accel_z": (ACCEL_Y_ACCEL_Z, "YZ"),
+}
+_GEOMETRY = ("SF_X", "SF_Y", "epsilon", "xi")
+_DRIFTS = ("F", "X", "Y", "Z")
+_DRIFT_COLUMNS = (0, 3, 4, 5)
+
+
+def static_model(products: tuple[str, ...] = ()) -> ErrorModel:
+    """The static model of either output: bias, ω_Y, ω_X, a_X, a_Y, a_Z and any of the `PRODUCTS`."""
+    return ErrorModel((BIAS, RATE_Y, RATE_X, ACCEL_X, ACCEL_Y, ACCEL_Z, *(PRODUCTS[name][0] for name in products)))
+
+
+def physical_names(products: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …: the twelve, and two more for each product term."""
+    drifts = (*_DRIFTS, *(PRODUCTS[name][1] for name in products))
+    return (*_GEOMETRY, *(f"D_{axis}_{drift}" for axis in "XY" for drift in drifts))
+
+
+def output_names(products: tuple[str, ...] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(U0, U1, …) and (V0, V1, …)."""
+    p = 6 + len(products)
+    return tuple(f"U{k}" for k in range(p)), tuple(f"V{k}" for k in range(p))
+
+
+def _drift_columns(p: int) -> tuple[int, ...]:
+    return (*_DRIFT_COLUMNS, *range(6, p))
+
+
+def output_coefficients(physical: Array) -> Array:
+    """[U; V], shape (2, p), SI, from physical coefficients in the order of `physical_names`, shape (4 + 2·(p − 2),)."""
+    sf_x, sf_y, epsilon, xi = physical[:4]
+    cos_xi = np.cos(xi)
+    mixing = np.array(
+        [
+            [np.cos(epsilon + xi) / (sf_y * cos_xi), np.sin(epsilon + xi) / (sf_y * cos_xi)],
+            [-np.sin(epsilon) / (sf_x * cos_xi), np.cos(epsilon) / (sf_x * cos_xi)],
+        ]
+    )
+    drifts = np.asarray(physical[4:], dtype=float).reshape(2, -1)
+    result = np.empty((2, drifts.shape[1] + 2))
+    result[:, 1:3] = mixing
+    result[:, _drift_columns(result.shape[1])] = mixing @ drifts
+    return result
+
+
+def physical_coefficients(outputs: Array) -> Array:
+    """The closed-form inverse of `output_coefficients`, shape (4 + 2·(p − 2),), from [U; V], shape (2, p); for many at once, (2, p, n),
+    shape (4 + 2·(p − 2), n).
+
+    tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale factor.
+    Raises ValueError where U1, V2 or the determinant of M vanishes.
+    """
+    mixing, inverse = _mixing(outputs)
+    (u1, u2), (v1, v2) = mixing
+    sum_, epsilon = np.arctan(u2 / u1), np.arctan(-v1 / v2)
+    xi = sum_ - epsilon
+    cos_xi = np.cos(xi)
+    sf_x = np.sign(v2) / (np.hypot(v1, v2) * cos_xi)
+    sf_y = np.sign(u1) / (np.hypot(u1, u2) * cos_xi)
+    columns = list(_drift_columns(outputs.shape[1]))
+    u, v = outputs[0, columns], outputs[1, columns]
+    drifts = [inverse[axis, 0] * u + inverse[axis, 1] * v for axis in range(2)]
+    return np.concatenate([np.array([sf_x, sf_y, epsilon, xi]), *drifts])
+
+
+def jacobian(outputs: Array) -> Array:
+    """∂(physical)/∂(U0 … , V0 …) of `physical_coefficients`, shape (4 + 2·(p − 2), 2·p), SI.
+
+    From d(ε+ξ) = (U1·dU2 − U2·dU1)/(U1²+U2²), dε = (V1·dV2 − V2·dV1)/(V1²+V2²), dSF = SF·(−½·d ln(U1²+U2²) + tan ξ·dξ) and
+    dD_k = M⁻¹·(d[U_k; V_k] − dM·D_k).
+    """
+    mixing, inverse = _mixing(outputs)
+    (u1, u2), (v1, v2) = mixing
+    p = outputs.shape[1]
+    physical = physical_coefficients(outputs)
+    sf_x, sf_y, _, xi = physical[:4]
+    u_square, v_square = u1**2 + u2**2, v1**2 + v2**2
+    result = np.zeros((len(physical), 2 * p))
+    d_sum, d_epsilon = np.zeros(2 * p), np.zeros(2 * p)
+    d_sum[1], d_sum[2] = -u2 / u_square, u1 / u_square
+    d_epsilon[p + 1], d_epsilon[p + 2] = -v2 / v_square, v1 / v_square
+    d_xi = d_sum - d_epsilon
+    d_log_u, d_log_v = np.zeros(2 * p), np.zeros(2 * p)
+    d_log_u[1], d_log_u[2] = u1 / u_square, u2 / u_square
+    d_log_v[p + 1], d_log_v[p + 2] = v1 / v_square, v2 / v_square
+    result[0] = sf_x * (np.tan(xi) * d_xi - d_log_v)
+    result[1] = sf_y * (np.tan(xi) * d_xi - d_log_u)
+    result[2], result[3] = d_epsilon, d_xi
+    drifts = physical[4:].reshape(2, -1)
+    count = drifts.shape[1]
+    for k, column in enumerate(_drift_columns(p)):
+        for output in range(2):
+            change = np.zeros((2, 2 * p))
+            change[output, output * p + column] = 1.0
+            change[output, output * p + 1 : output * p + 3] = -drifts[:, k]
+            result[[4 + k, 4 + count + k]] += inverse @ change
+    return result
+
+
+def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
+    """[ω_Y, ω_X] recovered from the two outputs, shape (n, 2), rad/s: the compensation model G0.
+
+    outputs: [U; V], (2, p) with p = 6; observed: (n, 2), i_x and i_y; specific_force: (n, 3), m/s^2. M⁻¹ applied to the outputs gives
+    [ω_Y + D(X); ω_X + D(Y)], from which D(X) = D(X)_F + D(X)_X·a_X + D(X)_Y·a_Y + D(X)_Z·a_Z and D(Y) likewise are subtracted.
+    """
+    _, inverse = _mixing(outputs)
+    drifts = physical_coefficients(outputs)[4:].reshape(2, -1)
+    felt = np.column_stack([np.ones(len(observed)), specific_force])
+    return observed @ inverse.T - felt @ drifts[:, :4].T
+
+
+def _mixing(outputs: Array) -> tuple[Array, Array]:
+    """M and its inverse, both (2, 2) or (2, 2, n)."""
+    mixing = np.asarray(outputs, dtype=float)[:, 1:3]
+    determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
+    scale = np.abs(mixing).max(axis=(0, 1))
+    sound = np.isfinite(scale) & (scale > 0) & (np.abs(determinant) >= 1e-12 * scale**2)
+    if not np.all(sound & (mixing[0, 0] != 0) & (mixing[1, 1] != 0)):
+        raise ValueError(
+            "the outputs do not respond to rate as a flexure gyro's do (U1·V2 − U2·V1 is zero): "
+            "check that the two outputs are named in the right order and that neither is dead"
+        )
+    inverse = np.array([[mixing[1, 1], -mixing[0, 1]], [-mixing[1, 0], mixing[0, 0]]]) / determinant
+    return mixing, inverse

@@ -1,0 +1,214 @@
+"""What effects act on: the samples of a recording or schedule, with the stimulus that a sensor felt at each of them.
+
+Everything is SI with radians, temperature apart (degC). Samples of all segments follow one another; `bounds` says where a segment
+begins. The nominal stimulus at every sample follows from attitude, table angle and site; an Observed holds no error model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.physics.earth import Site
+from planrunner.plan.schedule import Motion, Rock, Spin
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A measured channel. kind: 'gyro' or 'accel'; axis: index 0, 1, 2 of the sensor's axis it measures along. factor: SI value of one
+    `unit`. white: one-sided declared noise, SI·√s, so that a sample at rate f has the standard deviation white·√f; flicker: declared bias
+    instability, SI; resolution: one count, SI."""
+
+    name: str
+    kind: str
+    axis: int
+    unit: str
+    factor: float
+    white: float
+    flicker: float = 0.0
+    resolution: float = 0.0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A recording beside its plan. S segments, N samples, K channels.
+
+    labels, attitude (S, 3, 3; rows are the sensor's axes in East-North-Up at table angle 0), motions: of the segments. bounds: (S + 1,).
+    time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature,
+    temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first.
+    values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN.
+    along: (S, 3), for a sensor in unknown orientations: the direction of gravity in its axes, found by itself. Its accelerometers are then
+    seen along it alone, as one channel: across it, every error is an orientation that nobody knows.
+    bins: of a long recording, whose "samples" are means over consecutive ones; None where they are the samples themselves.
+    """
+
+    site: Site
+    channels: tuple[Channel, ...]
+    labels: tuple[str, ...]
+    motions: tuple[Motion, ...]
+    attitude: Array
+    bounds: NDArray[np.int64]
+    time: Array
+    angle: Array
+    rate: Array
+    acceleration: Array
+    temperature: Array
+    temperature_rate: Array
+    last_change: Array
+    values: Array
+    magnetic: Array | None = None
+    rejected: int = 0
+    fitted: Array | None = None
+    along: Array | None = None
+    bins: Bins | None = None
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def segments(self) -> list[slice]:
+        """The samples of every segment."""
+        return self._slices
+
+    @cached_property
+    def _slices(self) -> list[slice]:
+        return [slice(int(a), int(b)) for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True)]
+
+    @cached_property
+    def unsteady(self) -> NDArray[np.bool_]:
+        """The segments (S,) in which the table's rate changes."""
+        return np.array([bool(self.acceleration[part].any()) for part in self.segments()])
+
+    @cached_property
+    def pulsation(self) -> Array:
+        """Of a rocking table, 2π times its frequency, (N,), rad/s; 0 in other segments and where it has come to rest."""
+        each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
+        return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
+
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
+        """The segment of every sample, (N,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.bounds))
+
+    @cached_property
+    def bin_size(self) -> NDArray[np.int64]:
+        """How many samples each of a segment's values is the mean of, (S,)."""
+        return np.ones(len(self), dtype=np.int64) if self.bins is None else self.bins.size
+
+    @cached_property
+    def counts(self) -> NDArray[np.int64]:
+        """Samples of every segment, (S,), those in its bins."""
+        return np.diff(self.bounds) * self.bin_size
+
+    @cached_property
+    def turning(self) -> Array:
+        """The site direction about which the table turns, (S, 3)."""
+        return np.array([m.about if isinstance(m, Spin) else (0.0, 0.0, 1.0) for m in self.motions], dtype=float)
+
+    @cached_property
+    def sample_rate(self) -> float:
+        """Samples per second, the median over the run."""
+        if self.bins is not None:
+            return self.bins.rate
+        return 1.0 / float(np.median(np.diff(self.time[: min(len(self.time), 100_000)])))
+
+    def in_sensor_axes(self, site_vector: Array) -> Array:
+        """A vector in site axes, (3,), as the sensor's axes see it at every sample, (N, 3): attitude · R(−θ) · vector, R by Rodrigues'
+        formula about the segment's axis."""
+        vector = np.asarray(site_vector, dtype=float)
+        along = (self.turning @ vector)[:, None] * self.turning
+        axes = np.stack([along, vector - along, -np.cross(self.turning, vector)], axis=1) @ self.attitude.swapaxes(1, 2)
+        seen = np.empty((len(self.time), 3))
+        for part, here in zip(self.segments(), axes, strict=True):
+            np.matmul(self._turned[part], here, out=seen[part])
+        return seen
+
+    @cached_property
+    def _turned(self) -> Array:
+        """1, cosine and sine of the table's angle, (N, 3). Over a bin they are means to the second order in its length."""
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
+        if self.bins is not None:
+            spread = ((self.bin_size**2 - 1) / (24 * self.sample_rate**2))[self.owner]
+            squared, change = self.rate**2, self.acceleration
+            cosine, sine = (
+                cosine - (squared * cosine + change * sine) * spread,
+                sine - (squared * sine - change * cosine) * spread,
+            )
+        return np.column_stack([np.ones(len(cosine)), cosine, sine])
+
+    @cached_property
+    def earth_rate(self) -> Array:
+        """Earth rotation in sensor axes, (N, 3), rad/s."""
+        return self.in_sensor_axes(self.site.earth_rate_enu)
+
+    @cached_property
+    def table_axis(self) -> Array:
+        """The axis about which the table turns in sensor axes, (N, 3): fixed within a segment."""
+        felt: Array = np.einsum("sij,sj->si", self.attitude, self.turning)[self.owner]
+        return felt
+
+    @cached_property
+    def omega(self) -> Array:
+        """Nominal angular rate against inertial space in sensor axes, (N, 3), rad/s."""
+        return self.earth_rate + self.rate[:, None] * self.table_axis
+
+    @cached_property
+    def force(self) -> Array:
+        """Nominal specific force in sensor axes on the axis of rotation, (N, 3), m/s²."""
+        return self.in_sensor_axes(self.site.specific_force_enu)
+
+    @cached_property
+    def nominal_output(self) -> Array:
+        """What the channels give without the effect, (N, K), SI: of the fitted nominal model, before that of an ideal sensor."""
+        if self.fitted is not None:
+            return self.fitted
+        felt = {"gyro": self.omega, "accel": self.force}
+        return np.column_stack([self.seen(index, felt[channel.kind]) for index, channel in enumerate(self.channels)])
+
+    def seen(self, index: int, vector: Array) -> Array:
+        """What a channel sees, (N,), of a vector in sensor axes, (N, 3)."""
+        if self.along is None:
+            return np.asarray(vector[:, self.channels[index].axis])
+        component = np.einsum("ni,ni->n", self.along[self.owner], vector)
+        rounding = 1e-12 * np.linalg.norm(vector, axis=1).max(initial=0.0)
+        return np.where(np.abs(component) > rounding, component, 0.0)
+
+    def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
+        """Input axes of a triad: axis, channel that it is seen in, and the share of it that the channel sees, (N,) or 1."""
+        if self.along is None:
+            return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
+        return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
+
+    @cached_property
+    def warmth(self) -> Array:
+        """Temperature above the reference, (N,), K."""
+        return self.temperature - REFERENCE_TEMPERATURE
+
+    def of_kind(self, kind: str) -> list[int]:
+        """Indices of the channels of a triad."""
+        return [index for index, channel in enumerate(self.channels) if channel.kind == kind]
+
+
+REFERENCE_TEMPERATURE = 25.0  # degC
+
+
+@dataclass(frozen=True)
+class Bins:
+    """What bins are made of. size: (S,), samples of each bin of a segment. rate: Hz, of the samples. energy: (S, K, K), SI², products of
+    DCT-II coefficients of the upper three quarters of the orders, `count` (S,) of each channel. spikes: (K,), samples replaced. levels:
+    by channel, distinct values in counts."""
+
+    size: NDArray[np.int64]
+    rate: float
+    energy: Array
+    count: Array
+    spikes: NDArray[np.int64]
+    levels: tuple[Array, ...]
+
+    def followed(self, further: int) -> Bins:
+        """With so many segments after it that hold nothing but single values."""
+        return replace(self, size=np.concatenate([self.size, np.ones(further, dtype=np.int64)]))

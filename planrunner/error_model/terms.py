@@ -1,0 +1,111 @@
+"""Terms of an inertial sensor's error model: named functions of the stimulus, and models made of them.
+
+A linear term gives one column of a design matrix. An estimator solves for its coefficient at the recorded stimulus, and the checker asks
+at the planned one whether it can be seen and how well. (The virtual gyro shares none of this: it balances its rotor by formulas of its
+own, so that simulator and estimators cannot be wrong together.) Every term stands in the entry-point group `planrunner.terms`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.physics.earth import EARTH_RATE
+from planrunner.physics.stimulus import Stimulus, StimulusError
+from planrunner.plan.units import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One term, linear in its coefficient.
+
+    of: the column for a stimulus of n rows, shape (n,), SI. magnitude: the declared size of that column, by which columns are
+    divided before rank and condition are judged. unit: of the column. degree: in the components of the stimulus; a term of degree
+    two or more cannot be taken from means over a moving attitude.
+    """
+
+    name: str
+    description: str
+    magnitude: float
+    unit: str
+    of: Callable[[Stimulus], Array] = field(repr=False)
+    degree: int = 1
+
+    def column(self, stimulus: Stimulus) -> Array:
+        """The column, shape (n,). Raises `StimulusError` for a product over a moving attitude."""
+        if self.degree > 1 and bool(stimulus.moving.any()):
+            raise StimulusError(
+                f"the term {self.name} is a product and cannot be taken from means over turning segments"
+            )
+        return np.asarray(self.of(stimulus), dtype=float)
+
+
+def _rate(axis: int) -> Callable[[Stimulus], Array]:
+    return lambda stimulus: stimulus.omega[:, axis]
+
+
+def _accel(axis: int) -> Callable[[Stimulus], Array]:
+    return lambda stimulus: stimulus.specific_force[:, axis]
+
+
+def _product(first: int, second: int) -> Callable[[Stimulus], Array]:
+    return lambda stimulus: stimulus.specific_force[:, first] * stimulus.specific_force[:, second]
+
+
+_G2 = STANDARD_GRAVITY**2
+BIAS = Term("bias", "Constant output.", 1.0, "1", lambda stimulus: np.ones(len(stimulus)), 0)
+RATE_X = Term("rate_x", "Angular rate about the sensor's x axis.", EARTH_RATE, "rad/s", _rate(0))
+RATE_Y = Term("rate_y", "Angular rate about the sensor's y axis.", EARTH_RATE, "rad/s", _rate(1))
+RATE_Z = Term("rate_z", "Angular rate about the sensor's z axis.", EARTH_RATE, "rad/s", _rate(2))
+ACCEL_X = Term("accel_x", "Specific force along the sensor's x axis.", STANDARD_GRAVITY, "m/s^2", _accel(0))
+ACCEL_Y = Term("accel_y", "Specific force along the sensor's y axis.", STANDARD_GRAVITY, "m/s^2", _accel(1))
+ACCEL_Z = Term("accel_z", "Specific force along the sensor's z axis.", STANDARD_GRAVITY, "m/s^2", _accel(2))
+ACCEL_X_ACCEL_Z = Term(
+    "accel_x_accel_z", "Product of the specific forces along x and z.", _G2, "(m/s^2)^2", _product(0, 2), 2
+)
+ACCEL_Y_ACCEL_Z = Term(
+    "accel_y_accel_z", "Product of the specific forces along y and z.", _G2, "(m/s^2)^2", _product(1, 2), 2
+)
+
+
+def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
+    """One column a term, shape (n, p), SI. Raises `StimulusError` where a term has no meaning for the stimulus."""
+    matrix = np.empty((len(stimulus), len(terms)))
+    for k, term in enumerate(terms):
+        matrix[:, k] = term.column(stimulus)
+    return matrix
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """A list of terms that one output is made of."""
+
+    terms: tuple[Term, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(term.name for term in self.terms)
+
+    @property
+    def magnitudes(self) -> Array:
+        """Declared sizes of the columns, shape (p,), SI."""
+        return np.array([term.magnitude for term in self.terms])
+
+    def columns(self, stimulus: Stimulus) -> Array:
+        """The design matrix, shape (n, p), SI."""
+        return design_matrix(self.terms, stimulus)
+
+    def predict(self, coefficients: Mapping[str, float] | Array, stimulus: Stimulus) -> Array:
+        """The output, shape (n,), for coefficients by name (others are zero) or as an array of shape (p,)."""
+        if isinstance(coefficients, Mapping):
+            unknown = set(coefficients) - set(self.names)
+            if unknown:
+                raise KeyError(", ".join(sorted(unknown)))
+            coefficients = np.array([coefficients.get(name, 0.0) for name in self.names])
+        return self.columns(stimulus) @ coefficients

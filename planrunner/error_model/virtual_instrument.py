@@ -1,0 +1,199 @@
+"""The virtual instrument that adds effects of the catalogue to a virtual sensor, so that a bench file says what its simulation holds.
+
+It stands between two layers that do not know each other: the virtual sensor gives its outputs without noise to whatever stands in
+`World.added`, and `planrunner.error_model.effects` knows the effects. Here the one is handed to the other.
+
+    added:
+      driver: added_effects
+      effects:
+        gyro_warm_up: {tau: 600 s, a_x: 0.01 deg/s, a_y: 0 deg/s, a_z: -0.02 deg/s}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.findings import InputError
+from planrunner.instruments.interfaces import InstrumentError, Surroundings
+from planrunner.instruments.virtual.added import Gives, Moments
+from planrunner.instruments.virtual.noise import RandomWalk, generator
+from planrunner.instruments.virtual.world import World
+from planrunner.plan.kinds import MapOf, Record, Text, key
+from planrunner.plan.units import ZERO_CELSIUS, unit
+
+if TYPE_CHECKING:
+    from planrunner.error_model.added import Addition
+    from planrunner.error_model.observed import Observed
+
+Array = NDArray[np.float64]
+NAME = r"[a-z][a-z0-9_]{0,59}"
+_CHANGED = 1.0  # K between segments: less is no change of temperature
+_WALKS = 2  # second part of the key of a generator: apart from those of segments and of switching on
+
+
+class AddedEffectsParameters(Record):
+    """Effects that a simulation holds beyond the declared errors of its sensor, table and site."""
+
+    effects: dict[str, dict[str, str]] = key(
+        MapOf(MapOf(Text(), pattern=r"[A-Za-z][A-Za-z0-9_]{0,59}"), pattern=NAME),
+        "Effects by name, each with its parameters in their units; a parameter that is not given has its natural "
+        "size. `planrunner simulate --help` explains how to list them.",
+        {"gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
+    )
+
+
+class AddedEffects:
+    """Effects in the virtual world."""
+
+    role = "effects"
+    Parameters = AddedEffectsParameters
+
+    def __init__(self, parameters: AddedEffectsParameters, world: World):
+        self.parameters = parameters
+        self.world = world
+        self.additions: tuple[Addition, ...] = ()
+        self.walks: dict[str, RandomWalk] = {}
+        self.before: float | None = None  # degC, of the segment before
+        self.change = 0.0
+        self.segment = -1
+
+    @classmethod
+    def connect(cls, parameters: AddedEffectsParameters, surroundings: Surroundings) -> AddedEffects:
+        world = World.of(surroundings)
+        if world.added is not None:
+            raise InstrumentError("effects are added twice: put them into one instrument")
+        made = cls(parameters, world)
+        world.added = made
+        return made
+
+    # -- what the virtual sensor asks ----------------------------------------------------------------------------------
+
+    def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
+        from planrunner.error_model.added import added
+
+        observed = self._observed(moments, gives)
+        additions = self._known(observed)
+        channels = observed.channels
+        si = np.column_stack([levels[channel.name] * channel.factor for channel in channels])
+        changed = added(observed, si, additions, self.world.seed) + self._walked(moments, observed)
+        return {**levels, **{c.name: changed[:, i] / c.factor for i, c in enumerate(channels)}}
+
+    def noise(self, output: str, gives: Gives) -> Gives:
+        for item in self.additions:
+            kind = getattr(item.effect, "noise", "")
+            if kind in ("white", "resolution") and unit(gives.unit).dimension == unit("rad/s").dimension:
+                (value,) = item.values.values()
+                value *= unit("deg/s").factor / unit(gives.unit).factor
+                gives = replace(gives, white=value) if kind == "white" else replace(gives, step=value)
+        return gives
+
+    # -- what an instrument does -----------------------------------------------------------------------------------------
+
+    def read(self) -> Mapping[str, float]:
+        return {}
+
+    def identify(self) -> Mapping[str, str]:
+        listed = "; ".join(
+            f"{name} " + ", ".join(f"{key} {value}" for key, value in values.items())
+            for name, values in self.parameters.effects.items()
+        )
+        return {"manufacturer": "planrunner", "model": "added effects", "effects": listed}
+
+    def make_safe(self) -> None:
+        """Nothing moves."""
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def checkpoint(self) -> Mapping[str, Any]:
+        return {
+            "before": self.before,
+            "change": self.change,
+            "walks": {name: walk.checkpoint() for name, walk in self.walks.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.before, self.change = state["before"], float(state["change"])
+        for name, walk in state["walks"].items():
+            self.walks[name] = RandomWalk(0.0)
+            self.walks[name].restore(**walk)
+
+    # -- how it does it --------------------------------------------------------------------------------------------------
+
+    def _known(self, observed: Observed) -> Sequence[Addition]:
+        """The effects with all their parameters, worked out where the first samples say what the sensor is."""
+        if len(self.additions) < len(self.parameters.effects):
+            from planrunner.error_model.added import addition
+            from planrunner.error_model.scheduled import everything
+
+            whole = everything(observed.site, observed.channels, observed.sample_rate)
+            try:
+                self.additions = tuple(
+                    addition(name, values, whole, self.parameters.at(f"effects.{name}"))
+                    for name, values in self.parameters.effects.items()
+                )
+            except InputError as error:
+                finding = next(iter(error.findings))
+                raise InstrumentError(f"{finding.message}; {finding.hint}") from None
+        return self.additions
+
+    def _observed(self, moments: Moments, gives: Mapping[str, Gives]) -> Observed:
+        """The samples as a recording of one segment."""
+        from planrunner.error_model.observed import Observed
+        from planrunner.error_model.scheduled import channel
+
+        segment = moments.segment
+        if segment.attitude is None:
+            raise InstrumentError(f"'{segment.label}' has no orientation, without which no effect can be added")
+        warm = moments.kelvin - ZERO_CELSIUS
+        self._note_temperature(segment.index, warm)
+        listed = (channel(name, one.unit, one.white, 0.0, one.step) for name, one in gives.items())
+        channels = tuple(made for made in listed if made is not None)
+        step = 1 / moments.sample_rate
+        steady = len(warm) < 2
+        return Observed(
+            self.world.site,
+            channels,
+            (segment.label,),
+            (segment.motion,),
+            np.array([segment.attitude]),
+            np.array([0, len(warm)]),
+            moments.time - moments.power_on,
+            moments.angle,
+            moments.rate,
+            np.zeros(len(warm)) if steady else np.gradient(moments.rate, step),
+            warm,
+            np.zeros(len(warm)) if steady else np.gradient(warm, step),
+            np.array([self.change]),
+            np.zeros((len(warm), len(channels))),
+            None if self.world.site.magnetic_field is None else np.array(self.world.site.magnetic_field),
+        )
+
+    def _note_temperature(self, index: int, warm: Array) -> None:
+        """Follows the sign of the last change of temperature from segment to segment."""
+        if index != self.segment:
+            self.segment = index
+            now = float(warm.mean())
+            if self.before is not None and abs(now - self.before) > _CHANGED:
+                self.change = float(np.sign(now - self.before))
+            self.before = now
+
+    def _walked(self, moments: Moments, observed: Observed) -> Array:
+        """Random walks of the gyros' biases over the samples, (N, K), SI."""
+        total = np.zeros((len(moments.time), len(observed.channels)))
+        for item in self.additions:
+            if getattr(item.effect, "noise", "") != "random walk":
+                continue
+            (density,) = item.values.values()
+            draw = generator(self.world.seed, round(moments.time[0] * moments.sample_rate), _WALKS)
+            for channel in observed.of_kind("gyro"):
+                walk = self.walks.setdefault(observed.channels[channel].name, RandomWalk(0.0))
+                walk.coefficient = density * unit("deg/s").factor
+                walk.begin(float(moments.time[0]), draw)
+                total[:, channel] = walk.advance(len(moments.time), 1 / moments.sample_rate, draw)
+        return total

@@ -1,0 +1,309 @@
+"""Pure inertial navigation of a recorded segment: alignment during a stop, then attitude, velocity and position by strapdown
+mechanisation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.interface import EstimateRequest, EstimationError
+from planrunner.estimators.strapdown.alignment import STILL, Aligned, align, end_attitude, same_attitude
+from planrunner.estimators.strapdown.navigation_errors import ErrorRecord, Truth, difference, stride
+from planrunner.estimators.strapdown.reading import (
+    IncrementReader,
+    Increments,
+    reference_mean,
+    reference_speed,
+)
+from planrunner.navigation import attitude
+from planrunner.navigation.mechanisation import Knots, Navigator
+from planrunner.navigation.wgs84 import normal_gravity
+from planrunner.physics.earth import Site
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, QuantityError, parse_quantity, without_uncertainty
+from planrunner.plan.selection import matches
+
+Array = NDArray[np.float64]
+
+S = TypeVar("S")
+
+
+_HIGHEST_REACHED = math.radians(89)
+
+
+_GYRO = math.radians(0.1) / 3600  # rad/s
+
+
+_ACCELEROMETER = 9.80665e-3  # m/s^2, 1 mg
+
+
+_FARTHEST = {"initial_latitude": math.pi / 2, "initial_longitude": 2 * math.pi, "initial_height": 1e5}
+
+
+_POSITION = {"initial_latitude": "angle", "initial_longitude": "angle", "initial_height": "length"}
+
+
+class StrapdownNavigationParameters(Record):
+    """Keys of the estimator strapdown_navigation."""
+
+    gyros: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3, maximum=3),
+        "Channels of the gyros about x, y, z: rates or increments of angle.",
+        ["gyro_x", "gyro_y", "gyro_z"],
+        default=("gyro_x", "gyro_y", "gyro_z"),
+    )
+    accelerometers: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3, maximum=3),
+        "Channels of the accelerometers along x, y, z: specific force or increments of velocity.",
+        ["accel_x", "accel_y", "accel_z"],
+        default=("accel_x", "accel_y", "accel_z"),
+    )
+    align: str = key(
+        Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"),
+        "Label of the segment in which to align; what comes before it is warm-up, what comes after is navigated.",
+        "align",
+        default="align*",
+    )
+    vertical: str = key(
+        Choice(("held", "damped")),
+        "Vertical channel: height and vertical velocity held, or damped by the reference height.",
+        "damped",
+        default="held",
+    )
+    gravity: str = key(
+        Choice(("site", "wgs84")),
+        "Gravity: that of the site, changing with latitude and height as normal gravity does, or normal gravity itself.",
+        "wgs84",
+        default="site",
+    )
+    bridge: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "Samples missing for up to this long are filled on straight lines; longer gaps end the navigation with an error.",
+        "0 s",
+        default=parse_quantity("0.1 s"),
+    )
+    gyro_uncertainty: Quantity | None = key(
+        QuantityOf("angular rate", "positive"),
+        "Standard uncertainty of each gyro's constant error, for the uncertainty of the alignment and for what to expect.",
+        "0.005 deg/h",
+        default=None,
+    )
+    accelerometer_uncertainty: Quantity | None = key(
+        QuantityOf("acceleration", "positive"),
+        "Standard uncertainty of each accelerometer's constant error, for the same.",
+        "50 ug",
+        default=None,
+    )
+
+    @property
+    def constant_errors(self) -> Array:
+        """Standard uncertainty of the constant errors (6,), rad/s and m/s²: as stated, else so large that the data determine them."""
+        gyro = self.gyro_uncertainty.value if self.gyro_uncertainty else _GYRO
+        accelerometer = self.accelerometer_uncertainty.value if self.accelerometer_uncertainty else _ACCELEROMETER
+        return np.array([gyro] * 3 + [accelerometer] * 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Navigated:
+    """What a navigation gave. site: place of the start. final: (4,), errors at the end [m, m, m/s, m/s]. seconds: s. start: s, when it
+    began. gap: s without samples after the alignment."""
+
+    site: Site
+    aligned: Aligned
+    record: ErrorRecord
+    final: Array
+    seconds: float
+    start: float
+    gap: float
+    bridged: int
+
+
+def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
+    """The segment to align in and those to navigate. Raises `EstimationError`."""
+    found = [k for k, label in enumerate(labels) if matches(label, pattern)]
+    if not found:
+        raise EstimationError(
+            f"none of the segments is for alignment: no label is like '{pattern}'; add a stop with such a label before the navigation, or "
+            "name it with `align`"
+        )
+    if len(found) > 1:
+        raise EstimationError(
+            f"'{labels[found[0]]}' and '{labels[found[1]]}' are both for alignment: name one with `align`"
+        )
+    if found[0] == len(segments) - 1:
+        raise EstimationError(f"nothing comes after '{labels[found[0]]}': add the segment to navigate to `segments`")
+    return segments[found[0]], segments[found[0] + 1 :]
+
+
+def start_place(request: EstimateRequest, stop: RecordedSegment, factor: float) -> Site:
+    """The position of alignment: from run information, else as the reference channels show, else the bench's site. factor: on normal
+    gravity. Raises `EstimationError`."""
+    places: dict[str, Any] = {}
+    for name, dimension in _POSITION.items():
+        text = request.setup.information.get(name, "").strip()
+        channel = name.replace("initial", "reference")
+        if text:
+            places[name.removeprefix("initial_")] = _told(name, text, dimension)
+        elif channel in stop.statistics.channels:
+            places[name.removeprefix("initial_")] = reference_mean(stop, channel)
+    site = replace(request.site.on_ellipsoid, **places)
+    return replace(site, gravity=factor * float(normal_gravity(site.latitude, site.height)))
+
+
+def _told(name: str, text: str, dimension: str) -> float:
+    """A plain number is in degrees or metres, as receivers show it. Raises `EstimationError` for what is no position."""
+    try:
+        value = math.radians(float(text)) if dimension == "angle" else float(text)
+    except ValueError:
+        try:
+            value = without_uncertainty(text, dimension).value
+        except QuantityError as error:
+            raise EstimationError(
+                f"the run information {name} is '{text[:40]}': {error}; write for example 39.98 deg"
+            ) from None
+    if not abs(value) <= _FARTHEST[name]:
+        raise EstimationError(f"the run information {name} is '{text[:40]}', which is no place on Earth")
+    return value
+
+
+def navigate(request: EstimateRequest) -> Navigated:
+    """Alignment and navigation, each sample read once. Raises `EstimationError`."""
+    parameters: StrapdownNavigationParameters = request.parameters
+    stop, moving = parts(request.segments, [item.label for item in request.segments], parameters.align)
+    rates = {item.segment.sample_rate or request.sensor.sample_rate for item in (stop, *moving)}
+    if len(rates) > 1:
+        raise EstimationError(
+            "alignment and navigation have different sample rates: give all of them one `sample_rate`"
+        )
+    reader = IncrementReader((*parameters.gyros, *parameters.accelerometers), rates.pop(), parameters.bridge.value)
+    bench = request.site.on_ellipsoid
+    factor = (
+        bench.gravity / float(normal_gravity(bench.latitude, bench.height)) if parameters.gravity == "site" else 1.0
+    )
+    site = start_place(request, stop, factor)
+    aligned = align(stop, reader, site, factor, parameters.constant_errors)
+    gap = _gap(request, stop, moving, reader)
+    return _run(request, reader, moving, site, factor, aligned, gap)
+
+
+def _gap(
+    request: EstimateRequest, stop: RecordedSegment, moving: Sequence[RecordedSegment], reader: IncrementReader
+) -> float:
+    """Seconds between alignment and navigation; the attitude is carried over them where nothing can have turned. Raises
+    `EstimationError`."""
+    first = moving[0]
+    gap = first.statistics.start - stop.statistics.end - reader.interval
+    if not gap > reader.bridge + reader.interval / 2:
+        return 0.0
+    between = f"{gap:.4g} s lie between '{stop.label}' and '{first.label}'"
+    if max(map(reference_speed, (stop, *moving))) > STILL:
+        raise EstimationError(f"{between}, in which the carrier may have turned: record the two without a pause")
+    if stop.truncated or not same_attitude(
+        end_attitude(stop.segment, request.setup.table, stop.statistics.duration), first.segment.attitude
+    ):
+        raise EstimationError(
+            f"{between}, and '{first.label}' does not begin in the orientation in which '{stop.label}' ends: align in the orientation "
+            "in which navigation begins, or record the two without a pause"
+        )
+    reader.part()
+    return gap
+
+
+def _run(
+    request: EstimateRequest,
+    reader: IncrementReader,
+    moving: Sequence[RecordedSegment],
+    site: Site,
+    factor: float,
+    aligned: Aligned,
+    gap: float,
+) -> Navigated:
+    every = max(1, round(1 / reader.interval))
+    lasting = sum(item.statistics.duration for item in moving)
+    if not any(item.statistics.count for item in moving):
+        raise EstimationError("the segments to navigate hold no usable samples: record them again")
+    if lasting < 2 * every * reader.interval:
+        raise EstimationError(f"only {lasting:.3g} s are left to navigate: record longer")
+    record = ErrorRecord(stride(int(lasting / (every * reader.interval))))
+    navigator: Navigator | None = None
+    start, time, truth = math.nan, math.nan, None
+    for item in moving:
+        for piece in reader.blocks(item):
+            if navigator is None:
+                start = float(piece.time[0] - piece.interval[0])
+                navigator, site = _begin(request, piece, site, factor, aligned, every)
+            at = np.arange(every - 1 - navigator.steps % every, piece.time.size, every)
+            knots = navigator.advance(piece.values, piece.interval, piece.reference.get("reference_height"))
+            record.take(piece.time[at] - start, knots, _truth(piece, site, at))
+            _check(navigator, item.label, float(piece.time[-1]) - start)
+            time, truth = float(piece.time[-1]), _truth(piece, site, np.array([-1]))
+    assert navigator is not None and truth is not None
+    place = (np.array([value]) for value in navigator.position)
+    final = difference(Knots(navigator.quaternion[None], navigator.velocity[None], *place), truth)[:, 0]
+    return Navigated(site, aligned, record, final, time - start, start, gap, reader.bridged)
+
+
+def _begin(
+    request: EstimateRequest, piece: Increments, site: Site, factor: float, aligned: Aligned, every: int
+) -> tuple[Navigator, Site]:
+    """The navigator at the beginning of the first interval, and the place where that is."""
+    parameters: StrapdownNavigationParameters = request.parameters
+    first = {name: _before(values) for name, values in piece.reference.items()}
+    told = request.setup.information
+    moved: dict[str, Any] = {
+        name: first[f"reference_{name}"]
+        for name in ("latitude", "longitude", "height")
+        if f"reference_{name}" in first and not told.get(f"initial_{name}", "").strip()
+    }
+    site = replace(site, **moved)
+    velocity = np.array([first.get(f"reference_velocity_{name}", 0.0) for name in ("east", "north", "up")])
+    if parameters.vertical == "held":
+        velocity[2] = 0.0
+    navigator = Navigator(
+        attitude.quaternion(aligned.alignment.rotation),
+        velocity,
+        (site.latitude, site.longitude, site.height),
+        vertical=parameters.vertical,
+        gravity_factor=factor,
+        earth_rate=site.earth_rate,
+        every=every,
+        last=aligned.last,
+    )
+    return navigator, site
+
+
+def _before(values: Array) -> float:
+    """A reference channel one interval before its first sample, on a straight line."""
+    return float(2 * values[0] - values[1]) if len(values) > 1 else float(values[0])
+
+
+def _truth(piece: Increments, site: Site, at: NDArray[np.int64]) -> Truth:
+    """Where the unit was at some samples of a block: the reference channels, else the place of the start, at rest."""
+    reference = piece.reference
+
+    def of(name: str, otherwise: float) -> Array:
+        return reference[name][at] if name in reference else np.full(len(at), otherwise)
+
+    velocity = np.column_stack([of("reference_velocity_east", 0.0), of("reference_velocity_north", 0.0)])
+    return Truth(
+        of("reference_latitude", site.latitude),
+        of("reference_longitude", site.longitude),
+        of("reference_height", site.height),
+        velocity,
+    )
+
+
+def _check(navigator: Navigator, label: str, seconds: float) -> None:
+    if not np.isfinite(navigator.state).all() or abs(navigator.position[0]) > _HIGHEST_REACHED:
+        raise EstimationError(
+            f"after {seconds:.0f} s of '{label}' the navigated position comes near a pole, where East-North-Up axes end: "
+            "check the sensors' units and errors"
+        )

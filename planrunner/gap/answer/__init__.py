@@ -1,0 +1,1 @@
+"""Answers: posterior, verdict, where the gap is, whether it closes, and what to measure next."""

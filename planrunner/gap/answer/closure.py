@@ -1,0 +1,257 @@
+"""Closure: how far the gap shrinks on segments that had no part in choosing or fitting the effect.
+
+Segments are held out in groups, some of every kind of motion in each, and the choice of the effect is repeated without each. The
+difference d of the predictions with and without it is then known exactly, and what is asked is the size of the gap g itself: before |g|,
+after |g − d|. g is known in two ways, and takes each as often as the diagnosis finds it probable.
+
+- An effect or pair of the catalogue is the whole cause: g is its signature at amplitudes estimated from all segments together, normal with
+  their covariance. - Something else acts, too, or alone. With r the held-out residual of the nominal simulation, whitened with the
+  uncertainty of its fitted parameters (r = g + noise), the part of g along d is measured with unit noise, and the size of the rest follows
+  from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
+from planrunner.gap.evidence.nominal_rank import DEPENDENT
+from planrunner.gap.hypotheses.candidates import Weighed, Weighing
+
+Array = NDArray[np.float64]
+FOLDS = 4
+FEWEST = 6  # segments, so that three in four of them still say something
+DRAWS = 2000
+SEED = 21
+WIDEST = 0.5  # of an interval that still says something
+TOLD = 0.5  # share of the information of held-out segments on an effect that the others must contain
+_EXACT = np.full((1, 1), 1e-12)
+WORTH = 4.0  # log BF in a fold from which on an effect is taken up there
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """before, after: size of the held-out gap in standard deviations of the noise, root mean square over coefficients. shrinks_by: share
+    of it, 1 where it closes. interval_90: of that share. resolvable: False where the data cannot say; the numbers are then NaN."""
+
+    before: float
+    after: float
+    shrinks_by: float
+    interval_90: tuple[float, float]
+    resolvable: bool
+
+
+NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """An effect or pair that a fold may choose. probability: that it is the whole cause. whole: its amplitude is 1."""
+
+    weighed: Weighed
+    probability: float
+    whole: bool = False
+
+    def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p), from information (p, p) and score (p,)."""
+        return (np.ones(1), _EXACT) if self.whole else best_amplitudes(gram, score, self.weighed.variant.widths)
+
+    def log_bayes(self, gram: Array, score: Array) -> float:
+        if self.whole:
+            return float(score[0] - 0.5 * gram[0, 0])
+        return float(log_bayes_factors(gram[None], score[None], float(np.trace(gram)))[0])
+
+
+@dataclass(frozen=True)
+class Known:
+    """A cause by the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d; mean
+    and covariance of its amplitudes."""
+
+    probability: float
+    gram: Array = field(repr=False)
+    along: Array = field(repr=False)
+    mean: Array = field(repr=False)
+    covariance: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """residual, difference: (m,), whitened; signatures: of every choice, (m, p); told: information (p, p) of the other segments on it."""
+
+    residual: Array
+    difference: Array
+    signatures: list[Array]
+    told: list[Array]
+
+
+def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Closure:
+    """The closure by the effects and pairs among which each fold chooses anew. beyond: probability of what none of them explains whole."""
+    if len(weighing.observed) < FEWEST or not choices:
+        return NOT_RESOLVABLE
+    folds = [_fold(weighing, choices, held) for held in held_out(weighing)]
+    likeliest = max(range(len(choices)), key=lambda c: choices[c].probability)
+    if _told(choices[likeliest].weighed, likeliest, folds) < TOLD:
+        return NOT_RESOLVABLE
+    difference = np.concatenate([fold.difference for fold in folds])
+    known = []
+    for number, choice in enumerate(choices):
+        signature = np.concatenate([fold.signatures[number] for fold in folds])
+        gram, along = signature.T @ signature, signature.T @ difference
+        fitted = choice.amplitudes(choice.weighed.gram[0], choice.weighed.score[0])
+        known.append(Known(choice.probability, gram, along, *fitted))
+    return measured(np.concatenate([fold.residual for fold in folds]), difference, known, beyond)
+
+
+def predictions(
+    weighing: Weighing, choices: Sequence[Choice], change: Array, worth: float = WORTH
+) -> tuple[Array, Array]:
+    """What a known change of the outputs, coefficients (M, K), is in held-out segments, and what is predicted there: g and d, (m,). For
+    whoever knows the truth. worth: log BF in a fold from which on one of the choices is taken up there."""
+    gap, difference = [], []
+    for held in held_out(weighing):
+        rows = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
+        known = [one.predict(change[:, [channel]], held)[1][:, 0] for channel, one in enumerate(rows)]
+        gap.append(np.concatenate(known))
+        difference.append(_fold(weighing, choices, held, worth).difference)
+    return np.concatenate(gap), np.concatenate(difference)
+
+
+def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
+    """The rows (M,) that each fold holds out."""
+    dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
+    return [(dealt == fold)[weighing.spectrum.segment] for fold in range(FOLDS)]
+
+
+def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
+    """The fold (S,) of each segment: those of one kind of motion are dealt in turn, each round beginning with the next fold. Plans repeat
+    themselves: every fourth segment may well be all there is of one orientation."""
+    order = np.argsort(np.unique(kinds, return_inverse=True)[1], kind="stable")
+    place = np.arange(len(kinds))
+    dealt = np.empty(len(kinds), dtype=np.int64)
+    dealt[order] = (place + place // FOLDS) % FOLDS
+    return dealt
+
+
+def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
+    """The share of an effect's energy in held-out segments that the others determine: what its amplitudes, of the size that they seem to
+    have, leave unknown there. 0 where one segment alone shows it."""
+    size = best_scales(weighed.gram[0], weighed.score[0], weighed.variant.widths)
+    shown = left = 0.0
+    for fold in folds:
+        gram = fold.signatures[number].T @ fold.signatures[number]
+        unknown = np.linalg.inv(fold.told[number] + np.diag(1 / size))
+        shown += float(np.diag(gram) @ size)
+        left += float(np.sum(gram * unknown))
+    return 1 - left / shown if shown > 0 else 0.0
+
+
+def measured(residual: Array, difference: Array, known: Sequence[Known] = (), beyond: float = 1.0) -> Closure:
+    """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the probability that the
+    cause is none of those `known`, whose own probabilities are relative to it."""
+    m = len(residual)
+    if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
+        return NOT_RESOLVABLE
+    draw = np.random.default_rng(SEED)
+    share = np.array([beyond, *(one.probability for one in known)])
+    counts = np.diff(np.round(DRAWS * np.concatenate(([0.0], np.cumsum(share))) / share.sum()).astype(int))
+    drawn = [_unknown(residual, difference, int(counts[0]), draw)]
+    drawn += [
+        _explained(one, float(difference @ difference), int(n), draw) for one, n in zip(known, counts[1:], strict=True)
+    ]
+    before, after = np.sqrt(np.maximum(np.concatenate(drawn), 0.0)).T
+    shrink = 1 - after / np.maximum(before, 1e-9)
+    low, middle, high = (float(value) for value in np.quantile(shrink, [0.05, 0.5, 0.95]))
+    if high - low > WIDEST:
+        return NOT_RESOLVABLE
+    scale = np.sqrt(m)
+    return Closure(float(np.median(before)) / scale, float(np.median(after)) / scale, middle, (low, high), True)
+
+
+def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Generator) -> Array:
+    """Squares of before and after, (count, 2), whatever the gap consists of."""
+    from scipy.special import chndtr
+
+    m, size = len(residual), float(np.linalg.norm(difference))
+    along = float(residual @ difference) / size
+    rest = float(residual @ residual) - along**2
+    parallel = along + draw.standard_normal(count)
+    top = max(rest - m, 0.0) + 8 * np.sqrt(2 * m + 4 * max(rest - m, 0.0)) + 10
+    grid = np.concatenate(([0.0], np.geomspace(1e-3, top, 400)))
+    chance = 1 - chndtr(rest, m - 1, grid)
+    across = np.interp(draw.uniform(size=count), np.maximum.accumulate(chance), grid)
+    return np.column_stack([parallel**2 + across, (parallel - size) ** 2 + across])
+
+
+def _explained(cause: Known, squared: float, count: int, draw: np.random.Generator) -> Array:
+    """The same where a cause is the whole gap. squared: |d|²."""
+    root = np.linalg.cholesky(cause.covariance)
+    amplitudes = cause.mean + draw.standard_normal((count, len(cause.mean))) @ root.T
+    before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
+    return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
+
+
+def _fold(weighing: Weighing, choices: Sequence[Choice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
+    """Held-out rows of all channels, with the effect that the other rows choose."""
+    used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
+    bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))
+    parts = [slice(low, high) for low, high in pairwise(bounds)]
+    raw = [np.hstack([choice.weighed.raw[c] for choice in choices]) for c in range(len(used))]
+    columns = [rows.project(table[~held]) for rows, table in zip(used, raw, strict=True)]
+    score = np.sum([block.T @ rows.residual for block, rows in zip(columns, used, strict=True)], axis=0)
+    told = [np.sum([block[:, part].T @ block[:, part] for block in columns], axis=0) for part in parts]
+    best, amplitudes, highest = None, np.zeros(0), worth
+    for choice, part, gram in zip(choices, parts, told, strict=True):
+        value = choice.log_bayes(gram, score[part]) if np.trace(gram) > 0 else -np.inf
+        if value > highest:
+            highest, best = value, part
+            amplitudes, _ = choice.amplitudes(gram, score[part])
+    predicted = [rows.predict(table, held) for rows, table in zip(used, raw, strict=True)]
+    residual = np.concatenate([r for r, _ in predicted])
+    signatures = np.concatenate([s for _, s in predicted])
+    difference = np.zeros(len(residual)) if best is None else signatures[:, best] @ amplitudes
+    return _Fold(residual, difference, [signatures[:, part] for part in parts], told)
+
+
+class _Rows:
+    """One channel's chosen coefficients, whitened and freed of the nominal parameters."""
+
+    def __init__(self, weighing: Weighing, channel: int, chosen: NDArray[np.bool_]):
+        self.weight = weighing.weights[channel][0]
+        self.values = weighing.spectrum.values[:, channel]
+        self.nominal = weighing.nominal[channel]
+        self.chosen = chosen
+        self.whiten = self.weight.whitening(chosen)
+        size = np.linalg.norm(self.nominal, axis=0)
+        left, values, right = np.linalg.svd(self.whiten(self.nominal[chosen] / size), full_matrices=False)
+        told = values > DEPENDENT * values.max(initial=0.0)
+        self.basis = left[:, told]
+        self.parameters = right[told].T / values[told] / size[:, None]
+        self.untold = right[~told].T / size[:, None]
+        self.residual = self.project(self.values[chosen])
+
+    def project(self, columns: Array) -> Array:
+        whitened = self.whiten(columns)
+        return whitened - self.basis @ (self.basis.T @ whitened)
+
+    def predict(self, signatures: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Held-out residual (m,) without an effect, and what signatures (M, p) change in the prediction, (m, p), both whitened.
+
+        The nominal parameters are fitted to the chosen rows without and with the effect; their covariance adds to the held-out noise: with
+        U its whitened root, (I + UUᵀ)^−½ acts in the span of U alone. The part that the chosen rows do not determine is projected out.
+        """
+        both = np.column_stack([self.values, signatures])
+        fitted = self.parameters @ (self.basis.T @ self.whiten(both[self.chosen]))
+        whiten, nominal = self.weight.whitening(held), self.nominal[held]
+        left = whiten(both[held] - nominal @ fitted)
+        spread = whiten(nominal @ self.parameters)
+        if self.untold.shape[1]:
+            open_, _ = np.linalg.qr(whiten(nominal @ self.untold))
+            left, spread = (part - open_ @ (open_.T @ part) for part in (left, spread))
+        along, size, _ = np.linalg.svd(spread, full_matrices=False)
+        left -= along @ ((1 - 1 / np.sqrt(1 + size**2))[:, None] * (along.T @ left))
+        return left[:, 0], left[:, 1:]

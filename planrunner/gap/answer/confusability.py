@@ -1,0 +1,74 @@
+"""Confusability: which effects this plan can distinguish, before and after data.
+
+ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. Of an effect fitted with the
+energy λ, λ(1 − ρ) is what remains to distinguish it from B: the non-centrality of the test between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed
+
+Array = NDArray[np.float64]
+DISCRIMINABLE = 10.0  # non-centrality below which two effects are not distinguished
+ALIKE = 0.9  # share from which on they count as one class whatever the energy
+_RIDGE = 1e-9
+
+
+def fitted(weighed: Weighed) -> list[Array]:
+    """The whitened, projected signature of an effect at its fitted amplitudes, (M,) per channel."""
+    return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
+
+
+def energy(signature: Sequence[Array]) -> float:
+    return float(sum(part @ part for part in signature))
+
+
+def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
+    """The share of a signature's energy that the best of some variants reproduces."""
+    total = energy(signature)
+    if total <= 0:
+        return 0.0
+    shares = []
+    for rival in rivals:
+        score = np.sum([block.T @ part for block, part in zip(rival.by_channel, signature, strict=True)], axis=0)
+        gram = rival.gram[0] + _RIDGE * rival.trace / len(rival.gram[0]) * np.eye(len(rival.gram[0]))
+        shares.append(float(score @ np.linalg.solve(gram, score)) / total)
+    return min(1.0, max(shares, default=0.0))
+
+
+def beside(pair: Weighed, first: Candidate) -> float:
+    """The share of the other effect's fitted energy in channels that `first` does not act on: none of it is residue of that one's form."""
+    amplitudes, _ = pair.amplitudes
+    width = pair.variant.widths[0]
+    own, other = slice(0, width), slice(width, None)
+    if not any(form.variant.columns[0] is pair.variant.columns[0] for form in first.variants):
+        own, other = other, own
+    energies = [float(((block[:, other] @ amplitudes[other]) ** 2).sum()) for block in pair.by_channel]
+    elsewhere = [part for part, raw in zip(energies, pair.raw, strict=True) if not raw[:, own].any()]
+    return sum(elsewhere) / sum(energies) if sum(energies) > 0 else 0.0
+
+
+def shared(best: Sequence[Weighed]) -> Array:
+    """ρ(A|B), rows A, before data: over amplitudes from A's prior, tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa)."""
+    bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
+    parts = [slice(low, high) for low, high in pairwise(bounds)]
+    blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
+    gram = np.sum([block.T @ block for block in blocks], axis=0)
+    shares = np.empty((len(best), len(best)))
+    for column, (b, part) in enumerate(zip(best, parts, strict=True)):
+        own = b.gram[0] + _RIDGE * b.trace / len(b.gram[0]) * np.eye(len(b.gram[0]))
+        taken = (np.linalg.solve(own, gram[part]) * gram[part]).sum(0)
+        shares[:, column] = [taken[rows].sum() / a.trace for a, rows in zip(best, parts, strict=True)]
+    return np.clip(shares, 0.0, 1.0)
+
+
+def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
+    """Names and ρ(A|B), rows A, of all candidates that leave a signature, each at its likeliest shape."""
+    present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
+    return [c.id for c in present], shared([candidate.best for candidate in present])

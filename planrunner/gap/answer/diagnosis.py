@@ -1,0 +1,234 @@
+"""The diagnosis of a recording: where it differs from its simulation, which effect explains that, and how far the gap shrinks.
+
+Steps: spectra and noise, nominal parameters projected out (`weighing`); evidence for every effect that is installed (`candidates`),
+for pairs
+and for competitors that are nobody's effect (`posterior`, `open_set`); a verdict that names no member of a class that the plan cannot
+separate
+(`verdict`, `confusability`); where the gap lives (`where`) and whether it closes on segments held out (`closure`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planrunner.base import plugins
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer import parameters as estimates
+from planrunner.gap.answer.closure import NOT_RESOLVABLE, Choice, Closure, closure
+from planrunner.gap.answer.parameters import Parameter
+from planrunner.gap.answer.pictures import gap_by_channel, pictures
+from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
+from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
+from planrunner.gap.answer.where import Place, places
+from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.forms import candidates_of
+from planrunner.gap.hypotheses.whole import forms, whole
+from planrunner.observation.samples import ObservationError
+
+Forms = list[tuple[Weighed, float]]
+EFFECTS = "planrunner.effects"
+FEWEST_SEGMENTS = 4
+SHOWN_PLACES = 20
+_MOST_CHOICES = 30
+_CHOICES = 6  # candidates among which a fold of the closure chooses
+_LIKELY = 1e-3  # of which each has this probability at least
+_ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """nominal: what the nominal simulation fits, of `candidates.FULL`; effects: candidates, all that are installed without it."""
+
+    nominal: tuple[str, ...] = FULL
+    effects: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits; choices: among which the
+    closure chose."""
+
+    weighing: Weighing
+    candidates: tuple[Candidate, ...]
+    nominal: tuple[str, ...]
+    choices: tuple[Choice, ...]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that nominal parameters leave.
+    pictures: numbers for drawings, as plain data."""
+
+    gap: Mapping[str, Mapping[str, Any]]
+    where: tuple[Place, ...]
+    posterior: Posterior
+    verdict: Verdict
+    ambiguity_set: tuple[str, ...]
+    absorbed: Mapping[str, float]
+    parameters: tuple[Parameter, ...]
+    closure: Closure
+    pictures: Mapping[str, Any] = field(repr=False)
+    grounds: Grounds = field(repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data as `schemas/diagnosis.schema.json` has it; NaN becomes null."""
+        shut = self.closure
+        plain = {
+            "gap": {name: dict(entry) for name, entry in self.gap.items()},
+            "where": [
+                {"channel": p.channel, "factor": p.factor, "level": p.level, "share": p.share, "of": p.of, "p": p.p}
+                for p in self.where
+            ],
+            "posterior": dict(self.posterior.probability),
+            "verdict": {
+                "kind": self.verdict.kind,
+                "effects": list(self.verdict.effects),
+                "class": list(self.verdict.members),
+                "form_residue": self.verdict.residue,
+            },
+            "ambiguity_set": list(self.ambiguity_set),
+            "absorbed": [{"effect": name, "kept_share": share} for name, share in self.absorbed.items()],
+            "parameters": [
+                {
+                    "effect": p.effect,
+                    "name": p.name,
+                    "value": p.value,
+                    "unit": p.unit,
+                    "standard_uncertainty": p.standard_uncertainty,
+                }
+                for p in self.parameters
+            ],
+            "closure": {
+                "before": shut.before,
+                "after": shut.after,
+                "shrinks_by": shut.shrinks_by,
+                "interval_90": list(shut.interval_90) if shut.resolvable else None,
+                "resolvable": shut.resolvable,
+            },
+            "next": None,
+            "priors": dict(PRIORS),
+            "pictures": dict(self.pictures),
+        }
+        finite: dict[str, Any] = _finite(plain)
+        return finite
+
+
+def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
+    """Diagnose a recording. Raises `ObservationError` where it cannot be."""
+    if len(observed) < FEWEST_SEGMENTS:
+        few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
+        hint = (
+            "cut long segments into several, in the plan and in the table of segments: what changes with time is "
+            "then seen; effects of "
+            "orientation, rate or temperature take more of these"
+        )
+        raise ObservationError(few, hint)
+    names = plugins.names(EFFECTS) if options.effects is None else options.effects
+    effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
+    weighing = Weighing(observed, options.nominal)
+    candidates = candidates_of(weighing, [effect for effect in effects if effect.stage != "covariance"])
+    found = posterior(weighing, effects, candidates)
+    said = verdict(weighing, found, candidates)
+    by_id = {candidate.id: candidate for candidate in candidates}
+    named = [name for name in said.effects if name in by_id]
+    absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
+    usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
+    ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
+    key = "+".join(sorted(named))
+    after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
+    walks = {str(effect.id) for effect in effects if getattr(effect, "noise", "") == "random walk"}
+    exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
+    choices = _choices(found, by_id, walks, exact) or [Choice(c.best, 0.0) for c in ranked[:_CHOICES]]
+    if after is not None and all(after is not choice.weighed for choice in choices):
+        choices.append(Choice(after, 0.0))
+    beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
+    return Diagnosis(
+        gap_by_channel(weighing),
+        tuple(places(weighing, found.by_channel)[:SHOWN_PLACES]),
+        found,
+        said,
+        tuple(ambiguity_set(found.probability)),
+        absorbed,
+        tuple(_parameters(weighing, said, found, by_id, effects, exact)),
+        closure(weighing, choices, max(beyond, 0.0)) if said.kind != "none" else NOT_RESOLVABLE,
+        pictures(weighing, usable, after),
+        Grounds(weighing, tuple(candidates), options.nominal, tuple(choices)),
+    )
+
+
+def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
+    """The forms of an effect that has its shape alone, where that can be found exactly."""
+    found = forms(weighing, candidate.effect) if whole(candidate) else []
+    return {candidate.id: found} if found else {}
+
+
+def _choices(
+    found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
+) -> list[Choice]:
+    """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside; but beside a walk of the
+    bias none is the whole cause."""
+    likely: dict[str, float] = {}
+    for name, p in found.probability.items():
+        parts = name.split("+")
+        key = "+".join(part for part in parts if part in by_id)
+        if p >= _LIKELY and key:
+            likely[key] = likely.get(key, 0.0) + (0.0 if walks & set(parts) else p)
+    chosen: list[Choice] = []
+    for key, p in likely.items():
+        if key in found.pairs:
+            chosen.append(Choice(found.pairs[key], p))
+        elif key in exact:
+            chosen += [Choice(weighed, p * share, True) for weighed, share in exact[key]]
+        elif key in by_id:
+            chosen += [Choice(weighed, p * share) for weighed, share in by_id[key].likely_forms()]
+    return [choice for choice in chosen if choice.weighed.trace > 0][:_MOST_CHOICES]
+
+
+def _parameters(
+    weighing: Weighing,
+    said: Verdict,
+    found: Posterior,
+    by_id: Mapping[str, Candidate],
+    effects: list[Any],
+    exact: Mapping[str, Forms],
+) -> list[Parameter]:
+    """Estimates for the likeliest effects. Those of a pair are fitted together."""
+    listed: list[Parameter] = []
+    pair = found.pairs.get("+".join(sorted(said.effects)))
+    for name in said.effects:
+        if name not in by_id:
+            listed += estimates.of_noise(weighing, next(effect for effect in effects if effect.id == name))
+            continue
+        if name in exact:
+            listed += estimates.exact_shape(by_id[name].effect, exact[name])
+            continue
+        if len(said.effects) == 1 and whole(by_id[name]) and by_id[name].best.amplitudes[0][0] < 0:
+            listed += estimates.opposite(by_id[name])
+            continue
+        columns = slice(None)
+        weighed = by_id[name].best
+        if pair is not None:
+            own = {column.name for column in weighed.variant.columns}
+            size = len(weighed.variant.columns)
+            head = [column.name for column in pair.variant.columns[:size]]
+            first = set(head) == own and by_id[name].best.variant.columns[0].unit == pair.variant.columns[0].unit
+            columns, weighed = (slice(None, size) if first else slice(len(pair.variant.columns) - size, None)), pair
+        listed += estimates.amplitudes(name, weighed, columns) + estimates.shape(by_id[name])
+    return listed
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+__all__ = ["ABSORBED", "EFFECTS", "Diagnosis", "Options", "diagnose"]

@@ -1,0 +1,152 @@
+"""What segments that were not measured yet would show: the information that each holds of given columns.
+
+A segment is sampled as the recording was, over whole turns and periods for a few seconds only: a repeated part is described by its length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Column
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence import slow_noise
+from planrunner.physics.sampled_motion import motion_at
+from planrunner.plan.schedule import Rest, Rock, Segment, Spin
+from planrunner.plan.units import ZERO_CELSIUS
+
+Array = NDArray[np.float64]
+Columns = Callable[[Observed], Sequence[Sequence[Column]]]
+LATER = 600.0  # s after the recording's end, when a segment is taken to begin
+_SAMPLED = 2.0  # s of a segment at rest; of turns and periods, as many whole ones as last at least that long
+_STUB = 8  # samples that stand for every segment when a few are looked at closely
+_CHUNK = 25  # segments looked at closely at a time: memory
+_CHANGED = 1.0  # K
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """Information from a segment, in units of the noise. within: (P, P), per second; means: (K, P) of its mean, per channel."""
+
+    segment: Segment
+    within: Array
+    means: Array
+    noise: Array
+    flicker: Array
+
+    @cached_property
+    def whole(self) -> Array:
+        """(P, P), of the segment's own dwell."""
+        return self.information(self.segment.dwell or 0.0)
+
+    def information(self, seconds: float) -> Array:
+        """(P, P), of a dwell of some seconds. Of the mean, slow noise leaves no more than its own variance allows."""
+        slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
+        variance = self.noise**2 / seconds + self.flicker**2 * slow
+        products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
+        return products
+
+
+def foresee(
+    observed: Observed, white: Array, segments: Sequence[Segment], columns: Columns, widths: Sequence[int]
+) -> Iterator[Foreseen]:
+    """What each segment would show, following the recording. white: (K,), standard deviation of a sample.
+
+    columns: for a recording, groups of columns; widths: of the groups, whose columns are distinguished by their order. Those that a channel
+    does not see are zero there.
+    """
+    noise = white / math.sqrt(observed.sample_rate)
+    flicker = np.array([channel.flicker for channel in observed.channels])
+    for first in range(0, len(segments), _CHUNK):
+        near = range(first, min(first + _CHUNK, len(segments)))
+        planned, places = following(observed, segments, near)
+        table = [np.zeros((len(planned.time), sum(widths))) for _ in planned.channels]
+        at = 0
+        for group, width in zip(columns(planned), widths, strict=True):
+            for offset, column in enumerate(group):
+                here = 1.0 if column.segments is None else column.segments[planned.owner]
+                for channel, part in column.parts.items():
+                    table[channel][:, at + offset] = part * (column.magnitude * here)
+            at += width
+        for index in near:
+            rows = [part[places[index]] for part in table]
+            means = np.array([part.mean(0) for part in rows])
+            within = sum(
+                (part - mean).T @ (part - mean) / (len(part) * sigma**2)
+                for part, mean, sigma in zip(rows, means, noise, strict=True)
+            )
+            yield Foreseen(segments[index], np.asarray(within), means, noise, flicker)
+
+
+def following(
+    observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
+) -> tuple[Observed, list[slice]]:
+    """The recording with segments after it that hold no values, and the samples of each of them.
+
+    All but those `near` are stubs of a few samples, so that what an effect makes of the set of all segments, such as which orientations
+    there are, is the same however many are looked at closely.
+    """
+    stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
+    counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]
+    warm = float(observed.temperature[-1])
+    arrays: dict[str, list[Array]] = {
+        name: [getattr(observed, name)[stubs]]
+        for name in ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate")
+    }
+    places, changes, begin = [], [], len(stubs)
+    for index, segment in enumerate(segments):
+        since = _times(segment, observed.sample_rate) if index in near else np.arange(_STUB) / observed.sample_rate
+        part = motion_at(segment.motion, since, None)
+        start, end = _temperatures(segment, warm)
+        slope = (end - start) / segment.dwell if segment.dwell else 0.0
+        part |= {"time": observed.time[-1] + LATER + since, "temperature": start + slope * since}
+        part["temperature_rate"] = np.full(len(since), slope)
+        for name, parts in arrays.items():
+            parts.append(part[name])
+        changes.append(np.sign(end - warm) if abs(end - warm) > _CHANGED else observed.last_change[-1])
+        places.append(slice(begin, begin + len(since)))
+        begin += len(since)
+        counts.append(len(since))
+    joined: dict[str, Any] = {name: np.concatenate(parts) for name, parts in arrays.items()}
+    made = replace(
+        observed,
+        labels=(*observed.labels, *(segment.label for segment in segments)),
+        motions=(*observed.motions, *(segment.motion for segment in segments)),
+        attitude=np.concatenate([observed.attitude, [segment.attitude for segment in segments]]),
+        bounds=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+        last_change=np.concatenate([observed.last_change, changes]),
+        values=np.zeros((begin, len(observed.channels))),
+        fitted=None,
+        bins=None if observed.bins is None else observed.bins.followed(len(segments)),
+        **joined,
+    )
+    return made, places
+
+
+def _times(segment: Segment, rate: float) -> Array:
+    """Sample times since the segment began: all of a ramp, else whole turns or periods for a few seconds."""
+    assert segment.dwell is not None
+    span, begin = _SAMPLED, 0.0
+    if segment.ramp_to is not None:
+        return np.linspace(0.0, segment.dwell, max(_STUB, min(2000, round(segment.dwell * rate))))
+    if isinstance(segment.motion, Spin):
+        turn = 2 * math.pi / abs(segment.motion.rate)
+        span = turn * math.ceil(_SAMPLED / turn)
+    elif isinstance(segment.motion, Rock):
+        span = math.ceil(_SAMPLED * segment.motion.frequency) / segment.motion.frequency
+        begin = segment.motion.steady
+    else:
+        assert isinstance(segment.motion, Rest)
+    return begin + np.arange(max(_STUB, round(span * rate))) / rate
+
+
+def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
+    """Temperature [degC] at a segment's beginning and end."""
+    start = now if segment.temperature is None else segment.temperature - ZERO_CELSIUS
+    return start, start if segment.ramp_to is None else segment.ramp_to - ZERO_CELSIUS

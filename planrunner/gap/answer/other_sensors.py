@@ -1,0 +1,112 @@
+"""Instruments that a bench does not have and that would separate what its own segments cannot: foreseen like any segment.
+
+Effects of the table and the site are felt by whatever else stands on the table, effects of the sensor and of its data by the sensor alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Column
+from planrunner.error_model.observed import Channel, Observed
+from planrunner.gap.answer.discrimination import Rival, expected_probability
+from planrunner.gap.answer.foreseen import foresee
+from planrunner.gap.answer.rivals import Layout
+from planrunner.gap.hypotheses.candidates import Weighing, nominal_columns
+from planrunner.plan.schedule import Segment
+
+Array = NDArray[np.float64]
+ENOUGH = 0.9  # expected probability of the true explanation with the instrument
+ACCELEROMETER = 50e-6 * 9.80665  # SI·√s, white noise of a second-hand one
+ARCSECOND = np.pi / 180 / 3600  # standard uncertainty of an autocollimator with a level
+_LOOKED_AT = 40  # segments
+
+
+@dataclass(frozen=True)
+class _Instrument:
+    words: str
+    channels: tuple[Channel, ...] = ()
+    pointing: bool = False
+
+
+def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
+    """The first instrument that would identify the true explanation, in words; empty where none of those considered would."""
+    few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
+    for instrument in _instruments(weighing):
+        extended, information = _with(instrument, weighing, rivals, layout, few)
+        if expected_probability(extended, information) >= ENOUGH:
+            return instrument.words
+    return ""
+
+
+def _instruments(weighing: Weighing) -> list[_Instrument]:
+    gyros = [weighing.observed.channels[c] for c in weighing.observed.of_kind("gyro")]
+    accels = weighing.observed.of_kind("accel")
+    found = [_Instrument("an autocollimator and a level on the table, good to an arc second", pointing=True)]
+    if not accels:
+        triad = [
+            Channel(f"second_accel_{axis}", "accel", i, "m/s^2", 1.0, ACCELEROMETER) for i, axis in enumerate("xyz")
+        ]
+        found.append(_Instrument("three accelerometers of 50 µg/√Hz in addition to the gyros", tuple(triad)))
+    if gyros:
+        second = tuple(replace(channel, name=f"second_{channel.name}") for channel in gyros)
+        found.append(_Instrument("a second triad of gyros like these on the same table", second))
+    return found
+
+
+def _with(
+    instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
+) -> tuple[list[Rival], Array]:
+    """The explanations with the instrument's own nominal parameters, and the information of all options with it."""
+    observed = weighing.observed
+    both = replace(observed, channels=(*observed.channels, *instrument.channels))
+    own = len(observed.channels)
+    white = np.concatenate([weighing.white, [c.white * sqrt(observed.sample_rate) for c in instrument.channels]])
+    more = len(_further(both, own, layout))
+    information = np.zeros((sum(layout.widths) + more,) * 2)
+    for item in foresee(both, white, options, _columns(layout, observed.channels), [*layout.widths, more]):
+        information += item.whole
+    if instrument.pointing:
+        information += np.diag(np.concatenate([_seen(layout), np.zeros(more)]))
+    return [_widened(rival, sum(layout.widths), more) for rival in rivals], information
+
+
+def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
+    """Nominal parameters of the channels that the sensor under test does not have."""
+    return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
+
+
+def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observed], Sequence[Sequence[Column]]]:
+    def columns(planned: Observed) -> Sequence[Sequence[Column]]:
+        sensor = replace(planned, channels=channels, values=planned.values[:, : len(channels)])
+        nominal, *groups = layout.columns(sensor)
+        felt = [
+            part.on(planned) if part.effect.stage == "stimulus" else group
+            for part, group in zip(layout.parts, groups, strict=True)
+        ]
+        return [nominal, *felt, _further(planned, len(channels), layout)]
+
+    return columns
+
+
+def _seen(layout: Layout) -> Array:
+    """Information (P,) of pointing seen directly: on amplitudes of effects of the table that are angles."""
+    found = [np.zeros(layout.widths[0])]
+    for part, width in zip(layout.parts, layout.widths[1:], strict=True):
+        columns = part.weighed.variant.columns
+        angle = part.effect.stage == "stimulus" and columns[0].unit == "arcsec"
+        found.append(np.full(width, (columns[0].magnitude / ARCSECOND) ** 2 if angle else 0.0))
+    return np.concatenate(found)
+
+
+def _widened(rival: Rival, size: int, more: int) -> Rival:
+    precision = np.zeros((len(rival.mean) + more,) * 2)
+    precision[: len(rival.mean), : len(rival.mean)] = rival.precision
+    precision[len(rival.mean) :, len(rival.mean) :] = 1e-6 * np.eye(more)
+    columns = np.concatenate([rival.columns, np.arange(size, size + more)])
+    return replace(rival, columns=columns, mean=np.concatenate([rival.mean, np.zeros(more)]), precision=precision)

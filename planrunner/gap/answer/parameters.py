@@ -1,0 +1,108 @@
+"""Estimates of the amplitudes and shapes of the effects that a diagnosis names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    effect: str
+    name: str
+    value: float
+    unit: str
+    standard_uncertainty: float
+
+
+def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[Parameter]:
+    """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect."""
+    mean, covariance = weighed.amplitudes
+    spread = np.sqrt(np.diag(covariance))
+    listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
+    return [
+        Parameter(
+            effect,
+            column.name,
+            float(value * column.magnitude / column.factor),
+            column.unit,
+            float(sigma * column.magnitude / column.factor),
+        )
+        for column, value, sigma in listed
+    ]
+
+
+def shape(candidate: Candidate) -> list[Parameter]:
+    """The shape, its uncertainty from the evidence over the values that were tried."""
+    effect = candidate.effect
+    values = np.array([item.variant.shape for item in candidate.variants if item.variant.shape is not None])
+    if not len(values) or not getattr(effect, "shape_name", None):
+        return []
+    evidence = np.array([float(item.log_bayes.max()) for item in candidate.variants])
+    order = np.argsort(values)
+    values, evidence = values[order], evidence[order]
+    width = np.gradient(np.log(values)) if len(values) > 1 else np.ones(1)
+    weight = np.exp(evidence - evidence.max()) * width
+    weight /= weight.sum()
+    mean = float(weight @ values)
+    spread = float(np.sqrt(weight @ (values - mean) ** 2))
+    return [Parameter(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
+
+
+def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[Parameter]:
+    """The shape of an effect that has no amplitude, from its forms and how probable each is."""
+    values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
+    mean = float(share @ values)
+    spread = float(np.sqrt(share @ (values - mean) ** 2))
+    return [Parameter(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
+
+
+def opposite(candidate: Candidate) -> list[Parameter]:
+    """The shape of an effect without amplitude that the data want the other way round: negative, in proportion to what it does. A delay
+    is that of the table's angle then."""
+    effect, best = candidate.effect, candidate.best
+    (share,), ((variance,),) = best.amplitudes
+    size = float(best.variant.shape or 0.0)
+    return [
+        Parameter(
+            candidate.id, effect.shape_name, float(share) * size, effect.shape_unit, float(np.sqrt(variance)) * size
+        )
+    ]
+
+
+def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:
+    """What an effect on the noise changes: white level or resolution per gyro, or the random walk's density."""
+    observed, name, noise = weighing.observed, str(getattr(effect, "id", "")), getattr(effect, "noise", "")
+    gyros = observed.of_kind("gyro")
+    found = []
+    if noise == "white":
+        for c in gyros:
+            channel = observed.channels[c]
+            density = float(weighing.white[c] / np.sqrt(observed.sample_rate) / channel.factor)
+            uncertainty = density / float(np.sqrt(2 * weighing.white_degrees[c]))
+            found.append(
+                Parameter(name, f"white_{'xyz'[channel.axis]}", density, f"{channel.unit}*sqrt(s)", uncertainty)
+            )
+    if noise == "resolution":
+        for c in gyros:
+            channel = observed.channels[c]
+            found.append(
+                Parameter(
+                    name, f"count_{'xyz'[channel.axis]}", float(weighing.steps[c] / channel.factor), channel.unit, 0.0
+                )
+            )
+    if noise == "random walk" and gyros:
+        walks = np.array([setting.walk for setting in weighing.settings["gyro"]])
+        log = (weighing.base + weighing.log_prior[1]).reshape(weighing.shape).max(1)
+        weight = np.where(walks > 0, np.exp(log - log.max()), 0.0)
+        weight /= weight.sum()
+        mean = float(weight @ walks)
+        spread = float(np.sqrt(weight @ (walks - mean) ** 2))
+        factor, text = observed.channels[gyros[0]].factor, observed.channels[gyros[0]].unit
+        found.append(Parameter(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
+    return found

@@ -1,0 +1,94 @@
+"""Numbers for the drawings of a diagnosis, and the gap by channel, as plain data in the channels' units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.answer.confusability import matrix
+from planrunner.gap.evidence.spectrum import band_edges
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+
+Array = NDArray[np.float64]
+
+
+def gap_by_channel(weighing: Weighing) -> dict[str, dict[str, Any]]:
+    """By channel: root mean square of what the nominal simulation leaves of the coefficients, what noise alone leaves, and the unit."""
+    found = {}
+    for index, channel in enumerate(weighing.observed.channels):
+        weight = weighing.weights[index][0]
+        rest = weight.residual
+        degrees = max(len(rest) - weight.basis.shape[1], 1)
+        level = weighing.white[index] / channel.factor
+        found[channel.name] = {
+            "before": float(level * np.sqrt(rest @ rest / degrees)),
+            "noise_floor": float(level),
+            "unit": channel.unit,
+        }
+    return found
+
+
+def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> dict[str, Any]:
+    """heat: energy per segment and channel in times of the noise; confusability; means before and after; spectra."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    segments = len(observed)
+    amplitudes = None if after is None else after.amplitudes[0]
+    degrees = np.bincount(spectrum.segment, minlength=segments)
+    heat, means = [], {}
+    for index, channel in enumerate(observed.channels):
+        weight = weighing.weights[index][0]
+        heat.append((np.bincount(spectrum.segment, weight.residual**2, segments) / degrees).tolist())
+        root = np.sqrt(observed.counts)
+        sigma = np.sqrt(np.diag(weight.covariance(spectrum.frequency == 0))) / root / channel.factor
+        rest = (
+            weight.residual
+            if amplitudes is None or after is None
+            else weight.residual - after.by_channel[index] @ amplitudes
+        )
+        means[channel.name] = {
+            "before": (weight.residual[spectrum.means] * sigma).tolist(),
+            "after": (rest[spectrum.means] * sigma).tolist(),
+            "noise": sigma.tolist(),
+            "unit": channel.unit,
+        }
+    names, shares = matrix(candidates)
+    return {
+        "heat": {"channels": [c.name for c in observed.channels], "segments": list(observed.labels), "values": heat},
+        "confusability": {"effects": names, "shares": shares.tolist()},
+        "means": {"segments": list(observed.labels), "channels": means},
+        "spectrum": _spectra(weighing, after, amplitudes),
+    }
+
+
+def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> dict[str, Any]:
+    """One-sided density by band, root of power, before and after the effect, beside the white level. Segment means are left out: they have
+    no frequency within a segment. Of a long recording, the segments that have the largest bins, up to half the rate of these."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    size = observed.bin_size.max()
+    shown = observed.bin_size == size
+    edges = band_edges(1 << 12) / (1 << 12) * observed.sample_rate / 2 / size
+    middle = (edges[:-1] + edges[1:]) / 2
+    within = (spectrum.frequency > 0) & shown[spectrum.segment]
+    band = np.clip(np.searchsorted(edges, spectrum.frequency[within], side="right") - 1, 0, len(middle) - 1)
+    count = np.maximum(spectrum.count[shown].sum(0), 0.0) + np.bincount(band, minlength=len(middle))
+    found = {}
+    for index, channel in enumerate(observed.channels):
+        scale = np.sqrt(2 / observed.sample_rate) / channel.factor
+        level, residual = float(weighing.white[index]), weighing.weights[index][0].residual
+        rest = residual if after is None or amplitudes is None else residual - after.by_channel[index] @ amplitudes
+        outside = spectrum.energy[shown][:, :, index].sum(0)
+        curves = [
+            outside + np.bincount(band, (level * values[within]) ** 2, len(middle)) for values in (residual, rest)
+        ]
+        before, afterwards = (np.sqrt(power / np.maximum(count, 1.0)) * scale for power in curves)
+        found[channel.name] = {
+            "frequency_hz": middle.tolist(),
+            "before": before.tolist(),
+            "after": afterwards.tolist(),
+            "noise": [float(level * scale)] * len(middle),
+            "unit": f"{channel.unit}/sqrt(Hz)",
+        }
+    return found

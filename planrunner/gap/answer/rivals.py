@@ -1,0 +1,192 @@
+"""The explanations that a diagnosis leaves standing, as models that predict: columns over any recording, and what was learnt of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Column, Shaped, Variant
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.discrimination import Rival
+from planrunner.gap.answer.posterior import Posterior
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing, nominal_columns, simulated
+
+Array = NDArray[np.float64]
+MOST = 5  # explanations that are planned for
+SILENT = ("none", "unknown")
+"""Explanations that predict nothing."""
+LEAST = 0.01  # probability of one that is
+
+
+@dataclass(frozen=True)
+class Part:
+    """One effect of an explanation, in the form that the recording wants of it. prior: variance of its amplitudes, in magnitudes²."""
+
+    effect: Any
+    weighed: Weighed
+    prior: float
+
+    @property
+    def key(self) -> tuple[str, float | None]:
+        return str(self.effect.id), self.weighed.variant.shape
+
+    def on(self, observed: Observed) -> Sequence[Column]:
+        """Its columns over another recording; none where it cannot act there."""
+        shape = self.weighed.variant.shape
+        if isinstance(self.effect, Shaped):
+            return self.effect.at(observed, float(shape or 0.0)).columns
+        return next((v.columns for v in self.effect.variants(observed) if v.shape == shape), ())
+
+
+@dataclass(frozen=True)
+class Explanation:
+    name: str
+    probability: float
+    parts: tuple[Part, ...]
+
+
+def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
+    """The likeliest explanations, at most `MOST`, that differ in what they predict.
+
+    What acts on the noise alone predicts nothing: with and without it, an explanation counts once. So does "unknown", of which nothing
+    can be foreseen: it counts with none, under the name of the likelier of the two.
+    """
+    by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
+    silent = max(SILENT, key=lambda name: found.probability[name])
+    total: dict[str, float] = {}
+    for name, probability in found.probability.items():
+        key = "+".join(part for part in name.split("+") if part in by_id) or silent
+        total[key] = total.get(key, 0.0) + probability
+    chosen = sorted((item for item in _simplest(total).items() if item[1] >= LEAST), key=lambda item: -item[1])[:MOST]
+    return [Explanation(name, probability, _parts(name, found, by_id)) for name, probability in chosen]
+
+
+def _simplest(total: Mapping[str, float]) -> dict[str, float]:
+    """Pairs that are less likely than one of their effects alone are counted with it: what they add may as well be nothing."""
+    found = {name: value for name, value in total.items() if "+" not in name}
+    for name, value in total.items():
+        likelier = [one for one in name.split("+") if total.get(one, 0.0) > value] if "+" in name else []
+        if likelier:
+            found[max(likelier, key=lambda one: total[one])] += value
+        elif "+" in name:
+            found[name] = found.get(name, 0.0) + value
+    return found
+
+
+def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple[Part, ...]:
+    if name in SILENT:
+        return ()
+    names = name.split("+")
+    pair = found.pairs.get(name)
+    forms = [by_id[one].best for one in names]
+    if pair is None or len(names) == 1:
+        return tuple(
+            Part(by_id[one].effect, form, _size(form, slice(None))) for one, form in zip(names, forms, strict=True)
+        )
+    placed = [_within(pair.variant, by_id[one]) for one in names]
+    return tuple(
+        Part(
+            by_id[one].effect, where[0] if where else form, _size(pair, where[1]) if where else _size(form, slice(None))
+        )
+        for one, form, where in zip(names, forms, placed, strict=True)
+    )
+
+
+def _within(pair: Variant, candidate: Candidate) -> tuple[Weighed, slice] | None:
+    """The form of an effect that a pair is made of, and its columns there."""
+    for form in candidate.variants:
+        own = form.variant.columns
+        for part in (slice(0, len(own)), slice(len(pair.columns) - len(own), None)):
+            if len(pair.columns[part]) == len(own) and all(
+                a is b for a, b in zip(pair.columns[part], own, strict=True)
+            ):
+                return form, part
+    return None
+
+
+def _size(weighed: Weighed, columns: slice) -> float:
+    """Mean square of the amplitudes after the recording."""
+    mean, covariance = weighed.amplitudes
+    return float(np.mean(mean[columns] ** 2 + np.diag(covariance)[columns]))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All columns of some explanations side by side: nominal parameters first, then the effects, each by the names of its columns."""
+
+    nominal: tuple[str, ...]
+    parts: tuple[Part, ...]
+    names: tuple[tuple[str, ...], ...]
+    coefficients: tuple[float, ...]
+
+    @classmethod
+    def of(cls, listed: Sequence[Explanation], weighing: Weighing, nominal: Sequence[str], whole: Observed) -> Layout:
+        """whole: the recording with all segments that may follow, which say what columns there are."""
+        distinct = tuple({part.key: part for item in listed for part in item.parts}.values())
+        names = tuple(tuple(column.name for column in part.on(whole)) for part in distinct)
+        return cls(tuple(nominal), distinct, names, _fitted(weighing))
+
+    @property
+    def widths(self) -> list[int]:
+        return [len(self.coefficients), *(len(names) for names in self.names)]
+
+    def columns(self, observed: Observed) -> list[Sequence[Column]]:
+        """Groups of columns over a recording, in the layout's order."""
+        nominal = nominal_columns(observed, self.nominal)
+        output = simulated(observed, self.nominal)
+        for column, value in zip(nominal, self.coefficients, strict=True):
+            for channel, part in column.parts.items():
+                output[:, channel] += part * (column.magnitude * value)
+        observed.__dict__["nominal_output"] = (
+            output  # what a dead zone or a limit sees: the sensor's, not an ideal one's
+        )
+        return [nominal, *(part.on(observed) for part in self.parts)]
+
+    def learnt(self, listed: Sequence[Explanation], weighing: Weighing) -> tuple[list[Rival], Array]:
+        """The explanations after the recording, and its information (P, P)."""
+        information, score = self._recorded(weighing)
+        starts = np.concatenate(([0], np.cumsum(self.widths)))
+        rivals = []
+        for item in listed:
+            columns, prior = [np.arange(self.widths[0])], [np.zeros(self.widths[0])]
+            for part in item.parts:
+                at = [other.key for other in self.parts].index(part.key) + 1
+                columns.append(np.arange(starts[at], starts[at + 1]))
+                prior.append(np.full(self.widths[at], 1 / part.prior))
+            rivals.append(
+                Rival.learnt(
+                    item.name, item.probability, np.concatenate(columns), np.concatenate(prior), information, score
+                )
+            )
+        return rivals, information
+
+    def _recorded(self, weighing: Weighing) -> tuple[Array, Array]:
+        """Information (P, P) and score (P,) of the recording."""
+        size = sum(self.widths)
+        starts = np.concatenate(([0], np.cumsum(self.widths)))
+        information, score = np.zeros((size, size)), np.zeros(size)
+        for channel, weights in enumerate(weighing.weights):
+            table = np.zeros((len(weighing.spectrum.segment), size))
+            own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]
+            table[:, own] = weighing.whole[channel]
+            for part, names, start in zip(self.parts, self.names, starts[1:], strict=False):
+                known = [column.name for column in part.weighed.variant.columns]
+                table[:, [start + names.index(name) for name in known]] = part.weighed.raw[channel]
+            whitened = weights[0].whiten(table)
+            information += whitened.T @ whitened
+            score += whitened.T @ weights[0].whiten(weighing.spectrum.values[:, [channel]])[:, 0]
+        return information, score
+
+
+def _fitted(weighing: Weighing) -> tuple[float, ...]:
+    """The nominal parameters that fit the recording best by themselves, in magnitudes."""
+    values = np.zeros(len(weighing.nominal_columns))
+    for channel, nominal in enumerate(weighing.whole):
+        own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]
+        size = np.linalg.norm(nominal, axis=0) + 1e-300
+        values[own] = np.linalg.lstsq(nominal / size, weighing.spectrum.values[:, channel], rcond=None)[0] / size
+    return tuple(float(value) for value in values)

@@ -1,0 +1,137 @@
+"""From a posterior to a verdict: none, one effect, a pair, unknown, or a class that this plan cannot distinguish apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planrunner.gap.answer.confusability import ALIKE, DISCRIMINABLE, beside, energy, fitted, reproduced
+from planrunner.gap.answer.posterior import Posterior, pair_key
+from planrunner.gap.answer.remainder import FORM, RESIDUE, STRONG, as_probable, leading
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
+
+NAMEABLE = 0.05  # the probability of none above which no effect is named
+RIVAL = 0.02  # of the first's probability: less likely members of a class are left out, the data have excluded them
+COVERED = 0.95
+ELSEWHERE = 0.5  # share of an effect's energy beside another from which on it is no residue of that one's form
+SOMETHING_ELSE = (
+    0.90  # the probability of unknown from which on a recording is said to hold what the catalogue does not
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: what cannot be distinguished from them,
+    themselves included; pairs as 'a+b'. residue: an effect, or "unknown", that takes up no more than the named one's idealised form may
+    leave; one of a named pair that may be no more than that."""
+
+    kind: str
+    effects: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
+    residue: str | None = None
+
+
+def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
+    """The verdict. Nothing is named while P(none) is 5 % or more, nor a member of a class that the plan cannot separate."""
+    probability = found.probability
+    if probability["none"] >= NAMEABLE:
+        return Verdict("none")
+    top = next(iter(probability))
+    by_id = {candidate.id: candidate for candidate in candidates}
+    top, remainder = leading(found.log_evidence, top, by_id) or (top, None)
+    if top == "unknown":
+        best = next(name for name in probability if name not in ("none", "unknown"))
+        if probability["unknown"] >= SOMETHING_ELSE:
+            return Verdict("unknown")
+        return Verdict("indistinguishable", tuple(best.split("+")), (best, "unknown"))
+    likely = probability if remainder is None else as_probable(found.log_evidence, top)
+    if "+" not in top:
+        return _named("effect", (top,), _rivals(likely, by_id, top), remainder)
+    named, residue = _residue(found, by_id, top)
+    if named == top or residue is None:
+        return _named(
+            "pair", tuple(top.split("+")), _rival_pairs(likely, found.pairs, by_id, top), remainder or residue
+        )
+    beside = {name: likely.get(pair_key(name, residue), 0.0) for name in by_id if name != residue}
+    return _named("effect", (named,), _rivals(beside, by_id, named), remainder or residue)
+
+
+def _named(kind: str, effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None) -> Verdict:
+    """Effects of a kind, or, where they have rivals, the class that these make."""
+    return (
+        Verdict("indistinguishable", effects, rivals, residue)
+        if len(rivals) > 1
+        else Verdict(kind, effects, (), residue)
+    )
+
+
+def ambiguity_set(probability: Mapping[str, float]) -> list[str]:
+    """The likeliest hypotheses that together hold 95 %."""
+    chosen, total = [], 0.0
+    for name, value in probability.items():
+        chosen.append(name)
+        total += value
+        if total >= COVERED:
+            break
+    return chosen
+
+
+def _confusable(weighed: Weighed, rivals: Sequence[Weighed]) -> bool:
+    signature = fitted(weighed)
+    share = reproduced(signature, rivals)
+    return share > ALIKE or energy(signature) * (1 - share) < DISCRIMINABLE
+
+
+def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], top: str) -> tuple[str, ...]:
+    """Single effects that cannot be distinguished from `top`, with itself first. Effects on the noise are distinguished by their evidence
+    alone."""
+    found = [top]
+    for name, value in probability.items():
+        if name == top or "+" in name or name in ("none", "unknown") or value < RIVAL * probability.get(top, 0.0):
+            continue
+        if top in by_id and name in by_id:
+            if _confusable(by_id[top].best, by_id[name].variants):
+                found.append(name)
+        elif value > probability.get(top, 0.0) / 10:
+            found.append(name)
+    return tuple(found)
+
+
+def _rival_pairs(
+    probability: Mapping[str, float], pairs: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
+) -> tuple[str, ...]:
+    """Pairs that share one effect with `top` and replace the other by one that cannot be distinguished from it; `top` first."""
+    found = [top]
+    mine = set(top.split("+"))
+    for name, value in probability.items():
+        theirs = set(name.split("+"))
+        if name == top or len(theirs) < 2 or len(mine & theirs) != 1 or value < RIVAL * probability[top]:
+            continue
+        confusable = (
+            _confusable(pairs[top], [pairs[name]]) if top in pairs and name in pairs else value > probability[top] / 10
+        )
+        if confusable:
+            found.append(name)
+    return tuple(found)
+
+
+def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
+    """What is to be named of a pair, and what of it may be residue of form: the weaker effect, where at more than 50 σ it explains less
+    than `RESIDUE` of what both do. Less than `FORM` is not named. It is none if it acts on channels on which the first does not, or raises
+    the level of the noise, which is measured where no form shows; terms of a nominal model are exact and leave none."""
+    energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
+    first = max(energies, key=lambda name: energies[name], default="")
+    if not first or first in NOMINAL_TERMS:
+        return pair, None
+    both = 2 * found.log_evidence[pair]
+    other = next(name for name in pair.split("+") if name != first)
+    if other in found.levels:
+        return pair, None
+    alone = 2 * max(found.log_evidence.get(first, -np.inf), 0.0)
+    small = alone > STRONG and alone > (1 - RESIDUE) * both
+    if not small or (pair in found.pairs and beside(found.pairs[pair], by_id[first]) > ELSEWHERE):
+        return pair, None
+    return (first if alone > (1 - FORM) * both else pair), other

@@ -1,0 +1,191 @@
+"""Where the gap lives: channel and factor, and of the factor the level that stands out most.
+
+Factors are orientation, rate, temperature, time, the table's angle and the band of frequencies. Which one the whitened residual of a
+channel follows is a matter of evidence, weighed with the patterns of the open set. Levels are scored by their energy. A level's energy
+has its own degrees of freedom under pure noise, and there are many to look at, so its p-value is the chance that the highest score
+anywhere comes out so high: from residuals of noise alone, freed of the nominal parameters like the data (max-statistic parametric
+bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.evidence.bayes_factors import log_mean_exp
+from planrunner.gap.evidence.noise_levels import excess_by_channel
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.plan.directions import word_of
+
+Array = NDArray[np.float64]
+REPLICATES = 400
+SEED = 20
+_LEVELS = 4  # bins of temperature and time
+_NEAR = math.sqrt(2 - 2 * 0.999)
+"""An axis is named by a direction with a word where the cosine between both is more than 0.999."""
+_LIVES = {
+    "temperature": "temperature",
+    "time": "time",
+    "turn": "table angle",
+    "rocking": "table angle",
+    "gravity": "orientation",
+    "orientation": "orientation",
+    "rate": "rate",
+    "motion": "rate",
+    "scale": "rate",
+    "transient": "band",
+    "noise": "band",
+    "tone": "band",
+}
+"""Word in a pattern's name → factor; the first that fits. What differs from segment to segment lives in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A part of the recording. share: of all energy above the noise. Every factor cuts all of it anew: the shares of the levels of one
+    factor, over all channels, add up to 1 at most, those of several factors overlap. of: noise where the share is of the channel's
+    noise instead, as of what lies outside the basis. p: adjusted for the number of places."""
+
+    channel: str
+    factor: str
+    level: str
+    share: float
+    p: float
+    of: Literal["gap", "noise"] = "gap"
+
+
+def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
+    """All places, the most remarkable first. kinds: log BF (K,), in one channel alone, of patterns that are nobody's effect.
+
+    A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns that live
+    under it. A factor with many levels pays for them there. What else a factor shows, level by level, follows by its score.
+    """
+    outside = _outside(weighing, kinds)
+    evidence = _by_factor(outside[1], kinds)
+    listed = list(levels(weighing))
+    found = []
+    for c, channel in enumerate(weighing.observed.channels):
+        for factor, values in evidence.items():
+            own = [(score, place) for place, score in listed if (place.channel, place.factor) == (channel.name, factor)]
+            own.sort(key=lambda item: -item[0])
+            if factor == "band" and np.argmax(outside[:, c]) > 0:
+                own.insert(0, (0.0, _of_noise(weighing, c, float(values[c]), len(listed))))
+            found += [
+                (float(values[c]) if rank == 0 else -np.inf, score, place) for rank, (score, place) in enumerate(own)
+            ]
+    return [place for *_, place in sorted(found, key=lambda item: (-item[0], -item[1]))]
+
+
+def _by_factor(noisier: Array, kinds: Mapping[str, Array]) -> dict[str, Array]:
+    """log BF (K,) of each factor. noisier: (K,), of more white noise than declared."""
+    sorted_: dict[str, list[Array]] = {"band": [noisier]}
+    for name, values in kinds.items():
+        sorted_.setdefault(factor_of(name), []).append(values)
+    return {factor: log_mean_exp(np.array(values), 0) for factor, values in sorted_.items()}
+
+
+def factor_of(kind: str) -> str:
+    """The factor under which a pattern that is nobody's effect lives."""
+    for word, factor in _LIVES.items():
+        if word in kind:
+            return factor
+    return "time"
+
+
+def _outside(weighing: Weighing, kinds: Mapping[str, Array]) -> Array:
+    """log BF (3, K) of slow changes within segments, of more white noise than declared, and of noise or a tone outside the basis."""
+    none = np.full(len(weighing.observed.channels), -np.inf)
+    more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
+    other = np.maximum(kinds.get("noise of one band", none), kinds.get("a tone", none))
+    return np.array([kinds.get("transient per segment", none), more, other])
+
+
+def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> Place:
+    """Noise, or a tone, outside the basis. Its p-value is Markov's bound: noise alone gives a Bayes factor of B once in B times at most."""
+    declared = weighing.declared.channels[channel]
+    level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
+        channel
+    ] ** 2
+    p = min(1.0, places_ * float(np.exp(-evidence)))
+    return Place(declared.name, "band", "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
+
+
+def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
+    """Every channel and level with its standardised energy."""
+    channels = [channel.name for channel in weighing.observed.channels]
+    listed = list(_masks(weighing))
+    masks = np.array([mask for _, _, mask in listed], dtype=float)
+    data = np.array([weights[0].residual for weights in weighing.weights])
+    energy, noise = masks @ (data**2).T, np.stack([masks @ squares for squares in _replicates(weighing)], axis=1).T
+    noise = np.swapaxes(noise, 1, 2)
+    mean, spread = noise.mean(0), noise.std(0) + 1e-12
+    score = (energy - mean) / spread
+    highest = ((noise - mean) / spread).reshape(len(noise), -1).max(1)
+    excess = np.maximum(energy - mean, 0.0)
+    whole = float((data**2).sum() - mean[:1].sum())
+    factors = np.array([factor for factor, _, _ in listed])
+    for row, (factor, level, _) in enumerate(listed):
+        total = max(whole, float(excess[factors == factor].sum()), 1e-300)
+        for c, name in enumerate(channels):
+            p = (1 + np.count_nonzero(highest >= score[row, c])) / (1 + len(highest))
+            yield Place(name, factor, level, float(excess[row, c] / total), float(p)), float(score[row, c])
+
+
+def _replicates(weighing: Weighing) -> Iterator[Array]:
+    """By channel, squared residuals of pure noise, (M, replicates), projected like the data."""
+    draw = np.random.default_rng(SEED)
+    rows = len(weighing.spectrum.segment)
+    for weights in weighing.weights:
+        noise, basis = draw.standard_normal((rows, REPLICATES)), weights[0].basis
+        noise -= basis @ (basis.T @ noise)
+        yield np.square(noise, out=noise)
+
+
+def _masks(weighing: Weighing) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
+    """Factor, level and the coefficients (M,) that belong to it. The first is everything."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    segment = spectrum.segment
+    yield "channel", "all", np.ones(len(segment), dtype=bool)
+    middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
+    orientations = [_words(attitude) if observed.along is None else _up(attitude) for attitude in observed.attitude]
+    rates = np.degrees(observed.rate[middles])
+    motion = ["rocking" if m else f"{r:.6g} deg/s" for m, r in zip(observed.unsteady, rates, strict=True)]
+    factors = {"orientation": orientations, "rate": motion}
+    for name, values, unit in (
+        ("temperature", observed.temperature[middles], "degC"),
+        ("time", observed.time[middles], "s"),
+    ):
+        factors[name] = _binned(values, unit)
+    for factor, levels in factors.items():
+        for level in dict.fromkeys(levels):
+            mask = np.array([item == level for item in levels])
+            if 0 < mask.sum() < len(mask):
+                yield factor, level, mask[segment]
+    yield "band", "slow change within segments", (spectrum.frequency > 0) & (spectrum.harmonic == 0)
+    for h in sorted(set(spectrum.harmonic[spectrum.harmonic > 0])):
+        yield "table angle", f"{h} per turn or period", spectrum.harmonic == h
+
+
+def _binned(values: Array, unit: str) -> list[str]:
+    edges = np.linspace(values.min(), values.max(), _LEVELS + 1)
+    if edges[-1] - edges[0] <= 0:
+        return [""] * len(values)
+    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _LEVELS - 1)
+    return [f"{edges[i]:.4g} to {edges[i + 1]:.4g} {unit}" for i in index]
+
+
+def _up(attitude: Array) -> str:
+    """Where up lies in the sensor's axes: all that is known of a pose."""
+    return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
+
+
+def _words(attitude: Array) -> str:
+    words = [word_of(row, _NEAR) for row in attitude]
+    if None in words:
+        return "oblique " + " ".join(f"{value:.2f}" for value in attitude[2])
+    return ", ".join(f"{letter} {word}" for letter, word in zip("xyz", words, strict=True))

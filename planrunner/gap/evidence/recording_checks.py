@@ -1,0 +1,236 @@
+"""What a recording must be like to be diagnosed: findings in words before anything is computed.
+
+An error where a diagnosis would say nothing or something false; a warning where it can go on but the user should know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.base.findings import Findings, Mark
+from planrunner.error_model.observed import Observed
+from planrunner.instruments.models import SensorModel
+from planrunner.observation.samples import measures_motion
+from planrunner.plan.schedule import Rest
+from planrunner.plan.units import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+INTERVALS = 1.5
+"""A step in time longer than this many sample intervals is a gap; shorter ones are jitter."""
+RATE_TOLERANCE = 0.1
+"""A segment sampled faster or slower than declared by more than this has another clock."""
+PRESENT = 0.9
+"""A segment with less of its planned dwell is short; with less of its rows usable, poor."""
+STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
+"""A plan moves a channel when its stimulus scatters by more than this over the segments (rad/s, m/s²): only there can a misfit be seen."""
+MISFIT = 0.5
+"""The nominal model does not fit at all where it leaves more than this share of what the plan put in, or fits by a matrix that is farther
+than this from identity: no sensor's scale factors and misalignments are."""
+OTHER_NOISE = 5.0
+"""Noise so many times larger or smaller than declared is a wrong figure or a broken channel, and no matter of evidence."""
+
+POSE_PARAMETERS = 9
+"""Three biases, scale factors and non-orthogonalities: all that |f| = g can determine."""
+
+
+def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
+    """Segments, missing numbers, clock and ranges. where: the run or recording, for messages."""
+    mark = Mark(where)
+    if len(recording) < 2:
+        held = (
+            f"the recording contains only the segment '{recording[0].label}'"
+            if recording
+            else "no segment was recorded"
+        )
+        hint = "record at least two states: a single state separates neither nominal parameters nor effects"
+        log.error("gap-one-segment", mark, held, hint)
+        return
+    _check_overlaps(recording, mark, log)
+    _check_missing(recording, mark, log)
+    _check_length(recording, mark, log)
+    _check_clock(recording, sensor.sample_rate, mark, log)
+    _check_ranges(recording, sensor, mark, log)
+
+
+def check_observed(observed: Observed, where: str, log: Findings) -> None:
+    """Whether anything can be held out, and whether the nominal model fits at all, by segment means."""
+    mark = Mark(where)
+    if observed.along is not None:
+        _check_poses(observed, mark, log)
+        return
+    _check_noise(observed, mark, log)
+    for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
+        channels = observed.of_kind(kind)
+        if not channels:
+            continue
+        stimulus = _means(observed, observed.omega if kind == "gyro" else observed.force)
+        design = np.column_stack([stimulus, np.ones(len(stimulus))])
+        rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
+        if len(observed) <= rank:
+            message = f"{len(observed)} segments are too few to hold any out with {rank} nominal parameters a channel of {word}"
+            log.warning("gap-no-held-out", mark, message, "add segments in other states: no closure can be given")
+        means = _means(observed, observed.values[:, channels])
+        fitted = np.linalg.lstsq(design, means, rcond=None)[0]
+        left = means - design @ fitted
+        told = rank == design.shape[1] and float(stimulus.std(axis=0).min()) > STIRRED[kind]
+        for column, index in enumerate(channels):
+            channel = observed.channels[index]
+            put_in = float(stimulus[:, channel.axis].std())
+            share = float(left[:, column].std()) / put_in if put_in else 0.0
+            if put_in > STIRRED[kind] and share > MISFIT:
+                left_over = f"fitted bias, scale and misalignments leave {share:.0%} of what was put in"
+                message = f"'{channel.name}' does not follow the plan: {left_over}"
+                log.error("gap-nominal-misfit", mark, message, _LOOK)
+            elif told and float(np.abs(fitted[:3, column] - np.eye(3)[channel.axis]).max()) > MISFIT:
+                reads = ", ".join(
+                    f"{value:.3g} of {axis}" for axis, value in zip("xyz", fitted[:3, column], strict=True)
+                )
+                message = f"'{channel.name}' does not follow the plan: of the {word} put in it reads {reads}"
+                log.error("gap-nominal-misfit", mark, message, _LOOK)
+
+
+_LOOK = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
+
+
+def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Whether channels at rest scatter about as much as declared, from sample to sample."""
+    still = [s for s, motion in enumerate(observed.motions) if isinstance(motion, Rest)]
+    if not still:
+        return
+    root = np.sqrt(observed.bin_size[still] / 2)
+    parts = [np.diff(observed.values[observed.segments()[s]], axis=0).std(axis=0) for s in still]
+    seen = np.median(np.array(parts) * root[:, None], axis=0)
+    for channel, sigma in zip(observed.channels, seen, strict=True):
+        declared = channel.white * np.sqrt(observed.sample_rate)
+        smallest = max(declared / OTHER_NOISE, channel.resolution)
+        if declared > 0 and (sigma > OTHER_NOISE * max(declared, channel.resolution) or sigma < smallest < declared):
+            noise = f"{sigma / channel.factor:.3g} {channel.unit} from sample to sample"
+            message = f"'{channel.name}' scatters at rest by {noise}, declared are {declared / channel.factor:.3g}"
+            hint = "correct the noise in the bench file: the gap is weighed against it; or look at the sensor"
+            log.warning("gap-noise", mark, message, hint)
+
+
+def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Whether poses in unknown orientations read the magnitude of gravity, and are enough to hold some out."""
+    expected = _means(observed, observed.seen(0, observed.force)[:, None])[:, 0]
+    ratio = float(np.median(_means(observed, observed.values)[:, 0] / expected))
+    if abs(ratio - 1) > MISFIT:
+        message = f"at rest the accelerometers read {ratio:.3g} times gravity"
+        log.error("gap-nominal-misfit", mark, message, "look at the channels' units and signs in the bench file")
+    if len(observed) <= POSE_PARAMETERS:
+        message = f"{len(observed)} poses are too few to hold any out with {POSE_PARAMETERS} nominal parameters"
+        log.warning("gap-no-held-out", mark, message, "add poses in other orientations: no closure can be given")
+
+
+def _means(observed: Observed, values: Array) -> Array:
+    return np.array([values[part].mean(axis=0) for part in observed.segments()])
+
+
+def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
+    """Segments that share samples: evidence from them would count twice."""
+    used = [item for item in in_time_order(recording) if item.statistics.count > 1]
+    for before, after in pairwise(used):
+        shared = before.statistics.start + before.statistics.duration - after.statistics.start
+        if shared > before.statistics.period / 2:
+            message = f"'{before.label}' and '{after.label}' share {shared:.4g} s of the recording"
+            hint = "let one end where the other begins, or leave one out of `segments` under `diagnosis`"
+            log.error("gap-overlap", mark, message, hint)
+            return
+
+
+def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
+    poor = [
+        item
+        for item in recording
+        if item.statistics.count < PRESENT * max(item.statistics.count + item.statistics.rejected, 1)
+    ]
+    rejected = sum(item.statistics.rejected for item in recording)
+    empty = [item.label for item in recording if item.statistics.count == 0]
+    if empty:
+        hint = "leave the segment out of plan and recording, or record it again"
+        log.error("gap-missing-numbers", mark, f"{_named(empty)} without one complete row", hint)
+    elif rejected:
+        where = f", most of them in {_named([item.label for item in poor])}" if poor else ""
+        message = f"{_count(rejected, 'row')} with a missing number {'is' if rejected == 1 else 'are'} left out{where}"
+        log.warning("gap-missing-numbers", mark, message, "look at the logger; few missing rows do no harm")
+
+
+def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
+    short = []
+    for item in recording:
+        lasted, dwell = item.statistics.duration, item.segment.dwell
+        if item.truncated or (dwell is not None and lasted < PRESENT * dwell):
+            short.append(item.label)
+    if short:
+        message = f"{_named(short)} shorter than planned"
+        log.warning("gap-short-segment", mark, message, "what was recorded is used as it is")
+
+
+def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Mark, log: Findings) -> None:
+    gaps, other = [], []
+    for item in recording:
+        known = item.statistics
+        rate = item.segment.sample_rate or declared
+        rows = known.count + known.rejected
+        if known.largest_gap * rate > INTERVALS and not known.rejected:
+            gaps.append((item.label, known.largest_gap))
+        elif rows > 2 and abs(known.duration * rate / rows - 1) > RATE_TOLERANCE:
+            other.append(item.label)
+    if gaps:
+        label, gap = max(gaps, key=lambda pair: pair[1])
+        message = f"time jumps within {_named([name for name, _ in gaps])}: by {gap:.3g} s in '{label}'"
+        log.warning("gap-clock", mark, message, "samples were lost or the clock was set: look at the logger")
+    if other:
+        message = f"{_named(other)} not sampled at the declared {declared:g} Hz"
+        log.warning(
+            "gap-clock", mark, message, "correct `sample_rate` in the bench file, or look at the logger's clock"
+        )
+
+
+def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
+    """Channels of the sensor that stand still, have no noise, or reach their full scale."""
+    for name, text in recording[0].units.items():
+        known = [item for item in recording if name in item.statistics.channels and item.statistics.count > 1]
+        output = sensor.output(name)
+        if not known or output is None or not measures_motion(text):
+            continue
+        lowest = [float(item.statistics.minimum[item.statistics.of(name)]) for item in known]
+        highest = [float(item.statistics.maximum[item.statistics.of(name)]) for item in known]
+        standing = [low == high for low, high in zip(lowest, highest, strict=True)]
+        if min(lowest) == max(highest):
+            message = f"'{name}' stands at {lowest[0]:g} {text} in every segment"
+            log.error("gap-dead-channel", mark, message, "look at the sensor and at the column in the bench file")
+            continue
+        if all(standing):
+            message = f"'{name}' has one value a segment and no noise, against which a gap would be weighed"
+            log.error("gap-no-noise", mark, message, "give the samples as they were recorded, not their means")
+            continue
+        reached = [max(-low, high) >= output.full_scale * (1 - 1e-9) for low, high in zip(lowest, highest, strict=True)]
+        labels = [item.label for item in known]
+        if any(reached):
+            where = _named([label for label, one in zip(labels, reached, strict=True) if one])
+            message = f"'{name}' reaches its full scale of {output.full_scale:g} {text} in {where}"
+            hint = "clipped samples look like an effect: lower the rates"
+            log.warning("gap-saturated", mark, message, hint)
+        elif any(standing):
+            where = _named([label for label, one in zip(labels, standing, strict=True) if one])
+            message = f"'{name}' has the same value throughout {where}"
+            hint = (
+                "it is stuck or clipped there, which looks like an effect: check the sensor, or leave the segment out"
+            )
+            log.warning("gap-saturated", mark, message, hint)
+
+
+def _named(labels: Sequence[str]) -> str:
+    shown = ", ".join(f"'{label}'" for label in labels[:3])
+    return f"{shown} and {len(labels) - 3} more segments" if len(labels) > 3 else f"{shown}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" + ("" if number == 1 else "s")

@@ -1,0 +1,214 @@
+"""The recording as a diagnosis weighs it: per segment and channel a few exact coefficients, and the energy of all the rest by band.
+
+The coefficients of a segment are those of an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean) and
+the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). Deterministic effects live in
+that span; what is outside is noise, or a tone, and is kept as energies of DCT-II bands. Samples that stand far outside the noise are
+replaced by the fit, and counted: one spike would spread over all coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.observed import Observed
+from planrunner.observation.bins import SPIKE
+from planrunner.plan.schedule import Rest, Rock, Spin
+
+Array = NDArray[np.float64]
+LOW_ORDERS = 5
+BANDS = 6
+_DEPENDENT = 0.05  # of its length that a harmonic must keep beside the lower orders
+
+
+@dataclass(frozen=True)
+class Basis:
+    """The basis of one segment. vectors: (n, m), orthonormal, the first constant. frequency: (m,), Hz, 0 for the mean; harmonic: (m,),
+    order
+    of the motion's harmonic, 0 for the cosine transform."""
+
+    vectors: Array
+    frequency: Array
+    harmonic: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """M coefficients of all segments and what is left. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
+    values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands, with `count` (S, B) coefficients.
+    remainder: (N, K), samples less what the basis holds. spikes: (K,), samples replaced. Means over bins of k samples count √k-fold in
+    all of these, so that their white noise is that of a sample."""
+
+    bases: tuple[Basis, ...]
+    segment: NDArray[np.int64]
+    frequency: Array
+    harmonic: NDArray[np.int64]
+    means: NDArray[np.int64]
+    values: Array
+    energy: Array
+    count: Array
+    remainder: Array
+    spikes: NDArray[np.int64]
+
+    def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
+        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments in which they are asked for, all without it."""
+        made, roots = [], _roots(observed)
+        if acting is None or acting.all():
+            made = [
+                (vectors @ columns[part].reshape(-1, vectors.shape[-1], columns.shape[1])).reshape(-1, columns.shape[1])
+                for vectors, part in self.runs
+            ]
+        else:
+            for basis, part, acts in zip(self.bases, observed.segments(), acting, strict=True):
+                vectors = basis.vectors.T
+                made.append(vectors @ columns[part] if acts else np.zeros((len(vectors), columns.shape[1])))
+        coefficients = np.concatenate(made)
+        return coefficients if roots is None else coefficients * roots[self.segment, None]
+
+    @cached_property
+    def runs(self) -> list[tuple[Array, slice]]:
+        """Consecutive segments with bases of one shape: these, (k, m, n) or one for all, (m, n), and the segments' samples."""
+        found, first = [], 0
+        for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
+            bases = list(run)
+            last = first + len(bases) * len(bases[0].vectors)
+            same = all(basis is bases[0] for basis in bases)
+            vectors = bases[0].vectors.T if same else np.array([basis.vectors.T for basis in bases])
+            found.append((vectors, slice(first, last)))
+            first = last
+        return found
+
+
+def basis_of(observed: Observed, index: int) -> Basis:
+    """The basis of one segment."""
+    part = observed.segments()[index]
+    n = part.stop - part.start
+    rate = observed.sample_rate / int(observed.bin_size[index])
+    order = np.arange(min(LOW_ORDERS, n))
+    columns = [np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k in order]
+    frequency, harmonic = list(order * rate / (2 * n)), [0] * len(order)
+    motion = observed.motions[index]
+    for h, phase, hertz in _harmonics(observed, part, motion):
+        if hertz < rate / 2:
+            columns += [np.cos(phase), np.sin(phase)]
+            frequency += [hertz] * 2
+            harmonic += [h] * 2
+    stacked = np.column_stack(columns)
+    stacked /= np.linalg.norm(stacked, axis=0) + 1e-300
+    q, r = np.linalg.qr(stacked)
+    keep = np.abs(np.diag(r)) > _DEPENDENT
+    q = q * np.sign(np.diag(r))
+    return Basis(q[:, keep], np.array(frequency)[keep], np.array(harmonic)[keep])
+
+
+def _shared(known: dict[tuple[int, int, object], Basis], observed: Observed, index: int) -> Basis:
+    """The basis of a segment, made once for all that last as long and stand still."""
+    motion = observed.motions[index]
+    if not isinstance(motion, Rest):
+        return basis_of(observed, index)
+    key = int(observed.counts[index]), int(observed.bin_size[index]), motion
+    if key not in known:
+        known[key] = basis_of(observed, index)
+    return known[key]
+
+
+def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[int, Array, float]]:
+    if isinstance(motion, Spin):
+        hertz = abs(motion.rate) / (2 * np.pi)
+        return [(h, h * observed.angle[part], h * hertz) for h in (1, 2, 3)]
+    if isinstance(motion, Rock):
+        since = observed.time[part] - observed.time[part.start]
+        phase = 2 * np.pi * motion.frequency * since
+        return [(h, h * phase, h * motion.frequency) for h in range(1, 6)]
+    return []
+
+
+def spectrum(observed: Observed, reference: Array) -> Spectrum:
+    """The spectrum of what is left of the samples after `reference`, (N, K), the nominal simulation."""
+    from scipy.fft import dct
+
+    known: dict[tuple[int, int, object], Basis] = {}
+    bases = tuple(_shared(known, observed, index) for index in range(len(observed)))
+    sizes = [len(basis.frequency) for basis in bases]
+    values, energy = [], np.zeros((len(bases), BANDS, len(observed.channels)))
+    count = np.zeros((len(bases), BANDS))
+    remainder = np.empty_like(observed.values)
+    spikes = np.zeros(len(observed.channels), dtype=np.int64)
+    roots = _roots(observed)
+    if observed.bins is not None:
+        spikes += observed.bins.spikes
+    smallest = np.array([max(c.resolution / 2, c.white * np.sqrt(observed.sample_rate) / 4) for c in observed.channels])
+    for index, (basis, part) in enumerate(zip(bases, observed.segments(), strict=True)):
+        left = observed.values[part] - reference[part]
+        if roots is not None:
+            left *= roots[index]
+        coefficients, rest, replaced = _robust(basis.vectors, left, smallest)
+        spikes += replaced
+        values.append(coefficients)
+        remainder[part] = rest
+        squares = dct(rest, type=2, norm="ortho", axis=0) ** 2
+        edges = band_edges(len(rest))
+        energy[index] = np.add.reduceat(squares, edges[:-1], axis=0)
+        count[index] = np.diff(edges)
+        count[index, 0] -= len(basis.frequency)
+    first = np.concatenate(([0], np.cumsum(sizes)[:-1])).astype(np.int64)
+    return Spectrum(
+        bases,
+        np.repeat(np.arange(len(bases)), sizes),
+        np.concatenate([basis.frequency for basis in bases]),
+        np.concatenate([basis.harmonic for basis in bases]),
+        first,
+        np.concatenate(values),
+        energy,
+        count,
+        remainder,
+        spikes,
+    )
+
+
+def _roots(observed: Observed) -> Array | None:
+    """By how much the mean over a bin counts, (S,): as √size times a sample, which has the same noise. None where samples are held."""
+    return None if observed.bins is None else np.sqrt(observed.bins.size)
+
+
+def band_edges(n: int) -> NDArray[np.int64]:
+    """Orders at which the bands of n coefficients begin, and n: octaves below half the sampling rate, the lowest holding the rest."""
+    edges = [0, *(round(n / 2**step) for step in range(BANDS - 1, 0, -1)), n]
+    return np.array(edges, dtype=np.int64)
+
+
+def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Coefficients (m, K), remainder (n, K) and how many samples of each channel were replaced as spikes."""
+    coefficients = vectors.T @ samples
+    spiked = np.zeros(samples.shape, dtype=bool)
+    for _ in range(4):
+        rest = samples - vectors @ coefficients
+        sigma = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), smallest)
+        now = np.abs(rest) > SPIKE * sigma
+        if bool((now == spiked).all()):
+            break
+        spiked = now
+        for channel in np.flatnonzero(spiked.any(axis=0)):
+            good = ~spiked[:, channel]
+            coefficients[:, channel] = np.linalg.lstsq(vectors[good], samples[good, channel], rcond=None)[0]
+    return coefficients, np.where(spiked, 0.0, samples - vectors @ coefficients), spiked.sum(axis=0)
+
+
+def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
+    """White standard deviation of a sample (K,) and the degrees of freedom (K,) behind it, from the upper bands of segments at rest.
+
+    Where no segment rests, from all. The upper two bands: from an eighth … of the sampling rate on, above every slow process.
+    """
+    still = np.array([not isinstance(motion, Spin | Rock) for motion in observed.motions])
+    chosen = still if still.any() else np.ones(len(observed), dtype=bool)
+    if observed.bins is not None:
+        total = float(observed.bins.count[chosen].sum())
+        whole = observed.bins.energy[chosen].sum(axis=0)
+        return np.sqrt(np.diag(whole) / total), np.full(len(observed.channels), total)
+    energy = spectrum_.energy[chosen][:, -2:].sum(axis=(0, 1))
+    count = float(spectrum_.count[chosen][:, -2:].sum())
+    return np.sqrt(energy / count), np.full(len(observed.channels), count)

@@ -1,0 +1,256 @@
+"""Weighing: coefficients whitened by the noise and freed of the nominal parameters.
+
+A setting of the noise is a level of flicker and of random walk for each triad. For every setting each channel's coefficients are whitened
+(order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. What is left
+is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Column
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence import slow_noise
+from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
+from planrunner.gap.evidence.spectrum import Spectrum
+
+Array = NDArray[np.float64]
+FLICKER_FACTORS = (1.0, 0.5, 2.0)
+FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
+WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
+"""Levels of an undeclared random walk, as the energy that they let expect in the segment means of the triad."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Noise of one triad: flicker in declared levels, and a random walk, SI/√s, the same in all axes or the scale of their own. prior:
+    among settings with, or without, a walk."""
+
+    flicker: float
+    walk: float
+    prior: float
+    alike: bool = True
+
+
+def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
+    """The settings of a triad: walks for gyros only, factors of the flicker where one is declared."""
+    members = observed.of_kind(kind)
+    if not members:
+        return (Setting(0.0, 0.0, 1.0),)
+    factors: tuple[float, ...] = (0.0,)
+    priors: tuple[float, ...] = (1.0,)
+    if any(observed.channels[c].flicker > 0 for c in members):
+        factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
+    walks = [0.0]
+    if kind == "gyro" and len(observed) > 2:
+        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, slow, c, float(white[c])) for c in members)))
+    step = float(np.log(WALKS[1] / WALKS[0])) / RANGE
+    return tuple(
+        Setting(factor, float(walk), prior * (1.0 if walk == 0 else step / 2), alike)
+        for alike in (False, True)
+        for walk in walks
+        for factor, prior in zip(factors, priors, strict=True)
+        if walk > 0 or not alike
+    )
+
+
+def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
+    """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
+    constant."""
+    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
+    inverse = np.linalg.inv(np.linalg.cholesky(noise))
+    walk = inverse @ slow.random_walk @ inverse.T
+    constant = inverse.sum(1)
+    return float(np.trace(walk) - constant @ walk @ constant / (constant @ constant))
+
+
+def lasting(observed: Observed) -> tuple[Array, Array]:
+    """Beginnings and ends of the segments, (S,), s."""
+    size, twice = observed.bin_size, 2 * observed.sample_rate
+    last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
+    return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
+
+
+def rounding_variance(count: float, sigma: float) -> float:
+    """Variance of a long mean's error by rounding to counts, for noise of standard deviation `sigma` before it, in the count's unit
+    squared.
+
+    The error of a mean is periodic in its place within a count, and Gaussian noise leaves exp(−2π²σ²/count²) of its first harmonic (Widrow
+    and Kollár, Quantization Noise, 2008, section 19.3); without noise its variance is count²/12.
+    """
+    return count**2 / 12 * float(np.exp(-4 * (np.pi * sigma / count) ** 2)) if count > 0 else 0.0
+
+
+def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
+    """A channel's weights and log likelihood (G,), also where the walks of a triad have one scale but each axis a density of its own.
+
+    Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
+    those of the likeliest level. That level is estimated from data with any effect that is present: beside a strong one walks of one
+    density in all axes are nearer the truth, and are settings as well.
+    """
+    log = np.array([weight.log_likelihood for weight in weights])
+    walks = np.array([setting.walk for setting in settings])
+    chosen, marginal = list(weights), log.copy()
+    for g, setting in enumerate(settings):
+        if setting.walk > 0 and not setting.alike:
+            mates = np.flatnonzero((walks > 0) & np.array([_mates(setting, other) for other in settings]))
+            ratio = walks[mates] / setting.walk
+            prior = ratio * np.exp(-(ratio**2) / 2)
+            terms = log[mates] + np.log(prior / prior.sum() + 1e-300)
+            marginal[g] = np.logaddexp.reduce(terms)
+            chosen[g] = weights[int(mates[np.argmax(terms)])]
+    return chosen, marginal
+
+
+def _mates(one: Setting, other: Setting) -> bool:
+    return other.flicker == one.flicker and other.alike == one.alike
+
+
+class ChannelWeights:
+    """One channel under one level of flicker, in declared ones, and of a random walk: `whiten` takes coefficients (M, …) to unit noise,
+    `project` also frees them of the nominal parameters.
+
+    log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the
+    coefficients that are whitened one by one: all of them where there is no slow noise, else those above order 0.
+    """
+
+    def __init__(
+        self,
+        observed: Observed,
+        slow: slow_noise.SlowMeans,
+        spectrum: Spectrum,
+        channel: int,
+        white: float,
+        flicker: float,
+        walk: float,
+        nominal: Array,
+    ):
+        declared = observed.channels[channel]
+        counts = observed.counts.astype(float)
+        undithered = rounding_variance(declared.resolution, declared.white * np.sqrt(observed.sample_rate))
+        covariance = np.diag(white**2 / counts + undithered)
+        level = flicker * declared.flicker
+        tail = undithered * counts[spectrum.segment] / 4
+        within = spectrum.frequency > 0
+        half = observed.sample_rate / 2
+        if level > 0:
+            covariance += level**2 * slow.flicker
+            tail[within] += level**2 * half * slow_noise.flicker_spectrum(spectrum.frequency[within])
+        if walk > 0:
+            covariance += walk**2 * slow.random_walk
+            tail[within] += walk**2 * half * slow_noise.random_walk_spectrum(spectrum.frequency[within])
+        self.walk = walk
+        self._covariance = covariance
+        self._segment = spectrum.segment
+        self._means = spectrum.means
+        self._order_0 = spectrum.frequency == 0
+        self._root = np.sqrt(counts)
+        self.scale = 1 / np.sqrt(white**2 + tail)
+        self._inverse: Array | None = None
+        if level > 0 or walk > 0:
+            factor = np.linalg.cholesky(covariance)
+            self._inverse = np.linalg.inv(factor)
+            self.scale[self._means] = 1.0
+            log_det = 2 * float(np.log(np.diag(factor)).sum())
+        else:
+            self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
+            log_det = -2 * float(np.log(self._root).sum())
+        whitened = self.whiten(nominal)
+        self.basis: Array
+        self.basis, upper = np.linalg.qr(whitened) if nominal.shape[1] else (whitened, np.zeros((0, 0)))
+        log_det -= 2 * float(np.log(self.scale).sum())
+        log_det += 2 * float(np.log(np.abs(np.diag(upper)) + 1e-300).sum())
+        self.residual = self.project(spectrum.values[:, [channel]])[:, 0]
+        self.log_likelihood = -0.5 * (log_det + float(self.residual @ self.residual))
+
+    def covariance(self, rows: NDArray[np.bool_]) -> Array:
+        """Covariance of the coefficients in some rows (M,), SI²·samples."""
+        chosen = np.flatnonzero(rows)
+        out = np.diag(1 / self.scale[chosen] ** 2)
+        at = np.flatnonzero(np.isin(chosen, self._means))
+        owners = self._segment[chosen[at]]
+        out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
+            self._root[owners], self._root[owners]
+        )
+        return out
+
+    def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
+        """What takes some rows (M,) of coefficients, (n,) or (n, P), to unit noise: the means jointly, the others one by one."""
+        chosen = np.flatnonzero(rows)
+        at = np.flatnonzero(np.isin(chosen, self._means))
+        owners = self._segment[chosen[at]]
+        inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
+        scale = self.scale[chosen]
+
+        def whiten(columns: Array) -> Array:
+            out = (columns.T * scale).T
+            out[at] = inverse @ columns[at]
+            return out
+
+        return whiten
+
+    def whiten(self, columns: Array) -> Array:
+        out = columns * self.scale[:, None]
+        if self._inverse is not None:
+            out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
+        return out
+
+    def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+        """Columns (n, P) in some rows (n,) of the coefficients, zero in all others: the rows that they act on once they are whitened, and
+        they there. Means are whitened jointly: each acts on all that follow."""
+        own = self._order_0[rows]
+        if self._inverse is None or not own.any():
+            return rows, columns * self.scale[rows, None]
+        owners = self._segment[rows[own]]
+        means = self._inverse[:, owners] @ (columns[own] / self._root[owners, None])
+        others = rows[~own]
+        return np.concatenate([self._means, others]), np.concatenate([means, columns[~own] * self.scale[others, None]])
+
+    def project(self, columns: Array) -> Array:
+        whitened = self.whiten(columns)
+        return whitened - self.basis @ (self.basis.T @ whitened)
+
+
+def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
+    """Per channel, the coefficients (M, P) of all columns, in units of their magnitudes; zero where a column does not act."""
+    found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
+    for index, column in enumerate(columns):
+        for channel, part in column.parts.items():
+            table, place = _table(part)
+            shared = found.setdefault((table.__array_interface__["data"][0], table.strides), _Shared(table))
+            shared.places.append((index, channel, place))
+            shared.acting = shared.acting | (True if column.segments is None else column.segments)
+    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    for shared in found.values():
+        projected = spectrum.project(observed, shared.table, np.broadcast_to(shared.acting, len(observed)))
+        for index, channel, place in shared.places:
+            column = columns[index]
+            here = 1.0 if column.segments is None else column.segments[spectrum.segment]
+            out[channel][:, index] = projected[:, place] * (column.magnitude * here)
+    return out
+
+
+@dataclass
+class _Shared:
+    """A table of samples (N, P) that columns are made of. places: index of a column, its channel, and which of the table it is; acting:
+    segments in which any of them acts."""
+
+    table: Array
+    places: list[tuple[int, int, int]] = field(default_factory=list)
+    acting: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
+
+
+def _table(part: Array) -> tuple[Array, int]:
+    """The table of samples that an array is a column of, and which: signatures of a triad are columns of one table and are projected
+    together, once."""
+    whole = part.base
+    if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
+        offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+        if part.strides[0] == whole.strides[0] and 0 <= offset < whole.strides[0]:
+            return whole, offset // whole.itemsize
+    return part[:, None], 0

@@ -1,0 +1,110 @@
+"""Bursts: windows of some seconds in which a bias stands off or the noise is larger, here and there in a run.
+
+Every window holds a burst with the same small chance. Windows are cut from what lies outside the span of the coefficients, and that span
+takes a part of each. What most windows of segments that last alike show is no burst: slow noise, or more of it than declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.evidence.bayes_factors import log_mean_exp
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.plan.schedule import Rest, Spin
+
+Array = NDArray[np.float64]
+BURSTS = "bursts"
+LENGTHS = (1.0, 2.0, 4.0)  # s
+CHANCES = (0.005, 0.02, 0.08)  # of a window to hold a burst
+ENERGIES = np.geomspace(4.0, 4000.0, 12)  # of a burst in one channel, in units of the noise
+FEWEST = 16  # windows of segments that last alike, and samples of one
+KEPT = 0.5  # share of a standing-off bias that the coefficients must leave
+_MEDIAN = 0.4549  # of the square of a normal variable
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Windows of one size, (W,): first samples, number of samples of their segments, share of a bias that the coefficients leave."""
+
+    starts: NDArray[np.int64]
+    lasting: NDArray[np.int64]
+    kept: Array
+
+
+def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
+    """log BF (scopes,) of bursts in the channels of each scope; −∞ where the recording has no room for windows."""
+    observed, found = weighing.observed, []
+    remainder = weighing.spectrum.remainder / weighing.white
+    sums = _summed(remainder), _summed(remainder**2)
+    within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
+    for length in LENGTHS:
+        size = round(length * observed.sample_rate / float(observed.bin_size.max()))
+        for begin in (0, size // 2):
+            windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
+            if windows is not None:
+                found.append(_evidence(sums, windows, size, scopes))
+    return log_mean_exp(np.array(found), 0) if found else np.full(len(scopes), -np.inf)
+
+
+def _summed(values: Array) -> Array:
+    """Sums (N + 1, K) of the first so many samples."""
+    return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+
+
+def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
+    """Whole windows, from `begin` on of every segment at rest or turning. within: sums of every basis."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    starts, lasting, kept = [], [], []
+    known: dict[int, Array] = {}
+    for motion, basis, part in zip(observed.motions, spectrum.bases, observed.segments(), strict=True):
+        own = np.arange(begin, part.stop - part.start - size + 1, size)
+        if not isinstance(motion, Rest | Spin) or not len(own):
+            continue
+        if id(basis) not in known:
+            sums = within[id(basis)]
+            known[id(basis)] = 1 - ((sums[own + size] - sums[own]) ** 2).sum(1) / size
+        clear = known[id(basis)] > KEPT
+        starts.append(part.start + own[clear])
+        kept.append(known[id(basis)][clear])
+        lasting.append(np.full(int(clear.sum()), part.stop - part.start))
+    if not starts:
+        return None
+    found = _Windows(np.concatenate(starts), np.concatenate(lasting), np.concatenate(kept))
+    _, which, counts = np.unique(found.lasting, return_inverse=True, return_counts=True)
+    many = counts[which] >= FEWEST
+    return _Windows(found.starts[many], found.lasting[many], found.kept[many]) if many.any() else None
+
+
+def _evidence(both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]]) -> Array:
+    """log BF (scopes,) for windows of one size. both: sums of the samples, in units of the white noise, and of their squares."""
+    sums, squares = both
+    first, last = windows.starts, windows.starts + size
+    mean = (sums[last] - sums[first]) ** 2 / size
+    rest = np.maximum(squares[last] - squares[first] - mean, 0.0)
+    mean /= windows.kept[:, None]
+    for lasting in np.unique(windows.lasting):
+        alike = windows.lasting == lasting
+        mean[alike] /= np.maximum(np.median(mean[alike], axis=0) / _MEDIAN, 1.0)
+        rest[alike] /= np.maximum(np.median(rest[alike], axis=0) / (size - 1), 1.0)
+    offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
+    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
+    found = np.empty((len(scopes), 3))
+    for row, scope in enumerate(scopes):
+        forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
+        found[row] = [_here_and_there(form) for form in forms]
+    return log_mean_exp(found, 1)
+
+
+def _larger(energy: Array, degrees: float, added: Array) -> Array:
+    """log BF (W, K, E) of a variance that is larger by each of `added`, for energies (W, K) of so many degrees of freedom."""
+    return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
+
+
+def _here_and_there(windows: Array) -> float:
+    """log BF of bursts in some windows, each by chance, from that of one in each window at each energy, (W, E)."""
+    each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
+    return float(log_mean_exp(np.array(each).ravel(), 0))

@@ -1,0 +1,268 @@
+"""The candidates weighed: for every effect the evidence for each of its forms, and what the nominal parameters leave of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Column, Variant
+from planrunner.error_model.effects.nominal import PARTS
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.bayes_factors import best_amplitudes, log_bayes_factors
+from planrunner.gap.evidence.noise_levels import counts
+from planrunner.gap.evidence.nominal_rank import independent
+from planrunner.gap.evidence.slow_noise import SlowMeans
+from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
+from planrunner.gap.evidence.weighing import (
+    ChannelWeights,
+    Setting,
+    coefficients_of,
+    lasting,
+    settings_of,
+    walking_alike,
+)
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
+
+Array = NDArray[np.float64]
+ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
+FULL = NOMINAL_TERMS
+_FORMS = 5
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A variant, whitened. gram (G, p, p), score (G, p) over settings; trace: energy of its columns after projection at the first
+    setting, kept:
+    its share of the energy before. by_channel: whitened, projected columns (M, p) at the first setting; raw: before that, in magnitudes."""
+
+    variant: Variant
+    gram: Array = field(repr=False)
+    score: Array = field(repr=False)
+    trace: float
+    kept: float
+    by_channel: tuple[Array, ...] = field(repr=False)
+    raw: tuple[Array, ...] = field(repr=False)
+
+    @cached_property
+    def log_bayes(self) -> Array:
+        """(G,), averaged over λ."""
+        return log_bayes_factors(self.gram, self.score, self.trace)
+
+    @cached_property
+    def amplitudes(self) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) in magnitudes, at the first setting."""
+        return best_amplitudes(self.gram[0], self.score[0], self.variant.widths)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect and its weighed variants. log_bayes: (G,), averaged over the shape."""
+
+    effect: Any
+    variants: tuple[Weighed, ...]
+    log_bayes: Array
+
+    @property
+    def id(self) -> str:
+        return str(self.effect.id)
+
+    @property
+    def best(self) -> Weighed:
+        return max(self.variants, key=lambda weighed: float(weighed.log_bayes.max()))
+
+    @cached_property
+    def stacked(self) -> tuple[Array, ...]:
+        """Whitened, projected columns of all variants side by side, (M, V·p) by channel."""
+        return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
+
+    def likely_forms(self) -> list[tuple[Weighed, float]]:
+        """The likeliest forms, at most `_FORMS`, and how the effect's probability is shared among them."""
+        best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes.max()))[:_FORMS]
+        evidence = np.array([float(weighed.log_bayes.max()) for weighed in best])
+        share = np.exp(evidence - evidence.max())
+        return list(zip(best, (share / share.sum()).tolist(), strict=True))
+
+    def across(self, other: Weighed) -> Array:
+        """Inner products (V, q, p) of another variant's q columns with those of every variant, at the first setting."""
+        products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
+        return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
+
+    @property
+    def shape_cost(self) -> float:
+        """log of what averaging over the shape costs against the best shape at the first setting: never a gain."""
+        return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
+
+    @property
+    def kept(self) -> float:
+        return max((weighed.kept for weighed in self.variants), default=0.0)
+
+
+class Weighing:
+    """The recording with its noise and its nominal model, ready to be asked about effects.
+
+    Settings of both triads are combined: index = gyro setting × accelerometer settings + accelerometer setting.
+    """
+
+    def __init__(self, observed: Observed, nominal: Sequence[str] = FULL):
+        self.steps = counts(observed)
+        channels = zip(observed.channels, self.steps, strict=True)
+        self.declared = observed
+        self.observed = observed = replace(
+            observed, channels=tuple(replace(channel, resolution=float(step)) for channel, step in channels)
+        )
+        self.nominal_columns = nominal_columns(observed, nominal)
+        self._reference = simulated(observed, nominal)
+        self.spectrum: Spectrum = spectrum(observed, self._reference)
+        self.white, self.white_degrees = white_level(observed, self.spectrum)
+        slow = SlowMeans.of(*lasting(observed))
+        self.settings: dict[str, tuple[Setting, ...]] = {
+            kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
+        }
+        coefficients = coefficients_of(observed, self.spectrum, self.nominal_columns)
+        self.whole = [
+            part[:, [c for c, column in enumerate(self.nominal_columns) if index in column.parts]]
+            for index, part in enumerate(coefficients)
+        ]
+        self.nominal = [independent(columns) for columns in self.whole]
+        self.observed = replace(observed, fitted=self.fitted())
+        self.weights: list[list[ChannelWeights]] = []
+        self.log_likelihood: list[Array] = []
+        for index, channel in enumerate(observed.channels):
+            settings, fitted = self.settings[channel.kind], self.nominal[index]
+            levels = {
+                level: ChannelWeights(observed, slow, self.spectrum, index, float(self.white[index]), *level, fitted)
+                for level in dict.fromkeys((setting.flicker, setting.walk) for setting in settings)
+            }
+            each = [levels[setting.flicker, setting.walk] for setting in settings]
+            chosen, likelihood = walking_alike(each, settings)
+            self.weights.append(chosen)
+            self.log_likelihood.append(likelihood)
+
+    def fitted(self, taken: Sequence[Array] | None = None) -> Array:
+        """The nominal model's output (N, K) with its parameters fitted by least squares to all coefficients, less those `taken` by an
+        effect, (M,) by channel."""
+        out = self._reference.copy()
+        for index, nominal in enumerate(self.whole):
+            own = [column for column in self.nominal_columns if index in column.parts]
+            size = np.linalg.norm(nominal, axis=0) + 1e-300
+            left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])
+            values = np.linalg.lstsq(nominal / size, left, rcond=None)[0] / size
+            for column, value in zip(own, values, strict=True):
+                out[:, index] += column.parts[index] * (column.magnitude * value)
+        return out
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        return len(self.settings["gyro"]), len(self.settings["accel"])
+
+    @cached_property
+    def base(self) -> Array:
+        """Log likelihood (G,) without any effect."""
+        parts = {"gyro": np.zeros(self.shape[0]), "accel": np.zeros(self.shape[1])}
+        for channel, likelihood in zip(self.observed.channels, self.log_likelihood, strict=True):
+            parts[channel.kind] += likelihood
+        return np.add.outer(parts["gyro"], parts["accel"]).ravel()
+
+    @cached_property
+    def log_prior(self) -> tuple[Array, Array]:
+        """Log prior (G,) of the settings without, and with, an undeclared random walk of the gyros."""
+        gyro, accel = self.settings["gyro"], self.settings["accel"]
+        prior = np.outer([s.prior for s in gyro], [s.prior for s in accel]).ravel()
+        walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
+        with np.errstate(divide="ignore"):
+            return np.log(np.where(walking, 0.0, prior)), np.log(np.where(walking, prior, 0.0))
+
+    def evidence(self, log_bayes: Array, walking: bool = False) -> float:
+        """Log evidence of a hypothesis with log BF (G,) over the noise, marginalised."""
+        terms = self.base + log_bayes + self.log_prior[int(walking)]
+        return float(np.logaddexp.reduce(terms))
+
+    def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
+        """Variants whitened and weighed under every setting. raw: by channel, the coefficients (M, P) of all their columns, where they are
+        known."""
+        columns = [column for variant in variants for column in variant.columns]
+        widths = [len(variant.columns) for variant in variants]
+        bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
+        if raw is None:
+            raw = coefficients_of(self.observed, self.spectrum, columns)
+        sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
+        grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
+        scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}
+        before = np.zeros(len(columns))
+        first: list[Array] = []
+        for index, channel in enumerate(self.observed.channels):
+            used = np.flatnonzero([index in column.parts for column in columns])
+            whole = np.zeros_like(raw[index])
+            first.append(whole)
+            if not len(used):
+                continue
+            own = raw[index][:, used]
+            distinct = {id(weight): weight for weight in self.weights[index]}
+            order = {key: number for number, key in enumerate(distinct)}
+            which = [order[id(weight)] for weight in self.weights[index]]
+            projected = np.array([weight.project(own) for weight in distinct.values()])
+            whole[:, used] = projected[which[0]]
+            before[used] += (self.weights[index][0].whiten(own) ** 2).sum(0)
+            score = [block.T @ weight.residual for block, weight in zip(projected, distinct.values(), strict=True)]
+            scores[channel.kind][:, used] += np.array(score)[which]
+            for v, (low, high) in enumerate(pairwise(np.searchsorted(used, bounds))):
+                if high > low:
+                    block, at = projected[:, :, low:high], used[low:high] - bounds[v]
+                    grams[v][channel.kind][:, at[:, None], at] += (np.swapaxes(block, 1, 2) @ block)[which]
+        return [
+            self._weighed(
+                variant,
+                grams[v],
+                scores,
+                slice(bounds[v], bounds[v + 1]),
+                float(before[bounds[v] : bounds[v + 1]].sum()),
+                first,
+                raw,
+            )
+            for v, variant in enumerate(variants)
+        ]
+
+    @staticmethod
+    def _weighed(
+        variant: Variant,
+        grams: dict[str, Array],
+        scores: dict[str, Array],
+        part: slice,
+        before: float,
+        first: Sequence[Array],
+        raw: Sequence[Array],
+    ) -> Weighed:
+        """One variant, its columns being a `part` of all: settings of both triads combined."""
+        p = len(variant.columns)
+        gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
+        score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)
+        trace = float(np.trace(gram[0]))
+        blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
+        return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
+
+
+def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
+    """The columns of the nominal model."""
+    columns: list[Column] = []
+    for kind in ("gyro", "accel"):
+        for part, make in PARTS.items():
+            if f"{kind}_{part}" in nominal:
+                columns += make(observed, kind)
+    return columns
+
+
+def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
+    """What the nominal simulation gives before any parameter is fitted, (N, K), SI."""
+    omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
+    return np.column_stack(
+        [
+            observed.seen(c, omega if channel.kind == "gyro" else observed.force)
+            for c, channel in enumerate(observed.channels)
+        ]
+    )

@@ -1,0 +1,104 @@
+"""Effects as candidates: their forms on each effect's grid, refined where the data are sharp and bent where the effect is strong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Curved, Shaped, is_whole
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.bayes_factors import log_mean_exp
+from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
+
+Array = NDArray[np.float64]
+_REFINE = 8.0  # log BF from which on a shape is worth refining
+_BENT = 30.0  # log BF from which on an effect may bend the fit of the nominal parameters
+_SETTLING, _GAINED = 8, 1.0  # times that these are fitted anew at most; nats that make another time worth it
+
+
+def candidates_of(weighing: Weighing, effects: Sequence[Any]) -> list[Candidate]:
+    """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
+    forms = [effect.variants(weighing.observed) for effect in effects]
+    weighed = iter(weighing.weigh([variant for form in forms for variant in form]))
+    return [
+        _candidate(weighing, effect, [next(weighed) for _ in form]) for effect, form in zip(effects, forms, strict=True)
+    ]
+
+
+def _candidate(weighing: Weighing, effect: Any, weighed: list[Weighed]) -> Candidate:
+    usable = [item for item in weighed if item.kept > ABSORBED and item.trace > 0]
+    if not usable:
+        return Candidate(effect, tuple(weighed), np.full(len(weighing.base), -np.inf))
+    log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
+    if isinstance(effect, Shaped) and float(log_bayes.max()) > _REFINE and len(usable) > 2:
+        usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
+        if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
+            usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
+    if hasattr(effect, "around") and float(log_bayes.max()) > _BENT:
+        usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
+    return Candidate(effect, tuple(usable), log_bayes)
+
+
+def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
+    """A strong effect that is not linear, by its secants at its most probable amplitudes, as long as those explain more."""
+    for _ in range(_SETTLING):
+        (best,) = usable
+        size = np.array([column.magnitude for column in best.variant.columns])
+        (again,) = weighing.weigh(effect.around(weighing.observed, best.amplitudes[0] * size))
+        if float(again.log_bayes.max()) < float(log_bayes.max()) + _GAINED:
+            break
+        usable, log_bayes = [again], again.log_bayes
+    return usable, log_bayes
+
+
+def _settled(
+    weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
+) -> tuple[list[Weighed], Array]:
+    """A strong effect on the output looked for where the output was: the nominal parameters are fitted beside its best form, and it is
+    weighed anew on what they give, as long as that explains more."""
+    for _ in range(_SETTLING):
+        best = max(usable, key=lambda weighed: float(weighed.log_bayes.max()))
+        seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
+        coarse = [
+            item
+            for item in weighing.weigh([effect.at(seen, float(value)) for value in effect.grid(seen)])
+            if item.kept > ABSORBED and item.trace > 0
+        ]
+        if len(coarse) < 3:
+            break
+        again, value = _refined(weighing, effect, coarse, seen)
+        if float(value.max()) < float(log_bayes.max()) + _GAINED:
+            break
+        usable, log_bayes = again, value
+    return usable, log_bayes
+
+
+def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
+    """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule, every interval of the grid
+    having the same prior.
+
+    Three rounds put four values between each neighbour and the best: the peak of an effect at a hundred standard deviations is
+    that sharp.
+    """
+    have = {float(item.variant.shape or 0.0): item for item in coarse}
+    grid = np.array(sorted(have))
+    for _ in range(3):
+        shapes = np.array(sorted(have))
+        top = int(np.argmax([float(have[shape].log_bayes.max()) for shape in shapes]))
+        around = np.log(shapes[max(0, top - 1) : top + 2])
+        between = np.concatenate([np.linspace(a, b, 6)[1:-1] for a, b in pairwise(around)])
+        new = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in between])
+        have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
+    shapes = np.array(sorted(have))
+    place = np.interp(np.log(shapes), np.log(grid), np.linspace(0.0, 1.0, len(grid)))
+    steps = np.diff(place)
+    share = np.zeros(len(shapes))
+    share[:-1] += steps / 2
+    share[1:] += steps / 2
+    stacked = np.array([have[shape].log_bayes for shape in shapes])
+    return [have[shape] for shape in shapes], log_mean_exp(stacked, 0, (share / share.sum())[:, None])

@@ -1,0 +1,242 @@
+"""Competitors that are nobody's effect, so that a diagnosis can say "something that the catalogue does not hold".
+
+Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
+at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
+segment; a bias that repeats itself; more noise in one band; bursts; and a tone that keeps its phase over the whole run. They are weighed
+like effects, one by one and several at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
+from planrunner.gap.evidence.designs_weighed import Eigen, Left, eigen
+from planrunner.gap.evidence.spectrum import BANDS
+from planrunner.gap.evidence.weighing import ChannelWeights
+from planrunner.gap.hypotheses.bursts import BURSTS, bursts
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Rows, designs, factors, sorts
+from planrunner.gap.hypotheses.repeating import PERIODIC, Repeating
+from planrunner.plan.schedule import Rest, Spin
+
+Array = NDArray[np.float64]
+PLAIN = 8.0  # nats of one sort from which on the others are weighed on what it leaves
+SPANNING = (PERIODIC, CHANGING)
+LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Competitors, under names such as 'offset smooth in time'. log_bayes: (G,) of each against none over the settings of the noise, −∞
+    where the gyros' bias walks; several: (G,), of several sorts at once. by_channel: (K,) of each in one channel alone, at the first
+    setting."""
+
+    log_bayes: dict[str, Array]
+    several: Array
+    by_channel: dict[str, Array]
+
+
+def competitors(weighing: Weighing) -> Kinds:
+    """All competitors weighed."""
+    settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
+    whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
+    patterns, outside = _Patterns(weighing), _outside(weighing)
+    several = np.full(len(weighing.base), -np.inf)
+    each = {}
+    for g in settings:
+        channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
+        each[g] = patterns.weighed(channels) | outside
+        several[g] = _several(patterns, channels, each[g])
+    found = {name: np.full(len(weighing.base), -np.inf) for name in each[settings[0]]}
+    for g, values in each.items():
+        for name, value in values.items():
+            found[name][g] = float(log_mean_exp(value, 0))
+    count = len(weighing.observed.channels)
+    alone = {name: value[:count] for name, value in each[settings[0]].items() if len(value) >= count}
+    first = [whole[id(weight)] for weight in _weights(weighing, 0)]
+    for name, per_channel in factors(weighing):
+        spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
+        alone[name] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
+    return Kinds(found, several, alone)
+
+
+def unknown(kinds: Kinds) -> Array:
+    """log BF (G,) of "something else": the mean over its kinds, and over several of them at once."""
+    return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
+
+
+def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
+    """The channels' weights under one setting of the noise."""
+    at = dict(zip(("gyro", "accel"), divmod(g, weighing.shape[1]), strict=True))
+    return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
+
+
+def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array]) -> float:
+    """log BF of patterns of several sorts at once, each sort there or not with even odds. One cause far from the catalogue often shows in
+    more than one.
+
+    Sorts live in coefficients that have nothing in common but the nominal parameters: what a strong sort does to those is seen in all
+    others. So the strongest is weighed first and the others on what they say without its coefficients, until what is left is weak.
+    """
+    left, total = _by_sort(found), 0.0
+    while True:
+        top = max((sort for sort in left if sort in WHOLE), key=lambda sort: left[sort], default="")
+        if not top or left[top] < PLAIN:
+            return total + sum(map(_maybe, left.values()))
+        total += _maybe(left.pop(top))
+        channels = [channel.without(patterns.sorts[top]) for channel in channels]
+        left |= _by_sort(patterns.weighed(channels, left))
+
+
+def _sort(name: str) -> str:
+    """Of a pattern; "" for one that lives in the coefficients of more than one sort."""
+    word = name.split()[0]
+    if name in SPANNING:
+        return ""
+    return word if word in WHOLE or word in ("noise", "a", BURSTS) else "means"
+
+
+def _by_sort(found: dict[str, Array]) -> dict[str, float]:
+    """Their evidence by sort, without patterns that span sorts: what these explain would count twice."""
+    sorts: dict[str, list[float]] = {}
+    for name, value in found.items():
+        if sort := _sort(name):
+            sorts.setdefault(sort, []).append(float(log_mean_exp(value, 0)))
+    return {sort: float(log_mean_exp(np.array(values), 0)) for sort, values in sorts.items()}
+
+
+def _maybe(log_bayes: float) -> float:
+    """log BF of what is there with even odds."""
+    return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
+
+
+def _scopes(weighing: Weighing) -> list[list[int]]:
+    """Every channel alone, then triads."""
+    triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
+    return [[index] for index in range(len(weighing.observed.channels))] + triads
+
+
+class _Patterns:
+    """All patterns of the coefficients, and what was found of them: settings of the noise share the weights of a triad."""
+
+    def __init__(self, weighing: Weighing):
+        self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
+        self.means, self.scopes = weighing.spectrum.means, _scopes(weighing)
+        self._known: dict[tuple[str, Left], Eigen] = {}
+
+    def weighed(self, channels: list[Left], among: Container[str] | None = None) -> dict[str, Array]:
+        """log BF of each pattern by scope; of one odd segment in any. among: sorts that are asked for, all without it."""
+        found: dict[str, list[float]] = {}
+        for name, per_channel in self.designs:
+            if among is None or _sort(name) in among:
+                spectra = [self._eigen(name, left, own) for left, own in zip(channels, per_channel, strict=True)]
+                if any(len(values) for values, _ in spectra):
+                    found[name] = _by_scope(spectra, self.scopes)
+        if among is None or "means" in among:
+            found["one odd segment"] = [_one_segment(self.means, channels)]
+        if among is None:
+            found[PERIODIC] = self.repeating.weighed(self.scopes, channels)
+        return {name: np.array(each) for name, each in found.items()}
+
+    def _eigen(self, name: str, left: Left, design: Array | Rows) -> Eigen:
+        if (name, left) not in self._known:
+            self._known[name, left] = eigen(left, design)
+        return self._known[name, left]
+
+
+def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
+    """log BF of a design in the channels of each scope; −∞ where nothing of it is seen."""
+    size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
+    along = np.zeros_like(size)
+    for row, scope in enumerate(scopes):
+        for table, part in ((size, 0), (along, 1)):
+            joined = np.concatenate([spectra[index][part] for index in scope])
+            table[row, : len(joined)] = joined
+    unit = size.sum(1)
+    seen = unit > 0
+    found = np.full(len(scopes), -np.inf)
+    if seen.any():
+        found[seen] = averaged(from_eigen(size[seen] / unit[seen, None], along[seen] / unit[seen, None], 1.0))
+    return [float(value) for value in found]
+
+
+def _outside(weighing: Weighing) -> dict[str, Array]:
+    """log BF by scope of what lies outside the basis."""
+    powers, scopes = [_line(weighing, index) for index in range(len(weighing.observed.channels))], _scopes(weighing)
+    tones = [_tone([powers[index] for index in scope]) for scope in scopes]
+    return {
+        "noise of one band": np.array(_bands(weighing)),
+        "a tone": np.array(tones),
+        BURSTS: bursts(weighing, scopes),
+    }
+
+
+def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
+    """One segment's means of all channels stand off, whichever it is."""
+    each = []
+    for left in channels:
+        at, whitened = left.whitened(np.eye(len(means)), means)
+        size = np.maximum((whitened**2).sum(0) - ((left.basis[at].T @ whitened) ** 2).sum(0), 0.0)
+        score = (whitened.T @ left.residual[at]) ** 2
+        each.append(averaged(from_eigen(size[:, None], score[:, None], float(size.max()))))
+    return float(log_mean_exp(np.concatenate(each), 0))
+
+
+def _bands(weighing: Weighing) -> list[float]:
+    """More noise than white in one band of one channel, segments at rest and turning; the uppermost two define white, unless they are
+    those of bins."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    found = []
+    for index in range(len(observed.channels)):
+        each = [-np.inf]
+        if observed.channels[index].flicker > 0 or not chosen.any():
+            found.append(-np.inf)
+            continue
+        for band in range(BANDS - 2 if observed.bins is None else BANDS):
+            energy, count = float(spectrum.energy[chosen, band, index].sum()), float(spectrum.count[chosen, band].sum())
+            if count < 8:
+                continue
+            excess = np.log(max(energy, 1e-300) / count / weighing.white[index] ** 2)
+            sigma = np.hypot(np.sqrt(2 / count), 0.01)
+            grid = np.linspace(0.0, np.log(10.0), 400)
+            each.append(float(log_mean_exp(-0.5 * ((excess - grid) / sigma) ** 2, 0) + 0.5 * (excess / sigma) ** 2))
+        found.append(float(log_mean_exp(np.array(each), 0)))
+    return found
+
+
+def _line(weighing: Weighing, index: int) -> Array:
+    """Periodogram, in units of the white noise, of what the basis leaves, segments at rest and turning; empty where the run is too long."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    chosen = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    step = (float(observed.bin_size[chosen].max()) if chosen.any() else 1.0) / observed.sample_rate
+    slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
+    chosen = chosen[observed.owner]
+    if slot[-1] >= LONGEST_SCAN or slot[-1] < 16 or not chosen.any():
+        return np.empty(0)
+    from scipy.fft import next_fast_len, rfft
+
+    grid = np.zeros(next_fast_len(int(slot[-1]) + 1, real=True))
+    if observed.bins is None:
+        grid[slot[chosen]] = spectrum.remainder[chosen, index]
+        samples = float(chosen.sum())
+    else:
+        size = observed.bin_size[observed.owner][chosen]
+        grid += np.bincount(slot[chosen], spectrum.remainder[chosen, index] * np.sqrt(size), len(grid))
+        samples = float(size.sum())
+    return np.asarray(np.abs(rfft(grid)[1:-1]) ** 2 / (weighing.white[index] ** 2 * samples))
+
+
+def _tone(powers: list[Array]) -> float:
+    """log BF of a tone of any frequency that keeps its phase, in all of some channels alike, from their periodograms."""
+    power = np.sum(powers, axis=0)
+    if not len(power):
+        return -np.inf
+    s2 = np.geomspace(WEAKEST, STRONGEST, 12) / len(powers)
+    each = [float(log_mean_exp(power * s / (1 + s), 0)) - len(powers) * np.log1p(s) for s in s2]
+    return float(log_mean_exp(np.array(each), 0))

@@ -1,0 +1,228 @@
+"""Patterns of the coefficients that are nobody's effect: what "something else" could look like, as designs.
+
+Offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or change smoothly
+with rate, gravity, temperature or time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.observed import Observed
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.observation.temperature import CHANGED
+from planrunner.plan.schedule import Rest, Rock, Spin
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+Design = tuple[str, list[Array | Rows]]
+"""Name, and per channel raw columns (M, P), or rows (M,) each of which is a column by itself."""
+WHOLE = {
+    "means": "offset per segment",
+    "transient": "transient per segment",
+    "rocking": "rocking waveform",
+    **{f"{h}": f"{h} per turn, per segment" for h in (1, 2, 3)},
+}
+"""Sorts of patterns by the coefficients that they live in, each with the design that holds all of these."""
+CHANGING = "offset and transient while the temperature changes"
+"""A pattern that lives in the means and within the segments alike."""
+SMOOTH_ORDERS = 6
+TIME_ORDERS = 40  # of a drift over the run
+
+
+def designs(weighing: Weighing) -> Iterator[Design]:
+    observed, spectrum = weighing.observed, weighing.spectrum
+    everywhere = len(observed.channels)
+    counts = np.sqrt(observed.counts)
+    starts = observed.bounds[:-1]
+    kinds = {name: _smooth(values) for name, values in _coordinates(weighing).items()}
+    kinds["time, in many turns"] = _smooth(_coordinates(weighing)["time"], TIME_ORDERS, 0.0)
+    kinds["gravity"] = _monomials(observed.force[starts] / observed.site.gravity)
+
+    def at_means(table: Array) -> Array:
+        out = np.zeros((len(spectrum.segment), table.shape[1]))
+        out[spectrum.means] = table * counts[:, None]
+        return out
+
+    yield WHOLE["means"], [at_means(np.eye(len(observed)))] * everywhere
+    for name, basis in kinds.items():
+        yield f"offset smooth in {name}", [at_means(basis)] * everywhere
+    yield (
+        "offset by orientation",
+        [at_means(_levels([_upward(observed, s) for s in range(len(observed))]))] * everywhere,
+    )
+    states = _levels([_state(observed, s) for s in range(len(observed))])
+    yield "offset by motion", [at_means(states)] * everywhere
+    turned = _orientations(observed)
+    for name in ("temperature", "time"):
+        both = (turned[:, :, None] * kinds[name][:, None, :2]).reshape(len(turned), -1)
+        yield f"offset with orientation, smooth in {name}", [at_means(both)] * everywhere
+    rates = np.column_stack([observed.rate[starts] * observed.table_axis[starts, axis] for axis in range(3)])
+    for name, basis in {"segment": np.eye(len(observed)), **{k: kinds[k] for k in ("temperature", "time")}}.items():
+        word = "per" if name == "segment" else "smooth in"
+        yield (
+            f"scale factor {word} {name}",
+            [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
+        )
+    rows = sorts(weighing)
+    yield WHOLE["transient"], [rows["transient"]] * everywhere
+    for h in (1, 2, 3):
+        yield WHOLE[f"{h}"], [rows[f"{h}"]] * everywhere
+        yield f"{h} per turn, alike", [_alike(weighing, rows[f"{h}"])] * everywhere
+    yield WHOLE["rocking"], [rows["rocking"]] * everywhere
+    slow = (spectrum.harmonic == 0) & _changing(observed)[spectrum.segment]
+    yield CHANGING, [slow] * everywhere
+
+
+def sorts(weighing: Weighing) -> dict[str, Rows]:
+    """The coefficients (M,) of each sort."""
+    spectrum, motions = weighing.spectrum, weighing.observed.motions
+    spin = np.array([isinstance(motion, Spin) for motion in motions])[spectrum.segment]
+    rock = np.array([isinstance(motion, Rock) for motion in motions])[spectrum.segment]
+    return {
+        "means": spectrum.frequency == 0,
+        "transient": (spectrum.harmonic == 0) & (spectrum.frequency > 0),
+        "rocking": rock & (spectrum.harmonic > 0),
+        **{f"{h}": spin & (spectrum.harmonic == h) for h in (1, 2, 3)},
+    }
+
+
+def factors(weighing: Weighing) -> Iterator[Design]:
+    """Designs, as `designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown.
+
+    A factor that explains a gap with few parameters is to be found beside one that needs many, so each has its plainest form here. For an
+    accelerometer turning about up is the orientation that was set, whatever the angle; for a gyro the Earth's rate says otherwise.
+    """
+    observed, spectrum = weighing.observed, weighing.spectrum
+    segments = range(len(observed))
+
+    def at_means(table: Array) -> Array:
+        out = np.zeros((len(spectrum.segment), table.shape[1]))
+        out[spectrum.means] = table * np.sqrt(observed.counts)[:, None]
+        return out
+
+    levels = {
+        "gyro": at_means(_levels([_upward(observed, s) for s in segments])),
+        "accel": at_means(_levels([_coarse(observed.attitude[s]) for s in segments])),
+    }
+    yield "offset by orientation", [levels[channel.kind] for channel in observed.channels]
+    states = at_means(_levels([_state(observed, s) for s in segments]))
+    yield (
+        "offset by orientation and motion",
+        [np.hstack([levels[channel.kind], states]) for channel in observed.channels],
+    )
+    if observed.along is None:
+        cosines = _orientations(observed)
+        yield "offset along orientation", [at_means(cosines[:, channel.axis :: 3]) for channel in observed.channels]
+    yield (
+        "offset by sort of motion",
+        [at_means(_levels([_state(observed, s, False) for s in segments]))] * len(observed.channels),
+    )
+    slopes = np.add.reduceat(observed.temperature_rate, observed.bounds[:-1]) / np.diff(observed.bounds)
+    changes = np.column_stack([slopes, observed.last_change])
+    yield (
+        "offset by change of temperature",
+        [at_means(changes / (np.abs(changes).max(0) + 1e-300))] * len(observed.channels),
+    )
+    turning = np.array([isinstance(motion, Spin) for motion in observed.motions])[observed.owner]
+    if not turning.any():
+        return
+    rate = observed.rate / np.abs(observed.rate[turning]).max()
+    for order in (1, 2):
+        waves = np.column_stack([wave(order * observed.angle) * turning for wave in (np.cos, np.sin)])
+        common = [spectrum.project(observed, waves), spectrum.project(observed, waves * rate[:, None])]
+        own = [spectrum.project(observed, waves * (rate * observed.table_axis[:, axis])[:, None]) for axis in range(3)]
+        yield f"{order} per turn, by rate", [np.hstack([*common, own[channel.axis]]) for channel in observed.channels]
+
+
+def _coordinates(weighing: Weighing) -> dict[str, Array]:
+    observed = weighing.observed
+    middles = (observed.bounds[:-1] + observed.bounds[1:] - 1) // 2
+    return {
+        "rate": observed.rate[observed.bounds[:-1]],
+        "temperature": observed.temperature[middles],
+        "time": observed.time[middles],
+    }
+
+
+def _orientations(observed: Observed) -> Array:
+    """Direction cosines of East, North and Up in the sensor's axes, means over each segment, (S, 9)."""
+    axes = [observed.in_sensor_axes(axis) for axis in np.eye(3)]
+    counts = np.diff(observed.bounds)[:, None]
+    return np.hstack([np.add.reduceat(axis, observed.bounds[:-1], axis=0) / counts for axis in axes])
+
+
+def _levels(names: Sequence[Hashable]) -> Array:
+    """One column for each distinct name, (S, levels)."""
+    distinct = list(dict.fromkeys(names))
+    return np.array([[float(name == other) for other in distinct] for name in names])
+
+
+def _coarse(values: Array) -> tuple[float, ...]:
+    """Rounded to a tenth, to distinguish orientations."""
+    return tuple((np.round(values, 1) + 0.0).ravel().tolist())
+
+
+def _upward(observed: Observed, segment: int) -> Hashable:
+    """Where gravity lies in the sensor's axes and, at rest, where North does."""
+    first = int(observed.bounds[segment])
+    still = isinstance(observed.motions[segment], Rest)
+    north = observed.attitude[segment][:, 1] if still else np.zeros(3)
+    return _coarse(observed.force[first] / observed.site.gravity) + _coarse(north)
+
+
+def _state(observed: Observed, segment: int, fast: bool = True) -> str:
+    """How the table moves, with how fast it turns where that is asked, and about which of the sensor's axes."""
+    motion, first = observed.motions[segment], int(observed.bounds[segment])
+    axis = _coarse(observed.table_axis[first])
+    if isinstance(motion, Spin):
+        return f"{motion.rate:.6g} about {axis}" if fast else f"turning about {axis}"
+    return f"rocking about {axis}" if isinstance(motion, Rock) else "at rest"
+
+
+def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
+    """Cosines of a coordinate's position in its range, orders 1 to `most`, each weaker as 1/order^fading; (S, ≤ orders)."""
+    span = float(np.ptp(values))
+    if span <= 0:
+        return np.zeros((len(values), 0))
+    orders = np.arange(1, min(most, len(np.unique(np.round(values / span, 6)))) + 1)
+    cosines: Array = np.cos(np.pi * orders * (values[:, None] - values.min()) / span) / orders**fading
+    return cosines
+
+
+def _changing(observed: Observed) -> Rows:
+    """Segments (S,) within which the temperature changes."""
+    spans = np.maximum.reduceat(observed.temperature, observed.bounds[:-1])
+    spans -= np.minimum.reduceat(observed.temperature, observed.bounds[:-1])
+    return np.asarray(spans > CHANGED)
+
+
+def _monomials(direction: Array) -> Array:
+    """Monomials of degrees 2 to 4 of the direction of gravity."""
+    columns = [
+        direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
+        for d in (2, 3, 4)
+        for a in range(d + 1)
+        for b in range(d + 1 - a)
+    ]
+    return np.column_stack(columns)
+
+
+def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
+    """Cosine and sine of a harmonic with the same amplitude in all segments, or in proportion to rate and its square."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    if not rows.any():
+        return np.zeros((len(rows), 0))
+    owners = spectrum.segment[rows]
+    first = np.r_[True, np.diff(owners) != 0]
+    rate = observed.rate[observed.bounds[:-1]][owners]
+    rate = rate / np.abs(rate).max()
+    size = np.sqrt(observed.counts)[owners]
+    out = np.zeros((len(rows), 6))
+    for part, phase in enumerate((first, ~first)):
+        for power in range(3):
+            out[rows, 3 * part + power] = np.where(phase, size * rate**power, 0.0)
+    return out

@@ -1,0 +1,84 @@
+"""Effects that are there as a whole, at their shape alone: a lag, a delay, a dead zone, a limit.
+
+The evidence weighs them like others, with an amplitude beside the shape, which for a weak one says the same twice. Once one is named its
+shape is found exactly: amplitude 1 and, where it acts on the sensor's own output, the nominal parameters fitted beside it: fitted without,
+they take part of it, and it would be looked for where the output never was (Gauss–Newton in those parameters, a search in the shape).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.error_model.effects.interface import Shaped, is_whole
+from planrunner.error_model.observed import Observed
+from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+
+Array = NDArray[np.float64]
+_STEPS = 20
+_ROUNDS = 15
+_DROP = 0.5  # nats beside the best: a standard deviation away
+_TOLD = 1.0  # nats that an effect of any shape must explain beyond none
+_SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
+
+
+def whole(candidate: Candidate) -> bool:
+    """Whether an effect has its shape and no amplitude."""
+    return isinstance(candidate.effect, Shaped) and any(is_whole(item.variant.columns) for item in candidate.variants)
+
+
+def forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
+    """Forms about the most probable shape, in even steps of its logarithm, and how probable each is; none where the search does not
+    settle, or settles where there is nothing of the effect: what the data want is its opposite."""
+    seen, found = weighing.observed, np.nan
+    for _ in range(_STEPS):
+        shape, sigma = _most_probable(weighing, effect, seen)
+        if abs(np.log(shape / found)) < 0.05 * sigma:
+            break
+        found = shape
+        (best,) = weighing.weigh([effect.at(seen, shape)])
+        seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
+    else:
+        return []
+    near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
+    weighed = weighing.weigh([effect.at(seen, float(value)) for value in near])
+    evidence = np.array([_evidence(weighing, item) for item in weighed])
+    if evidence.max() < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
+        return []
+    share = np.exp(evidence - evidence.max())
+    return list(zip(weighed, (share / share.sum()).tolist(), strict=True))
+
+
+def _evidence(weighing: Weighing, form: Weighed) -> float:
+    """Log evidence of an amplitude of 1, relative to none but for a constant."""
+    return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
+
+
+def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed) -> tuple[float, float]:
+    """The most probable shape and the standard deviation of its logarithm: on the grid, beyond it where the best is at its edge, then
+    between the best and its neighbours until those are within a standard deviation. One that the data barely constrain is reported as far
+    as the grid goes."""
+    known: dict[float, float] = {}
+    new = np.log(effect.grid(seen))
+    widest = float(np.ptp(new)) / (2 * _SPAN)
+    for _ in range(_ROUNDS):
+        weighed = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in new])
+        known |= {float(value): _evidence(weighing, item) for value, item in zip(new, weighed, strict=True)}
+        place = np.array(sorted(known))
+        evidence = np.array([known[value] for value in place])
+        top = int(np.argmax(evidence))
+        if top in (0, len(place) - 1):
+            beyond, step = (place[0], place[0] - place[1]) if top == 0 else (place[-1], place[-1] - place[-2])
+            new = beyond + step * np.arange(1, 4)
+            continue
+        if np.ptp(evidence[top - 1 : top + 2]) < _DROP:
+            break
+        new = np.concatenate([np.linspace(place[i], place[i + 1], 5)[1:-1] for i in (top - 1, top)])
+    top = int(np.clip(top, 1, len(place) - 2))
+    bend, slope, _ = np.polyfit(place[top - 1 : top + 2] - place[top], evidence[top - 1 : top + 2] - evidence[top], 2)
+    reach = float(place[top + 1] - place[top - 1])
+    sigma = float(1 / np.sqrt(-2 * bend)) if bend < 0 else reach
+    best = float(np.clip(-slope / (2 * bend), -reach, reach)) if bend < 0 else 0.0
+    return float(np.exp(place[top] + best)), min(sigma, widest)

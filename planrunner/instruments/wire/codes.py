@@ -1,0 +1,11 @@
+"""The numbers by which compiled kernels know kinds of check, rules of framing and kinds of number."""
+
+from __future__ import annotations
+
+UNSIGNED, SIGNED, FLOAT, FRACTION_FIRST = range(4)
+
+
+FIXED, XBUS, LINE = range(3)
+
+
+NONE, CRC, SUM, NEGATIVE_SUM, XOR = range(5)

@@ -1,0 +1,203 @@
+"""Long recordings in bounded memory: one pass over a segment's blocks that averages consecutive samples in bins.
+
+Up to `BUDGET` samples a recording is held as it is. Of a longer one as many consecutive samples of a segment make a bin as it takes to keep
+to the budget, but never more than leave `PER_PERIOD` bins to a turn or a period of rocking, or `FEWEST` to a segment: where motion is
+what counts, the number of bins follows the turns and not the samples. What only single samples show is taken from them in the same pass:
+the white level, from the same orders of the cosine transform as in a short recording; the count; and samples far outside the noise, which
+are replaced by their neighbours. What is lost are frequencies above half a bin's, and fewer than `size` samples at a segment's end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.error_model.observed import Bins
+from planrunner.instruments.interfaces import Block
+from planrunner.observation.lattice import levels_of, settled
+from planrunner.physics.sampled_motion import period_of, turned_by
+
+Array = NDArray[np.float64]
+BUDGET = 200_000  # samples of a recording that are held as they are, and about as many bins of a longer one
+PER_PERIOD = 64  # bins in a turn or a period: within one, what turns is its value at the middle and a curvature
+FEWEST = 64  # bins in a segment
+SPIKE = 6.5  # robust standard deviations: about one normal sample in 10^10
+_PIECE = 1 << 15  # samples taken at once
+_BESIDE = (-2, -1, 1, 2)  # neighbours that a sample is held against
+SQUARED = 1e150  # larger numbers cannot be squared: they are as good as missing
+_ROUNDS = 4
+
+
+@dataclass
+class Averaged:
+    """One segment in bins. begin: time of its first sample, s; step: s between samples; time: (n,); table: channel → (n,), in its unit;
+    rejected: rows with a NaN. The rest as in `Bins`, in SI."""
+
+    begin: float = np.nan
+    step: float = np.nan
+    time: Array = field(default_factory=lambda: np.empty(0))
+    table: dict[str, Array] = field(default_factory=dict)
+    rejected: int = 0
+    energy: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    count: float = 0.0
+    spikes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    levels: list[Array] = field(default_factory=list)
+
+
+def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
+    """Samples of a bin of each segment (S,); None for a recording that is held as it is."""
+    counts = np.array([item.statistics.count for item in recording])
+    if counts.sum() <= BUDGET:
+        return None
+    most = np.array([_most(item) for item in recording])
+    size = int(np.ceil(counts.sum() / BUDGET))
+    while np.sum(counts // np.minimum(size, most)) > BUDGET and size < most.max():
+        size += max(1, size // 20)
+    bounded: NDArray[np.int64] = np.minimum(size, most)
+    return bounded
+
+
+def _most(item: RecordedSegment) -> int:
+    """The largest bin by which a segment's motion can still be followed."""
+    known = item.statistics
+    most = known.count // FEWEST
+    period = period_of(item.segment.motion)
+    if np.isfinite(period):
+        most = min(most, int(period / known.period / PER_PERIOD))
+    return max(1, most)
+
+
+def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
+    """The bins of a recording, from those of its segments."""
+    levels = [reduce(np.union1d, each) for each in zip(*(part.levels for part in parts), strict=True)]
+    return Bins(
+        size,
+        1 / float(np.median([part.step for part in parts])),
+        np.array([part.energy for part in parts]),
+        np.array([part.count for part in parts]),
+        np.sum([part.spikes for part in parts], axis=0),
+        tuple(levels),
+    )
+
+
+def seen_along(bins: Bins, along: Array) -> Bins:
+    """Of a triad's bins, those of what it reads along one direction in each segment, (S, 3). It has no count."""
+    energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
+    return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
+
+
+def averaged(
+    item: RecordedSegment,
+    names: Sequence[str],
+    factors: Array,
+    counts: Array,
+    smallest: Array,
+    size: int,
+    encoder: tuple[str, float] | None = None,
+) -> Averaged:
+    """A segment in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), of their units;
+    counts: (K,), SI; smallest: (K,), the least noise to hold a spike against, SI. encoder: a channel of `names` that wraps, and how many
+    of its units make a turn."""
+    out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
+    out.levels = [np.empty(0) for _ in factors]
+    times, means, last = [], [], None
+    for time, values in rechunk(_usable(item, names, out), names, size * max(1, _PIECE // size)):
+        if np.isnan(out.begin):
+            out.begin, out.step = float(time[0]), float(np.median(np.diff(time))) if len(time) > 1 else np.nan
+        if encoder is not None:
+            row, turn = list(names).index(encoder[0]), encoder[1]
+            planned = turned_by(item.segment.motion, time - out.begin) / (2 * np.pi) * turn
+            rest = values[row] - planned
+            values[row] = np.unwrap(np.concatenate(([rest[0] if last is None else last], rest)), period=turn)[1:]
+            last = float(values[row, -1])
+            values[row] += planned
+        _look_at(values[: len(factors)] * factors[:, None], counts, out)
+        repaired, replaced = without_spikes(values[: len(factors)], smallest / np.abs(factors))
+        values[: len(factors)] = repaired
+        out.spikes += replaced
+        _upper(repaired * factors[:, None], out)
+        whole = len(time) - len(time) % size
+        times.append(time[:whole].reshape(-1, size).mean(1))
+        means.append(values[:, :whole].reshape(len(names), -1, size).mean(2))
+    if times:
+        out.time = np.concatenate(times)
+        out.table = dict(zip(names, np.concatenate(means, axis=1), strict=True))
+    return out
+
+
+def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Iterator[Block]:
+    """Blocks without rows that hold a NaN, which are counted."""
+    for block in item.blocks(names):
+        good = np.isfinite(block.time)
+        for name in names:
+            good &= np.abs(block.channels[name]) < SQUARED  # false for NaN as well
+        left = int(np.count_nonzero(~good))
+        out.rejected += left
+        yield block if not left else Block(block.time[good], {name: block.channels[name][good] for name in names})
+
+
+def _look_at(values: Array, counts: Array, out: Averaged) -> None:
+    """Levels of the channels' counts, until they are seen to be as declared."""
+    for channel, step in enumerate(counts):
+        if step > 0 and not settled(out.levels[channel]):
+            out.levels[channel] = np.union1d(out.levels[channel], levels_of(values[channel], float(step)))
+
+
+def _upper(values: Array, out: Averaged) -> None:
+    """Energy in the upper three quarters of a piece's orders, from an eighth of the sampling rate on."""
+    from scipy.fft import dct
+
+    quarter = values.shape[1] // 4
+    if quarter >= FEWEST // 4:
+        upper = dct(values, type=2, norm="ortho", axis=1)[:, quarter:]
+        out.energy += upper @ upper.T
+        out.count += upper.shape[1]
+
+
+def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Samples (K, n), those far from the mean of their four neighbours replaced by straight lines between the others, and how many (K,).
+
+    That difference has 1.25 times the variance of white noise. Of several that stand out within two samples the largest goes first.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    out, replaced = values.copy(), np.zeros(values.shape, dtype=bool)
+    if values.shape[1] < 5:
+        return out, replaced.sum(axis=1)
+    n = values.shape[1]
+    for _ in range(_ROUNDS):
+        wide = np.pad(out, ((0, 0), (2, 2)), mode="reflect", reflect_type="odd")
+        off = np.abs(out - sum(wide[:, 2 + by : 2 + by + n] for by in _BESIDE) / len(_BESIDE))
+        sigma = np.maximum(1.4826 * np.median(off, axis=1), smallest * np.sqrt(1.25))
+        rows, _ = np.nonzero(off > SPIKE * sigma[:, None])
+        if not len(rows):
+            break
+        for channel in np.unique(rows):
+            own = off[channel]
+            replaced[channel] |= (own > SPIKE * sigma[channel]) & (own == maximum_filter1d(own, 5))
+            bad = replaced[channel]
+            out[channel, bad] = np.interp(np.flatnonzero(bad), np.flatnonzero(~bad), values[channel, ~bad])
+    return out, replaced.sum(axis=1)
+
+
+def rechunk(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Iterator[tuple[Array, Array]]:
+    """The same samples as (time (n,), values (k, n)), every piece but the last of exactly `rows` rows."""
+    time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
+    for block in blocks:
+        taken, count = 0, len(block.time)
+        while taken < count:
+            step = min(rows - filled, count - taken)
+            time[filled : filled + step] = block.time[taken : taken + step]
+            for row, name in enumerate(channels):
+                values[row, filled : filled + step] = block.channels[name][taken : taken + step]
+            filled, taken = filled + step, taken + step
+            if filled == rows:
+                yield time, values
+                time, values, filled = np.empty(rows), np.empty((len(channels), rows)), 0
+    if filled:
+        yield time[:filled], values[:, :filled]

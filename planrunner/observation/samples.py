@@ -1,0 +1,191 @@
+"""What a diagnosis looks at: samples with the state that was planned for them, as an `Observed` over the whole run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.base.findings import closest
+from planrunner.error_model.observed import Channel, Observed
+from planrunner.instruments.models import NoiseModel, SensorModel
+from planrunner.observation.bins import SQUARED, Averaged, averaged, bins_of, sizes
+from planrunner.observation.temperature import changes, settled, temperature_of
+from planrunner.physics.earth import Site
+from planrunner.physics.sampled_motion import fading, motion_at
+from planrunner.plan.schedule import Rest, Rock, Spin
+from planrunner.plan.units import unit
+
+Array = NDArray[np.float64]
+
+
+class ObservationError(Exception):
+    """The recording cannot be diagnosed. The message says why, for a quality engineer; the hint what to do, where that is known."""
+
+    def __init__(self, message: str, hint: str = ""):
+        super().__init__(message)
+        self.hint = hint
+
+
+def observed(
+    recording: Sequence[RecordedSegment],
+    site: Site,
+    sensor: SensorModel,
+    *,
+    axes: Mapping[str, str] | None = None,
+    angle_channel: str | None = None,
+    temperature_channel: str | None = None,
+    magnetic: Sequence[float] | None = None,
+    power_on: float = 0.0,
+) -> Observed:
+    """The recorded segments of a run as a diagnosis needs them, in the order of time: slow noise and hysteresis know no other.
+
+    axes: channel → sensor axis x, y or z; without it the last letter of names such as gyro_x and accel_z, or a part of the name between
+    underscores. Angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the
+    table's encoder; temperature_channel: thermometer; without them the plan's values. power_on: recording time of power-on, s. Raises
+    `ObservationError` for whatever cannot be diagnosed.
+    """
+    if not recording:
+        raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
+    recording = in_time_order(recording)
+    channels = channels_of(recording[0], sensor, axes)
+    if not channels:
+        raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")
+    size = sizes(recording)
+    made = [
+        _part(item, channels, angle_channel, temperature_channel, power_on, None if size is None else int(size[index]))
+        for index, item in enumerate(recording)
+    ]
+    parts = [part for part, *_ in made]
+    settled(recording, parts, [uncertainty for *_, uncertainty in made])
+    means = [float(np.mean(part["temperature"])) for part in parts]
+    stacked = {name: np.concatenate([part[name] for part in parts]) for name in _PER_SAMPLE}
+    return Observed(
+        site,
+        channels,
+        tuple(item.label for item in recording),
+        tuple(item.segment.motion for item in recording),
+        np.array([item.segment.attitude for item in recording]),
+        np.concatenate(([0], np.cumsum([len(part["time"]) for part in parts]))).astype(np.int64),
+        last_change=changes(recording, means),
+        magnetic=None if magnetic is None else np.asarray(magnetic, dtype=float),
+        rejected=sum(rows.rejected for _, rows, _ in made),
+        bins=None if size is None else bins_of(size, [rows for _, rows, _ in made]),
+        **stacked,
+    )
+
+
+_PER_SAMPLE = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
+
+
+def channels_of(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
+    found = []
+    for name, text in first.units.items():
+        kind = {"angular rate": "gyro", "acceleration": "accel"}.get(_quantity(text))
+        words = name.lower().split("_")
+        letter = axes.get(name) if axes is not None else next((w for w in words if w in ("x", "y", "z")), None)
+        if kind is None or letter is None:
+            continue
+        factor = unit(text).factor
+        output = sensor.output(name)
+        noise = output.noise if output else NoiseModel()
+        found.append(
+            Channel(
+                name, kind, "xyz".index(letter), text, factor,
+                noise.white * factor, noise.bias_instability * factor, noise.resolution * factor,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def measures_motion(text: str) -> bool:
+    """Whether a channel in this unit is one that is diagnosed."""
+    return bool(_quantity(text))
+
+
+def _quantity(text: str) -> str:
+    dimension = unit(text).dimension
+    if dimension == unit("rad/s").dimension:
+        return "angular rate"
+    return "acceleration" if dimension == unit("m/s^2").dimension else ""
+
+
+def _part(
+    item: RecordedSegment,
+    channels: tuple[Channel, ...],
+    angle: str | None,
+    thermometer: str | None,
+    power_on: float,
+    size: int | None,
+) -> tuple[dict[str, Array], Averaged, float]:
+    """One segment's samples, or means over `size` of them, rows with a NaN left out; what they were made of; and the uncertainty of its
+    temperature, NaN where it changes."""
+    if item.segment.attitude is None:
+        raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
+    if not isinstance(item.segment.motion, Rest | Spin | Rock):
+        raise ObservationError(f"segment '{item.label}' is a cycle of turns and stops: leave it out of the diagnosis")
+    extra = [name for name in (angle, thermometer) if name is not None]
+    rows = rows_of(item, channels, extra, size, angle)
+    time, table, motion = rows.time, rows.table, item.segment.motion
+    left = 1.0 if size is None else fading(motion, size, 1 / rows.step)
+    part = motion_at(motion, time - rows.begin, _in_si(item, angle, table) if angle is not None else None, left)
+    warm = _in_si(item, thermometer, table) if thermometer is not None else None
+    temperature = temperature_of(item, time, warm)
+    part["temperature"], part["temperature_rate"] = temperature.celsius, temperature.rate
+    part["values"] = np.column_stack([table[channel.name] * channel.factor for channel in channels])
+    part["time"] = time - power_on
+    return part, rows, temperature.uncertainty
+
+
+def rows_of(
+    item: RecordedSegment,
+    channels: Sequence[Channel],
+    extra: Sequence[str] = (),
+    size: int | None = None,
+    encoder: str | None = None,
+) -> Averaged:
+    """A segment's rows without a NaN, or, with `size`, means over so many. extra: further channels, of which `encoder` wraps. Raises
+    `ObservationError`."""
+    names = [*(channel.name for channel in channels), *extra]
+    missing = [name for name in names if name not in item.units]
+    if missing:
+        raise ObservationError(
+            f"segment '{item.label}' has no channel '{missing[0]}'; {closest(missing[0], item.units)}"
+        )
+    rows = _held(item, names) if size is None else _averaged(item, channels, names, size, encoder)
+    if len(rows.time) < 8:
+        raise ObservationError(
+            f"segment '{item.label}' holds {len(rows.time)} usable samples: leave it out or record it again"
+        )
+    return rows
+
+
+def _held(item: RecordedSegment, names: Sequence[str]) -> Averaged:
+    blocks = list(item.blocks(names))
+    time = np.concatenate([block.time for block in blocks]) if blocks else np.empty(0)
+    table = {name: np.concatenate([np.asarray(block.channels[name]) for block in blocks]) for name in names if blocks}
+    good = np.isfinite(time)
+    for column in table.values():
+        good &= np.abs(column) < SQUARED  # false for NaN as well
+    time, table = time[good], {name: column[good] for name, column in table.items()}
+    return Averaged(
+        float(time[0]) if len(time) else np.nan, time=time, table=table, rejected=int(np.count_nonzero(~good))
+    )
+
+
+def _averaged(
+    item: RecordedSegment, channels: Sequence[Channel], names: Sequence[str], size: int, encoder: str | None
+) -> Averaged:
+    rate = 1 / item.statistics.period
+    factors = np.array([channel.factor for channel in channels])
+    counts = np.array([channel.resolution for channel in channels])
+    smallest = np.maximum(counts / 2, np.array([channel.white for channel in channels]) * np.sqrt(rate) / 4)
+    wraps = None if encoder is None else (encoder, 2 * np.pi / unit(item.units[encoder]).factor)
+    return averaged(item, names, factors, counts, smallest, size, wraps)
+
+
+def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Array:
+    scale = unit(item.units[name])
+    return np.asarray(table[name] * scale.factor + scale.offset)

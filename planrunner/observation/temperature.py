@@ -1,0 +1,101 @@
+"""The temperature that a sensor had, by sample, from a thermometer that is noisy or from the plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.error_model.observed import REFERENCE_TEMPERATURE
+from planrunner.plan.units import ZERO_CELSIUS
+
+Array = NDArray[np.float64]
+CHANGED = 1.0  # K within a segment, or between the means of consecutive ones: less is no change
+_SMOOTHING = 10  # coefficients of the polynomial by which a segment's temperature is smoothed, at most
+_WORTH = 12.0  # of twice the log likelihood, for each of them: 3.5 σ, so that noise takes none in hundreds of segments
+_BLOCKS = 256  # means of the thermometer that the polynomial is fitted to
+_EXACT = 1e-9  # K: less noise than this counts as none, and gives no uncertainty of a mean
+_ALIKE = 0.01  # probability from which on the temperatures of segments count as one
+
+
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """Of one segment. celsius: (n,); rate: (n,), K/s; uncertainty: standard uncertainty of a temperature that does not change, from the
+    thermometer's noise; NaN where it changes or comes from the plan."""
+
+    celsius: Array
+    rate: Array
+    uncertainty: float = math.nan
+
+
+def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> Temperature:
+    """The thermometer smoothed, else what was planned."""
+    if kelvin is None:
+        planned = item.segment.temperature
+        celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
+        target = celsius if item.segment.ramp_to is None else item.segment.ramp_to - ZERO_CELSIUS
+        span = max(float(time[-1] - time[0]), 1e-9)
+        return Temperature(
+            celsius + (target - celsius) * (time - time[0]) / span, np.full(len(time), (target - celsius) / span)
+        )
+    return smoothed(time, kelvin - ZERO_CELSIUS)
+
+
+def smoothed(time: Array, values: Array) -> Temperature:
+    """A polynomial through a segment's values, (n,), and its derivative: a thermometer's noise must not become a stimulus.
+
+    Of as many coefficients as are each worth `_WORTH` of likelihood: a chamber that stands still has one temperature, one that
+    approaches its setpoint needs several.
+    """
+    middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
+    scaled = (time - middle) / half
+    edges = np.linspace(0, len(time), min(len(time), _BLOCKS) + 1).astype(np.int64)[:-1]
+    counts = np.diff(np.append(edges, len(time)))
+    x, y = np.add.reduceat(scaled, edges) / counts, np.add.reduceat(values, edges) / counts
+    level, n = float(y.mean()), len(x)
+    basis, upper = np.linalg.qr(np.polynomial.chebyshev.chebvander(x, min(_SMOOTHING, n - 1) - 1))
+    along = basis.T @ (y - level)
+    left = np.maximum(np.sum((y - level) ** 2) - np.cumsum(along**2), 0.0) + 1e-300
+    size = 1 + int(np.argmin(n * np.log(left) + _WORTH * np.arange(len(along))))
+    if size == 1:
+        own = float(values.mean())
+        return Temperature(np.full(len(time), own), np.zeros(len(time)), float(np.sqrt(left[0] / (n - 1) / n)))
+    series = np.polynomial.chebyshev.Chebyshev(np.linalg.solve(upper[:size, :size], along[:size]))
+    return Temperature(level + series(scaled), series.deriv()(scaled) / half)
+
+
+def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
+    """Gives segments of one setpoint that each have one temperature their common mean where the thermometer does not distinguish them (χ²
+    at 1 %). known: standard uncertainty of each segment's temperature, NaN where it is not one."""
+    from scipy.special import chdtrc
+
+    setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]
+    for setpoint in dict.fromkeys(setpoints):
+        alike = [k for k, own in enumerate(setpoints) if own == setpoint and known[k] > _EXACT]
+        if setpoint is None or len(alike) < 2:
+            continue
+        means, weights = (
+            np.array([parts[k]["temperature"][0] for k in alike]),
+            np.array([known[k] for k in alike]) ** -2,
+        )
+        mean = float(weights @ means / weights.sum())
+        if chdtrc(len(alike) - 1, float(weights @ (means - mean) ** 2)) >= _ALIKE:
+            for k in alike:
+                parts[k]["temperature"][:] = mean
+
+
+def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Array:
+    """Sign of the last change of temperature in every segment, (S,): from setpoints where they are planned, else from means."""
+    signs, last, before = [], 0.0, None
+    for item, mean in zip(recording, means, strict=True):
+        now = item.segment.ramp_to if item.segment.ramp_to is not None else item.segment.temperature
+        now = mean + ZERO_CELSIUS if now is None else now
+        if before is not None and abs(now - before) > CHANGED:
+            last = float(np.sign(now - before))
+        before = now
+        signs.append(last)
+    return np.array(signs)

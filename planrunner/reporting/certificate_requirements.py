@@ -1,0 +1,124 @@
+"""What ISO/IEC 17025:2017 asks of a calibration certificate, held against plan and bench, and against the information on a run.
+
+`ASKED` lists the run information that a certificate knows by name. docs/certificates.md shows where each stands on the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings
+from planrunner.bench.model import Bench
+from planrunner.bench.references import references
+from planrunner.plan.model import Plan
+from planrunner.plan.schedule import Schedule
+
+STANDARD = "ISO/IEC 17025:2017"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Run information that a certificate shows. required: a certificate is not written without it. instead: another name that serves
+    as well."""
+
+    name: str
+    clause: str
+    about: str
+    required: bool = False
+    instead: str = ""
+
+
+ASKED = (
+    Asked("certificate_number", "7.8.2.1 d", "unique identification of the certificate", True),
+    Asked("customer", "7.8.2.1 e", "name of the customer", True),
+    Asked("customer_contact", "7.8.2.1 e", "contact information of the customer", True),
+    Asked("item_description", "7.8.2.1 g", "what the item is: kind, manufacturer, type", True),
+    Asked("device_serial", "7.8.2.1 g", "unambiguous identification of the item", True, "item_identification"),
+    Asked("date_received", "7.8.2.1 h", "date of receipt of the item", True),
+    Asked("issued_by", "7.8.2.1 o", "the person who authorises the certificate", True),
+    Asked("item_identification", "7.8.2.1 g", "an identification instead of, or in addition to, `device_serial`"),
+    Asked("item_condition", "7.8.2.1 g", "condition of the item as received"),
+    Asked("location", "7.8.2.1 c", "place of the calibration, if it differs from the bench file"),
+    Asked("method", "7.8.2.1 f", "a method reference in addition to the plan"),
+    Asked("date_issued", "7.8.2.1 j", "date of issue, if not today"),
+    Asked("sampling", "7.8.2.1 k", "sampling plan and method, where the laboratory sampled"),
+    Asked("deviations", "7.8.2.1 n", "additions to, deviations or exclusions from the method"),
+    Asked(
+        "certified_estimates",
+        "7.8.2.1 m",
+        "the estimates that the certificate shows, by their names in the plan, if not all",
+    ),
+    Asked("external_provider", "7.8.2.1 p", "who provided results that are not the laboratory's own"),
+    Asked("external_estimates", "7.8.2.1 p", "the estimates that are these results, by their names in the plan"),
+    Asked("customer_information", "7.8.2.2", "information from the customer that can affect the results"),
+    Asked("adjustment", "7.8.4.1 d", "adjustment or repair that was made"),
+    Asked("agreed_interval", "7.8.4.3", "interval to the next calibration, only where agreed with the customer"),
+    Asked("specification", "7.8.6.2 b", "the specification that the plan's limits come from"),
+    Asked("opinions", "7.8.7", "opinions and interpretations"),
+    Asked("amends", "7.8.8", "number of the certificate that this one replaces"),
+    Asked("amendment_reason", "7.8.8.1", "what was changed, and why"),
+)
+DATES = ("date_received", "date_issued")
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """Something that a certificate must show and nobody stated. remedy: what to add, and where."""
+
+    clause: str
+    what: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"a certificate needs {self.what} ({STANDARD}, {self.clause})"
+
+
+def is_certificate(report: str) -> bool:
+    """Whether a report is a certificate, in whatever language."""
+    return report.startswith("certificate.")
+
+
+def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
+    """What the bench file leaves open. known: names of run information; holds_temperature: whether the plan holds one."""
+    found = []
+    if bench.laboratory is None:
+        remedy = "add laboratory: {name: …, address: …} to the bench file"
+        found.append(Lack("7.8.2.1 b", "name and address of the laboratory", remedy))
+    if bench.ambient is None and not holds_temperature and not any(name.startswith("ambient") for name in known):
+        remedy = "add ambient: {temperature: …} to the bench file, or record ambient_temperature"
+        found.append(Lack("7.8.4.1 b", "the conditions of the calibration", remedy))
+    untraced = [item.name for item in references(bench) if item.calibration is None]
+    if untraced and (bench.laboratory is None or bench.laboratory.traceability is None):
+        remedy = "add calibration: to each instrument and survey: to site in the bench file, or laboratory: {traceability: …}"
+        found.append(Lack("7.8.4.1 c", f"how {_list(untraced)} traceable", remedy))
+    return found
+
+
+def lacks_of_information(known: Collection[str], remedy: str) -> list[Lack]:
+    """Required run information that is not among the `known` names. remedy: a text with {name}."""
+    return [
+        Lack(item.clause, f"'{item.name}': {item.about}", remedy.format(name=item.name))
+        for item in ASKED
+        if item.required and item.name not in known and item.instead not in known
+    ]
+
+
+def _list(names: list[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names)
+    return f"{shown} {'is' if len(names) == 1 else 'are'}"
+
+
+def check_certificate(
+    plan: Plan, bench: Bench, schedule: Schedule | None, known: Collection[str], log: Findings
+) -> None:
+    """Adds an error, at the first certificate that the plan's `report` asks for, for whatever it would not be able to show. known: the
+    reports that there are; of others it is said elsewhere that they are none."""
+    places = [index for index, name in enumerate(plan.report) if is_certificate(name) and name in known]
+    if not places:
+        return
+    required = {name for name, item in plan.record.items() if item.required}
+    held = schedule is None or any(segment.temperature is not None for segment in schedule.segments)
+    lacks = lacks_of_information(required, "add {name}: required under record: in the plan")
+    for lack in [*lacks_of_bench(bench, set(plan.record), held), *lacks]:
+        log.error("report-certificate-missing", plan.at(f"report[{places[0]}]"), str(lack), lack.remedy)

@@ -1,0 +1,1 @@
+"""The work of each command as functions, for the command line and for programs: one module a verb."""

@@ -1,0 +1,380 @@
+"""The checks of a plan on a bench, all in one run: form, meaning, physics.
+
+checked = check_plan(Path("plans/x.yaml"))
+checked.findings       everything that is wrong, with file:line:column
+checked.schedule       what would be done, with times
+checked.designs        what each estimate could learn, with predicted uncertainties
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from datetime import date
+from functools import cache
+from pathlib import Path
+from statistics import NormalDist
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings, InputError, Mark, closest
+from planrunner.bench.calibration import check_validity
+from planrunner.bench.model import Bench, BenchModels, bench_of, benches_for, models, read_bench
+from planrunner.bench.scheduling import build_schedule
+from planrunner.design.identifiability import Identifiability, identify
+from planrunner.estimators.analysis import design_of
+from planrunner.estimators.interface import Coefficient, Design, EstimationError, Setup
+from planrunner.estimators.limits import bounds
+from planrunner.instruments.models import SensorModel
+from planrunner.plan import source
+from planrunner.plan.channels import check_channels
+from planrunner.plan.expand import StatedSegment, expand
+from planrunner.plan.meaning import check_meaning
+from planrunner.plan.model import EstimateSpec, Limit, Plan
+from planrunner.plan.quantity import parse_symmetric
+from planrunner.plan.reader import parse_plan
+from planrunner.plan.schedule import Schedule
+from planrunner.plan.units import unit
+from planrunner.reporting.budgets import shown_unit
+from planrunner.reporting.certificate_requirements import check_certificate
+from planrunner.reporting.sandbox import available
+from planrunner.uncertainty.stated_inputs import check_backed, check_vertical, stated_inputs
+
+# Belsley, Kuh & Welsch (1980): condition indices of scaled columns above 30 mean strong dependence between terms.
+ILL_CONDITIONED = 30.0
+HOPELESS = 1e6
+
+
+@dataclass(slots=True)
+class Checked:
+    """A plan as far as it could be read and checked. `plan_bytes` and `bench_bytes` are exactly what was read."""
+
+    file: str
+    findings: Findings
+    plan: Plan | None = None
+    bench: Bench | None = None
+    models: BenchModels | None = None
+    schedule: Schedule | None = None
+    designs: dict[str, Design] = field(default_factory=dict)
+    judged: dict[str, tuple[Identifiability, ...]] = field(default_factory=dict)
+    plan_bytes: bytes = b""
+    bench_bytes: bytes = b""
+
+    @property
+    def setup(self) -> Setup:
+        """How the sensor is tested, as far as plan and bench say."""
+        if self.plan is None or self.models is None or self.bench is None:
+            return Setup()
+        return Setup(
+            self.models.table,
+            self.plan.mounting,
+            stated_inputs(self.bench, self.models, self.plan.mounting),
+            replayed=self.models.replays,
+        )
+
+    @property
+    def ok(self) -> bool:
+        return self.schedule is not None and not self.findings.errors
+
+    def sound(self) -> Sound:
+        """The plan with all that is needed to run it. Raises `InputError` with the findings when there are errors."""
+        if (
+            self.findings.errors
+            or self.plan is None
+            or self.bench is None
+            or self.models is None
+            or self.schedule is None
+        ):
+            raise InputError(self.findings)
+        assert self.models.sensor is not None  # a bench without one is an error
+        return Sound(
+            self.file,
+            self.findings,
+            self.plan,
+            self.bench,
+            self.models,
+            self.models.sensor,
+            self.schedule,
+            self.designs,
+            self.setup,
+            self.plan_bytes,
+            self.bench_bytes,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sound:
+    """A plan that passed its checks (warnings may remain in `findings`)."""
+
+    file: str
+    findings: Findings
+    plan: Plan
+    bench: Bench
+    models: BenchModels
+    sensor: SensorModel
+    schedule: Schedule
+    designs: Mapping[str, Design]
+    setup: Setup
+    plan_bytes: bytes
+    bench_bytes: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class BenchFile:
+    """The bytes of a bench file, and its name in messages."""
+
+    data: bytes
+    shown: str
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A plan and a bench that were read, and verified, before."""
+
+    plan: bytes
+    bench: BenchFile
+
+
+def check_plan(
+    path: Path,
+    bench: str | None = None,
+    bench_path: Path | None = None,
+    today: date | None = None,
+    given: Given | None = None,
+) -> Checked:
+    """Everything that can be said of a plan before it runs. Never raises for what the files hold.
+
+    bench: use this bench instead of the plan's own (a shipped name or a file relative to the working folder); bench_path: use exactly
+    this file. today: the day that calibrations must hold on, the present one without it. given: what both files hold, which are then not
+    read; `path` is for messages alone.
+    """
+    checked = Checked(str(path), Findings())
+    try:
+        checked.plan_bytes = source.read_bytes(path) if given is None else given.plan
+        text = source.decode(checked.plan_bytes, str(path))
+    except InputError as error:
+        checked.findings = Findings(list(error.findings))
+        return checked
+    plan, checked.findings = parse_plan(text, str(path))
+    if plan is None:
+        return checked
+    checked.plan = plan
+    log = checked.findings
+    stated = expand(plan, log)
+    reports = report_names()
+    check_meaning(plan, stated, reports, log)
+    if _find_bench(checked, plan, path, bench, bench_path, given):
+        named = plan.origin.parts("bench") if bench is None and bench_path is None and given is None else ()
+        with log.resting_on(*named):
+            _check_physics(checked, plan, stated)
+        if checked.bench is not None:
+            with log.resting_on(*named, *plan.origin.parts("record")):
+                check_certificate(plan, checked.bench, checked.schedule, reports, log)
+            seconds = checked.schedule.total if checked.schedule else 0.0
+            check_validity(checked.bench.calibrations(), today or date.today(), seconds, log)
+            if checked.models is not None:
+                check_backed(checked.bench, checked.models, log)
+                check_vertical(checked.bench, checked.models, log)
+    return checked
+
+
+@cache
+def report_names() -> tuple[str, ...]:
+    """The reports that can be written of a run: the shipped templates but those of `show`, `design` and `diagnose`."""
+    return tuple(name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis.")))
+
+
+def _find_bench(
+    checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None, given: Given | None
+) -> bool:
+    try:
+        if given is not None:
+            file = given.bench
+            found = bench_of(file.data, file.shown), file.data, file.shown
+        elif bench_path is not None:
+            found = read_bench(str(bench_path), None)
+        elif bench is not None:
+            found = read_bench(bench, Path())
+        else:
+            found = read_bench(plan.bench, path.parent)
+    except InputError as error:
+        missing = all(finding.code in ("file-missing", "meaning-unknown-bench") for finding in error.findings)
+        for finding in error.findings:
+            mark = plan.at("bench") if missing and bench is None and bench_path is None else finding.mark
+            checked.findings.error(finding.code, mark, finding.message, finding.hint)
+        return False
+    checked.bench, checked.bench_bytes, _ = found
+    checked.models = models(checked.bench)
+    return True
+
+
+def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) -> None:
+    log = checked.findings
+    assert checked.models is not None
+    _check_sensor(plan, checked.models, log)
+    if not stated:
+        return
+    # A bench for another kind of sensor is the wrong bench: what else it cannot do follows from that.
+    with log.resting_on(*plan.sensor.origin.parts("kind"), *plan.origin.meant.get("defaults", ())):
+        schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log, plan.mounting)
+        if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
+            checked.schedule = schedule
+            if checked.models.sensor is not None:
+                _check_estimates(checked, plan, log)
+
+
+def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
+    sensor = known.sensor
+    if sensor is None:
+        log.error("meaning-no-sensor", plan.at("sensor"), "this bench has no sensor", "use another bench")
+        return
+    if sensor.kind != plan.sensor.kind:
+        message = (
+            f"the plan is for a sensor of kind '{plan.sensor.kind}', the bench carries one of kind '{sensor.kind}'"
+        )
+        names = benches_for(plan.sensor.kind)
+        shipped = f"; shipped are {', '.join(names)}" if names else ""
+        hint = f"use a bench with such a sensor{shipped}"
+        log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, hint)
+        return
+    outputs = [output.name for output in sensor.outputs]
+    for index, name in enumerate(plan.sensor.outputs):
+        if name not in outputs:
+            message = f"the sensor of this bench has no output '{name}'"
+            log.error("meaning-sensor-output", plan.sensor.at(f"outputs[{index}]"), message, closest(name, outputs))
+
+
+def _check_estimates(checked: Checked, plan: Plan, log: Findings) -> None:
+    assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
+    setup = checked.setup
+    outputs = None if checked.models.replays else [output.name for output in checked.models.sensor.outputs]
+    shared = (*plan.origin.parts("segments"), *plan.origin.parts("defaults"), *plan.origin.parts("mounting"))
+    parts: dict[str, tuple[Mark, ...]] = {}
+    for name, spec in plan.estimates.items():
+        used = [part for other in spec.uses for part in parts.get(other, ())]
+        parts[name] = (spec.origin.mark, *used)
+        with log.resting_on(*shared, *parts[name]):
+            _check_estimate(name, spec, outputs, checked, setup, log)
+    for limit in plan.limits:
+        estimate = limit.quantity.partition(".")[0]
+        with log.resting_on(limit.origin.mark, *shared, *parts.get(estimate, ())):
+            _check_limit(limit, checked.designs, log)
+
+
+def _check_estimate(
+    name: str, spec: EstimateSpec, outputs: list[str] | None, checked: Checked, setup: Setup, log: Findings
+) -> None:
+    assert checked.schedule is not None and checked.models is not None and checked.models.sensor is not None
+    before = log.raised
+    check_channels(spec.parameters, outputs, log)
+    if log.raised > before or any(other not in checked.designs for other in spec.uses):
+        return
+    try:
+        design = design_of(
+            name,
+            spec,
+            checked.schedule.segments,
+            checked.models.site,
+            checked.models.sensor,
+            checked.designs,
+            setup,
+        )
+    except EstimationError as error:
+        at = spec.at(error.key) if error.key else spec.origin.mark
+        log.error(
+            "physics-estimate", at, f"'{name}': {error}", error.hint or "choose other segments or another estimator"
+        )
+        return
+    if design is None:
+        return
+    checked.designs[name] = design
+    for remark in design.remarks:
+        add = log.error if remark.error else log.warning
+        add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
+    checked.judged[name] = identify(design)
+    explained = any(remark.conditions for remark in design.remarks)
+    with log.resting_on(spec.origin.mark):  # on what the estimator says is wrong with the segments
+        said = [one for one in checked.judged[name] if not (explained and one.sound and one.condition <= HOPELESS)]
+        for alike in _alike(said):
+            _report(name, alike, spec.at("segments"), log)
+
+
+def _alike(judged: Sequence[Identifiability]) -> list[list[Identifiability]]:
+    """Outputs of which the same is to be said, each group in order."""
+    groups: dict[tuple[object, ...], list[Identifiability]] = {}
+    for one in judged:
+        what = (one.rank, one.columns, f"{one.condition:.3g}", one.unidentifiable, one.explanation)
+        groups.setdefault(what, []).append(one)
+    return list(groups.values())
+
+
+def _report(name: str, alike: Sequence[Identifiability], mark: Mark, log: Findings) -> None:
+    """One finding for outputs that are alike, where they call for one."""
+    judged, names = alike[0], [one.output for one in alike]
+    outputs = f"output {names[0]}" if len(names) == 1 else f"outputs {', '.join(names[:-1])} and {names[-1]}"
+    if not judged.sound:
+        terms = ", ".join(judged.unidentifiable)
+        where = f"rank {judged.rank} of {judged.columns}, {outputs}"
+        message = f"'{name}' cannot identify {terms} on the planned segments ({where}){_because(judged)}"
+        log.error("physics-rank", mark, message, "add segments that separate these terms, or leave the terms out")
+    elif judged.condition > ILL_CONDITIONED:
+        where = f"condition {judged.condition:.3g}, {outputs}"
+        message = f"'{name}' is ill-conditioned on the planned segments ({where}){_because(judged)}"
+        add = log.error if judged.condition > HOPELESS else log.warning
+        add("physics-condition", mark, message, "spread the segments' states further")
+
+
+def _because(judged: Identifiability) -> str:
+    return f": {judged.explanation}" if judged.explanation else ""
+
+
+def _check_limit(limit: Limit, designs: Mapping[str, Design], log: Findings) -> None:
+    estimate, _, name = limit.quantity.partition(".")
+    design = designs.get(estimate)
+    if design is None or not design.known:
+        return
+    known = design.foreseen
+    if name not in known:
+        message = f"'{estimate}' has no coefficient '{name}'"
+        log.error("meaning-unknown-quantity", limit.at("quantity"), message, closest(name, known))
+        return
+    item = known[name]
+    for key in ("within", "at_least", "at_most"):
+        bound = getattr(limit, key)
+        if bound is None:
+            continue
+        try:
+            value = parse_symmetric(bound) if isinstance(bound, str) else bound
+        except ValueError:
+            continue
+        if value is not None and value.unit.dimension != unit(item.unit).dimension:
+            _other_dimension(limit, key, value.unit.text, item.unit, log)
+            return
+    if limit.prior is not None and limit.prior.unit.dimension != unit(item.unit).dimension:
+        _other_dimension(limit, "prior", f"the prior in {limit.prior.unit.text}", item.unit, log)
+    if isinstance(item, Coefficient):
+        _foresee(limit, item, log)
+
+
+def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findings) -> None:
+    what = "prior" if key == "prior" else "limit"
+    if wanted == "1":
+        message, hint = f"{limit.quantity} is a pure number; {given} does not fit", f"write the {what} without a unit"
+    else:
+        message, hint = f"{limit.quantity} is in {wanted}; {given} does not fit", f"write the {what} in {wanted}"
+    log.error("meaning-dimension", limit.at(key), message, hint)
+
+
+def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
+    """Warns of a guarded limit that is narrower than the uncertainty to expect: nothing could pass it."""
+    try:
+        low, high = bounds(limit, coefficient)
+    except EstimationError:
+        return  # the plan's own checks say what is wrong with it
+    # Infinitely many degrees of freedom; fewer only make intervals wider.
+    least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
+    if limit.rule == "guarded" and 2 * limit.guard_band * least >= high - low:
+        shown = f"±{least:.2g} {shown_unit(coefficient.unit)}".rstrip() + f" ({100 * limit.coverage:g} %)"
+        message = f"{limit.quantity} is to be expected with at least {shown}, so nothing can pass this guarded limit"
+        log.warning(
+            "physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit"
+        )

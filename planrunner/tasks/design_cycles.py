@@ -1,0 +1,157 @@
+"""Designing the rotation cycle of a segment: what the planned one leaves of a constant horizontal error, and cycles that leave nothing.
+
+study = design_cycle(Path("plans/x.yaml"), CycleOptions())
+study.cycles["planned"], ["same order"], ["free order"]     as far as there are any
+study.text                                                  the plan with the chosen cycle in it
+
+Angles and turns of a study are counted in the plan's sense, clockwise where it says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from planrunner.base.findings import Findings, InputError
+from planrunner.design.cycles import Cable, CycleError, FoundCycle, StudiedCycle, free_order, same_order
+from planrunner.estimators.interface import EstimationError
+from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
+from planrunner.physics.modulation import schuler_drive
+from planrunner.physics.rotation_cycle import RotationCycle
+from planrunner.plan import model, source
+from planrunner.plan.expand import expand
+from planrunner.plan.rewriting import RewriteError, with_moves
+from planrunner.plan.schedule import Cycle, Segment
+from planrunner.tasks.check import Checked, check_plan
+
+ORDERS = {"same": "same order", "free": "free order"}
+
+
+@dataclass(frozen=True, slots=True)
+class CycleOptions:
+    """segment: label of the segment with the cycle, the first that has one without. order: which cycle goes into the plan."""
+
+    segment: str | None = None
+    order: str = "free"
+
+
+@dataclass(frozen=True, slots=True)
+class CycleStudy:
+    """cycles: `planned` and, where they were found, `same order` and `free order`. searches, reasons: what was searched, or why not, by
+    the same names. text: the plan with the chosen cycle, empty where it was not found."""
+
+    segment: Segment
+    axis: TableAxis
+    cycles: Mapping[str, StudiedCycle]
+    searches: Mapping[str, FoundCycle]
+    reasons: Mapping[str, str]
+    chosen: str
+    text: str
+    checked: Checked
+
+
+def has_cycle_alone(checked: Checked) -> bool:
+    """Whether a plan holds a cycle and no estimate whose positions could be designed."""
+    cycles = checked.schedule is not None and any(isinstance(item.motion, Cycle) for item in checked.schedule.segments)
+    return cycles and not any(design.blocks for design in checked.designs.values())
+
+
+def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) -> CycleStudy:
+    """Raises `InputError` with the plan's findings, and `EstimationError` where there is no cycle to design."""
+    checked = check_plan(path, bench=bench)
+    if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:
+        raise InputError(checked.findings)
+    segment = _find(checked.schedule.segments, options.segment)
+    motion, table = segment.motion, checked.models.table
+    assert isinstance(motion, Cycle)
+    if table is None or checked.models.replays:
+        raise EstimationError("this bench has no table that could turn; choose one with --bench")
+    axis, site = table.axes[0], checked.models.site
+    sign = _sense(checked.plan, segment.label)
+    stated = RotationCycle.of(motion, axis.max_acceleration)
+    planned = _turned(stated, sign)
+    cable = _cable(table.axes, segment, site.azimuth, sign)
+    first = motion.positions[motion.moves[0].start]
+    positions = [sign * (motion.positions[move.start] - first) for move in motion.moves]
+    searches: dict[str, FoundCycle] = {}
+    reasons: dict[str, str] = {}
+    ways: dict[str, Callable[[], FoundCycle]] = {
+        "same order": lambda: same_order(planned, cable),
+        "free order": lambda: free_order(positions, planned, cable),
+    }
+    for name, search in ways.items():
+        try:
+            searches[name] = search()
+        except CycleError as error:
+            reasons[name] = str(error)
+    found = {"planned": planned} | {name: one.cycle for name, one in searches.items() if one.cycle is not None}
+    seconds = segment.dwell or stated.period
+    cycles = {
+        name: StudiedCycle(one, _moves(one, motion, sign), schuler_drive(_turned(one, sign), seconds, site))
+        for name, one in found.items()
+    }
+    chosen = ORDERS[options.order]
+    text = _text(checked, segment, cycles[chosen].moves) if chosen in cycles else ""
+    return CycleStudy(segment, axis, cycles, searches, reasons, chosen, text, checked)
+
+
+def _find(segments: Sequence[Segment], label: str | None) -> Segment:
+    having = [segment for segment in segments if isinstance(segment.motion, Cycle)]
+    if not having:
+        raise EstimationError("no segment of the plan goes through a cycle of turns and stops")
+    if label is None:
+        return having[0]
+    for segment in having:
+        if segment.label == label:
+            return segment
+    shown = ", ".join(segment.label for segment in having[:10])
+    raise EstimationError(f"no segment '{label}' goes through a cycle; these do: {shown}")
+
+
+def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
+    """The cycle with every turn the other way round where `sign` is −1."""
+    return replace(cycle, turns=tuple(sign * turn for turn in cycle.turns))
+
+
+def _cable(axes: Sequence[TableAxis], segment: Segment, azimuth: float, sign: float) -> Cable:
+    """What the axis can reach from where the cycle begins."""
+    start = 0.0
+    if segment.attitude is not None:
+        try:
+            start = float(joint_angles(axes, segment.attitude, [0.0] * len(axes), azimuth)[0])
+        except Unreachable as error:
+            raise EstimationError(str(error)) from None
+    return Cable(*sorted((sign * (axes[0].lowest - start), sign * (axes[0].highest - start))))
+
+
+def _sense(plan: model.Plan, label: str) -> float:
+    """−1 where the plan counts angles clockwise."""
+    stated = next(item for item in expand(plan, Findings()) if item.label == label)
+    return -1.0 if stated.state["motion"].sense == "clockwise" else 1.0
+
+
+def _moves(cycle: RotationCycle, motion: Cycle, sign: float) -> tuple[str, ...]:
+    """The moves of a cycle in the plan's sense, as the plan writes them, with its names."""
+    first = motion.positions[motion.moves[0].start]
+
+    def named(angle: float) -> str:
+        there = first + sign * angle
+        return min(motion.positions, key=lambda name: abs(math.remainder(motion.positions[name] - there, 2 * math.pi)))
+
+    names = [named(float(angle)) for angle in (*cycle.stops, cycle.net_turn)]
+    return tuple(
+        f"{start} {round(math.degrees(turn), 9):+.12g} {end}"
+        for start, turn, end in zip(names[:-1], cycle.turns, names[1:], strict=True)
+    )
+
+
+def _text(checked: Checked, segment: Segment, moves: Sequence[str]) -> str:
+    assert checked.plan is not None
+    stated = next(item for item in expand(checked.plan, Findings()) if item.label == segment.label)
+    mark = stated.state["motion"].at("moves")
+    try:
+        return with_moves(source.decode(checked.plan_bytes, checked.file), (mark.line, mark.column), moves)
+    except RewriteError as error:
+        raise EstimationError(f"{checked.file}: {error}") from None

@@ -1,0 +1,394 @@
+"""Designing the positions of a plan on its bench: the information from the planned positions, the best that can be found, and the bound.
+
+study = design_plan(Path("plans/x.yaml"))
+study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
+study.text                                        the plan with the chosen set in it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.findings import InputError
+from planrunner.design import continuous, direction_cosines, exchange, optimal, worst_variance
+from planrunner.design import places as positions
+from planrunner.design.efficiency import Efficiency, Merit, efficiency, merit, region_moment
+from planrunner.design.places import Place, Sight
+from planrunner.estimators import rank
+from planrunner.estimators.interface import Design, EstimationError
+from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
+from planrunner.plan.rewriting import (
+    DECIMALS,
+    as_written,
+    cardinal_orientations,
+    orientation_text,
+)
+from planrunner.plan.schedule import Schedule
+from planrunner.plan.selection import Detection
+from planrunner.tasks.check import Checked, check_plan
+from planrunner.tasks.designed_plan import moved, with_positions
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
+_REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may do away with
+_WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for; that of G is that of D
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """estimate, output: which to design for, the first that has a design without. criterion: D, A, G or I. orientations: which set goes
+    into the plan: free, cardinal or planned. time: s, the whole plan's; dwells are allotted within it."""
+
+    estimate: str | None = None
+    output: str | None = None
+    criterion: str = "D"
+    orientations: str = "free"
+    time: float | None = None
+    restarts: int = 8
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PositionSet:
+    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies against the best found among all
+    reachable orientations and against the continuous bound; of_cardinal: against the best found among cardinal ones, for cardinal sets.
+    schedule: the plan with this set; designs: what its estimates could then learn."""
+
+    attitudes: tuple[Array, ...]
+    texts: tuple[str, ...]
+    merit: Merit
+    of_found: Efficiency | None
+    of_bound: Efficiency
+    of_cardinal: Efficiency | None
+    schedule: Schedule
+    designs: Mapping[str, Design]
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """D, A, I: what no set of as many positions passes, as criteria of such a set. certificate: max variance of the D-optimal
+    continuous design and the number of terms, which it cannot be below."""
+
+    merit: Merit
+    certificate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    sight: Sight
+    places: tuple[Place, ...]
+    options: Options
+    sets: Mapping[str, PositionSet]
+    best: Mapping[str, Merit]
+    bounds: Mapping[str, Bounds]
+    search: str
+    dwells: tuple[float, ...]
+    dwell_gain: float
+    text: str
+    checked: Checked
+
+    @property
+    def chosen(self) -> PositionSet:
+        return self.sets[self.options.orientations]
+
+
+def design_plan(path: Path, options: Options, bench: str | None = None, progress: Progress | None = None) -> Study:
+    """Raises `InputError` with the plan's findings, and `EstimationError` where there is nothing to design."""
+    checked = check_plan(path, bench=bench)
+    if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
+        raise InputError(checked.findings)
+    return _Designer(checked, options, progress or (lambda stage, fraction: None)).study()
+
+
+class _Designer:
+    def __init__(self, checked: Checked, options: Options, progress: Progress):
+        assert checked.plan and checked.models and checked.schedule and checked.models.sensor
+        self.checked, self.options, self.progress = checked, options, progress
+        self.plan, self.models, self.schedule = checked.plan, checked.models, checked.schedule
+        if self.models.table is None or self.models.replays:
+            raise EstimationError("this bench has no table that could take other positions; choose one with --bench")
+        self.axes: tuple[TableAxis, ...] = self.models.table.axes
+        self.azimuth = self.models.site.azimuth
+        self.places, self.sight = self._find()
+        self._quick_rows = direction_cosines.quick(self.sight.rows)
+        self.count = len(self.places)
+        self.terms = len(self.sight.terms)
+        self.fixed = self.sight.fixed.T @ self.sight.fixed if len(self.sight.fixed) else None
+        if self.fixed is None and self.count < self.terms:
+            raise EstimationError(
+                f"'{self.sight.name}' has {self.terms} terms and {self.count} positions: add positions to the plan "
+                "first"
+            )
+
+    def _find(self) -> tuple[tuple[Place, ...], Sight]:
+        names = list(self.plan.estimates)
+        if self.options.estimate is not None and self.options.estimate not in names:
+            raise EstimationError(f"the plan has no estimate '{self.options.estimate}'; it has {', '.join(names)}")
+        problems = []
+        for name in [self.options.estimate] if self.options.estimate else names:
+            spec = self.plan.estimates[name]
+            patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
+            uses = {used: self.checked.designs[used] for used in spec.uses if used in self.checked.designs}
+            try:
+                found, spins = positions.places(self.schedule.segments, patterns)
+                sensor = self.models.sensor
+                assert sensor is not None
+                return found, positions.sight(
+                    name, spec, found, self.models.site, sensor, uses, self.checked.setup, spins, self.options.output
+                )
+            except EstimationError as error:
+                problems.append(f"{name}: {error}")
+        raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
+
+    def study(self) -> Study:
+        rows_of = self._rows_of
+        kept, cardinal_settings = positions.reachable(self.axes, cardinal_orientations(), self.azimuth)
+        bounds = [(axis.lowest, axis.highest) for axis in self.axes]
+        spread = optimal.spread(bounds, SPREAD, self.options.seed)
+        region = optimal.region(rows_of, np.concatenate([cardinal_settings, spread]), bounds)
+        self.region_rows, cardinal_rows = region.rows, region.rows[: len(kept)]
+        self._require_rank()
+        self._require_time()
+        planned = [place.attitude for place in self.places]
+        weighting = self._weighting(self.options.criterion)
+        found: dict[str, list[Array]] = {"planned": planned}
+        how = []
+        if len(kept) and self._merit(cardinal_rows).sound:
+            chosen = self._cardinal(cardinal_rows, weighting)
+            indices = self._flattened(cardinal_rows, chosen.indices)
+            found["cardinal"] = self._ordered([kept[index] for index in indices])
+            tried = f"all {chosen.tried} choices" if chosen.exhaustive else f"exchange from {chosen.tried} starts"
+            how.append(f"cardinal: {tried} of {self.count} out of {len(kept)} orientations")
+        elif self.options.orientations == "cardinal":
+            raise EstimationError(
+                f"no {self.count} cardinal orientations separate all terms "
+                f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
+            )
+        starts = [self._settings(planned)]
+        free = optimal.search(
+            region, self.count, weighting, restarts=self.options.restarts, seed=self.options.seed, starts=starts,
+            fixed=self.fixed, progress=lambda part: self.progress("free orientations", part),
+        )  # fmt: skip
+        settings = free.settings
+        if self.options.criterion == "G":
+            settings = worst_variance.refine(region, settings, region.rows, self.fixed)
+        attitudes = positions.attitudes(self.axes, self._rounded(settings), self.azimuth)
+        found["free"] = self._ordered([as_written(attitude, self._decimals) for attitude in attitudes])
+        how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
+        best, limits = self._references(region, cardinal_rows, settings, found)
+        sets = {name: self._set(name, attitudes, best, limits) for name, attitudes in found.items()}
+        dwells, gain = self._dwells(sets[self.options.orientations])
+        text = self._text(sets[self.options.orientations], dwells)
+        return Study(
+            self.sight, self.places, self.options, sets, best, limits, "; ".join(how), dwells, gain, text, self.checked
+        )
+
+    def _require_rank(self) -> None:
+        """Raises `EstimationError` where no orientation within the table's reach separates the terms."""
+        seen = rank.look(np.concatenate([self.region_rows, self.sight.fixed]))
+        if seen.rank < self.terms:
+            blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
+            raise EstimationError(
+                f"no positions within this table's reach tell {blind} apart (rank {seen.rank} of {self.terms} over "
+                "all of it): "
+                f"{rank.explain(seen.null, self.sight.terms)}; use a table with more axes or leave terms out"
+            )
+
+    def _require_time(self) -> None:
+        """Raises `EstimationError` where the time budget is spent by what no choice of positions changes, before any are searched for."""
+        if self.options.time is None:
+            return
+        recorded = [segment for place in self.places for segment in place.segments]
+        if any(segment.dwell is None for segment in recorded):
+            raise EstimationError("the positions are recorded as long as a recording lasts: no dwell can be allotted")
+        designed = {segment.index for segment in recorded}
+        others = sum(segment.dwell or 0.0 for segment in self.schedule.segments if segment.index not in designed)
+        self._left(others, "the other segments take")
+
+    def _left(self, spent: float, what: str) -> float:
+        """Time [s] that the budget leaves for each recording of all positions. Raises `EstimationError` where it is too little."""
+        assert self.options.time is not None
+        left = (self.options.time - spent) / len(self.places[0].segments)
+        if left < 10 * self.count:
+            raise EstimationError(f"{what} {spent:.0f} s, which leaves too little of {self.options.time:.0f} s")
+        return left
+
+    # -- searching ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _decimals(self) -> int:
+        """Of degrees, in orientations that are written: two where any attitude is reached; where axes are missing or limited, a rounded
+        one might not be, so more."""
+        anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
+        return DECIMALS if anywhere else 7
+
+    def _rounded(self, settings: Array) -> Array:
+        """Joint angles on whole hundredths of a degree within their limits, as an operator would set them."""
+        step = math.radians(10.0**-DECIMALS)
+        low, high = np.array([(axis.lowest, axis.highest) for axis in self.axes]).T
+        return np.clip(np.round(settings / step) * step, low, high)
+
+    def _rows_of(self, settings: Array) -> Array:
+        return self._quick_rows(positions.attitudes(self.axes, settings, self.azimuth))
+
+    def _settings(self, attitudes: Sequence[Array]) -> Array:
+        return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
+
+    def _weighting(self, criterion: str) -> Array | None:
+        """Of the linear criterion that is searched for; sets for G are improved from those for D."""
+        if criterion in "DG":
+            return None
+        return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
+
+    def _cardinal(self, rows: Array, weighting: Array | None) -> exchange.Chosen:
+        def tell(part: float) -> None:
+            self.progress("cardinal orientations", part)
+
+        if self.count > len(rows):
+            return exchange.exchange(
+                rows, self.count, weighting, seed=self.options.seed, repeats=True, fixed=self.fixed, progress=tell
+            )
+        return exchange.choose(rows, self.count, weighting, seed=self.options.seed, fixed=self.fixed, progress=tell)
+
+    def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
+        """For G, the choice with the worst variance lowered by exchanges; else the choice itself."""
+        if self.options.criterion != "G":
+            return indices
+        return worst_variance.exchange(
+            rows, indices, self.region_rows, repeats=self.count > len(rows), fixed=self.fixed
+        )
+
+    def _ordered(self, attitudes: Sequence[Array]) -> list[Array]:
+        try:
+            return [attitudes[index] for index in positions.quick_order(self.axes, attitudes, self.azimuth)]
+        except Unreachable as error:
+            raise EstimationError(f"a position, rounded as it is written, lies beyond the table: {error}") from None
+
+    def _merit(self, rows: Array) -> Merit:
+        return merit(rows, self.region_rows, fixed=self.sight.fixed)
+
+    def _references(
+        self, region: optimal.Region, cardinal_rows: Array, free: Array, found: Mapping[str, Sequence[Array]]
+    ) -> tuple[dict[str, Merit], dict[str, Bounds]]:
+        """Best found and bounds, over cardinal and over all reachable orientations, each criterion from a search of its own."""
+        merits = [self._merit(self.sight.rows(np.array(attitudes))) for attitudes in found.values()]
+        continuous_ones = {}
+        for number, criterion in enumerate(_WITH_BOUND):
+            self.progress("bounds", number / len(_WITH_BOUND))
+            weighting = self._weighting(criterion)
+            settings = free
+            if criterion != self.options.criterion:
+                settings = optimal.search(
+                    region, self.count, weighting, restarts=3, seed=self.options.seed, starts=[free], fixed=self.fixed
+                ).settings
+                merits.append(self._merit(region.rows_of(settings)))
+            continuous_ones[criterion] = optimal.bound(region, settings, weighting, fixed=self._per_observation())
+        merits.append(self._merit(region.rows_of(worst_variance.refine(region, free, region.rows, self.fixed))))
+        best = {"free": _best([one for one in merits if one.sound])}
+        limits = {"free": self._bounds(continuous_ones)}
+        if "cardinal" in found:
+            sets = [
+                exchange.exchange(
+                    cardinal_rows, self.count, self._weighting(name), seed=self.options.seed,
+                    repeats=self.count > len(cardinal_rows), fixed=self.fixed,
+                )
+                for name in _WITH_BOUND
+            ]  # fmt: skip
+            flattened = worst_variance.exchange(
+                cardinal_rows,
+                sets[0].indices,
+                self.region_rows,
+                repeats=self.count > len(cardinal_rows),
+                fixed=self.fixed,
+            )
+            own = [self._merit(cardinal_rows[chosen]) for chosen in (*(one.indices for one in sets), flattened)]
+            best["cardinal"] = _best([self._merit(self.sight.rows(np.array(found["cardinal"]))), *own])
+            limits["cardinal"] = self._bounds(
+                {
+                    name: continuous.solve(cardinal_rows, self._weighting(name), fixed=self._per_observation())
+                    for name in _WITH_BOUND
+                }
+            )
+        self.progress("bounds", 1.0)
+        return best, limits
+
+    def _per_observation(self) -> Array | None:
+        return None if self.fixed is None else self.fixed / self.count
+
+    def _bounds(self, designs: Mapping[str, continuous.Continuous]) -> Bounds:
+        n, p = self.count, self.terms
+        # The bound of G is that of D's equivalence theorem, which holds where nothing is fixed.
+        least = p / n if self.fixed is None else math.nan
+        limit = Merit(
+            n, p, p, designs["D"].determinant_bound(n), designs["A"].trace_bound(n), least, designs["I"].trace_bound(n)
+        )
+        return Bounds(limit, designs["D"].largest_variance)
+
+    # -- what a set would be -----------------------------------------------------------------------------------------
+
+    def _set(
+        self, name: str, attitudes: Sequence[Array], best: Mapping[str, Merit], limits: Mapping[str, Bounds]
+    ) -> PositionSet:
+        own = self._merit(self.sight.rows(np.array(attitudes)))
+        words = all(np.allclose(np.abs(one).max(axis=1), 1.0, atol=1e-12) for one in attitudes)
+        texts = tuple(
+            place.segments[0].orientation if name == "planned" else orientation_text(one, self._decimals)
+            for place, one in zip(self.places, attitudes, strict=True)
+        )
+        schedule, designs = (
+            (self.schedule, self.checked.designs)
+            if name == "planned"
+            else moved(self.checked, dict(zip((place.mark for place in self.places), attitudes, strict=True)))
+        )
+        return PositionSet(
+            tuple(attitudes), texts, own, efficiency(own, best["free"]), efficiency(own, limits["free"].merit),
+            efficiency(own, best["cardinal"]) if words and "cardinal" in best else None, schedule, designs,
+        )  # fmt: skip
+
+    def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
+        """Dwells within the time budget, by place, and the D-efficiency of equal dwells against them."""
+        if self.options.time is None:
+            return (), 1.0
+        used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
+        spent = chosen.schedule.total - sum(segment.dwell or 0.0 for segment in used)
+        available = self._left(spent, "moving, settling and the other segments take")
+        rows = self.sight.rows(np.array(chosen.attitudes))
+        if not chosen.merit.sound:
+            raise EstimationError("longer dwells cannot help if the positions do not separate all terms")
+        shares = optimal.allocate(rows, self._weighting(self.options.criterion), fixed=self._per_observation())
+        equal = self._merit(rows)
+        allotted = merit(rows, self.region_rows, shares * self.count, self.sight.fixed)
+        gain = getattr(efficiency(equal, allotted), self.options.criterion)
+        return tuple(float(math.floor(available * share)) for share in shares), float(gain)
+
+    def _text(self, chosen: PositionSet, dwells: Sequence[float]) -> str:
+        marks = [place.mark for place in self.places]
+        texts = {} if self.options.orientations == "planned" else dict(zip(marks, chosen.texts, strict=True))
+        return with_positions(self.checked, texts, dict(zip(marks, dwells, strict=True)) if dwells else {})
+
+
+def residual_ratios(study: Study, name: str) -> dict[str, float]:
+    """`estimate.ratio_…` → expected ratio of residual sums of squares with one of the sets, for every comparison in the plan."""
+    found: dict[str, float] = {}
+    for estimate, design in study.sets[name].designs.items():
+        values: Mapping[str, Any] = design.extra
+        found |= {f"{estimate}.{key}": float(value) for key, value in values.items() if key.startswith("ratio_")}
+    return found
+
+
+def _best(merits: Sequence[Merit]) -> Merit:
+    """The best value of every criterion, whichever set has it."""
+    one = merits[0]
+    return Merit(
+        one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),
+        min(m.worst for m in merits), min(m.mean for m in merits),
+    )  # fmt: skip

@@ -1,0 +1,296 @@
+"""Diagnosing a recording from start to finish: check → read a run folder or a file → look it over → diagnose.
+
+The layers know nothing of one another; here they are put together, for the command line and for programs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import date, datetime
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from planrunner.archive.played_back import played
+from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.statistics import statistics_of
+from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.bench.clock import VirtualClock
+from planrunner.bench.model import Bench, driver_of, shipped_benches
+from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
+from planrunner.instruments.recording import RecordingPlayer
+from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
+from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
+from planrunner.plan.model import Plan
+from planrunner.plan.selection import Detection, select
+from planrunner.plan.span import Span
+from planrunner.plan.units import DIMENSIONS, unit
+from planrunner.tasks.check import Sound, check_plan
+from planrunner.tasks.run import sound_run
+
+if TYPE_CHECKING:
+    from planrunner.error_model.observed import Observed
+    from planrunner.gap.answer.diagnosis import Diagnosis, Options
+    from planrunner.tasks.propose import Next
+
+DIAGNOSIS_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A recording beside the plan that it was made by. where: the run folder or the file, for messages; bench: name or file of the bench,
+    as another plan would have it. created: when a run was begun; remarks: what is to be known of its folder."""
+
+    sound: Sound
+    segments: tuple[RecordedSegment, ...]
+    where: str
+    bench: str = ""
+    created: datetime | None = None
+    remarks: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosed:
+    """A diagnosis, what was remarked of the recording, whose it is, and what to measure next, None where nothing is left open."""
+
+    recorded: Recorded
+    diagnosis: Diagnosis
+    findings: Findings
+    following: Next | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As `schemas/diagnosis.schema.json` has it."""
+        found = {"planrunner_diagnosis": DIAGNOSIS_FORMAT, **self.diagnosis.to_json()}
+        return found | {"next": None if self.following is None else self.following.to_json()}
+
+
+def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: int = 1) -> Diagnosed:
+    """What the recording holds beyond its simulation. options: as the plan has them without it; jobs: threads of the linear algebra, which
+    solves many small systems here: more than one mostly wait for each other. Raises `InputError` with everything that stands against a
+    diagnosis."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=jobs, user_api="blas"):
+        return _diagnosed(recorded, options)
+
+
+def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
+    from planrunner.gap.answer.diagnosis import Options, diagnose
+    from planrunner.observation.samples import ObservationError
+
+    spec = recorded.sound.plan.diagnosis
+    options = options or (Options() if spec is None else Options(nominal=spec.nominal))
+    observed, findings = observe(recorded, options.nominal)
+    try:
+        found = diagnose(observed, options)
+    except ObservationError as error:
+        raise _unfit(recorded, error) from None
+    return Diagnosed(recorded, found, findings, _following(recorded, found, findings))
+
+
+def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
+    """What to measure next, for recordings whose orientations were planned. Where no plan can be proposed, the log reports it and the
+    diagnosis stands."""
+    from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
+
+    segments = tuple(map(_lasting, _chosen(recorded)))
+    if recorded.sound.plan.mounting or any(item.segment.attitude is None for item in segments):
+        return None
+    planned, plan = [item.segment for item in segments], recorded.sound.plan
+    frame = Frame(
+        plan.title,
+        recorded.bench or plan.bench,
+        plan.sensor.kind,
+        plan.sensor.outputs,
+        median(segment.settle for segment in planned),
+        max(segment.soak for segment in planned) or DEFAULT_SOAK,
+        0.0 if recorded.sound.models.replays else planned[0].start,
+    )
+    try:
+        return propose_next(found, segments, recorded.sound.models, frame)
+    except InputError as error:
+        for finding in error.findings:
+            log.warning(finding.code, Mark(recorded.where), finding.message, finding.hint)
+        return None
+
+
+def _lasting(item: RecordedSegment) -> RecordedSegment:
+    """A segment that dwells as long as it was recorded, where the plan does not say how long."""
+    if item.segment.dwell is not None:
+        return item
+    return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))
+
+
+def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
+    """The samples beside their planned state, and warnings. nominal: what the simulation fits. Raises `InputError` with what stands
+    against a diagnosis."""
+    from planrunner.gap.evidence.recording_checks import check_observed, check_recording
+    from planrunner.observation.poses import poses, unknown_orientations
+    from planrunner.observation.samples import ObservationError, observed
+
+    sound, used = recorded.sound, _outputs(recorded.sound.plan)
+    sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
+    findings = Findings()
+    segments = _chosen(recorded)
+    check_recording(segments, sensor, recorded.where, findings)
+    if findings.errors:
+        raise InputError(findings)
+    units = segments[0].units
+    try:
+        if unknown_orientations(segments):
+            seen = poses(segments, sound.models.site, sensor, nominal, axes=_axes(used))
+        else:
+            seen = observed(
+                segments,
+                sound.models.site,
+                sensor,
+                axes=_axes(used),
+                angle_channel=_only(units, "angle"),
+                temperature_channel=_only(units, "temperature"),
+                magnetic=sound.models.site.magnetic_field,
+            )
+        check_observed(seen, recorded.where, findings)
+    except ObservationError as error:
+        raise _unfit(recorded, error) from None
+    if findings.errors:
+        raise InputError(findings)
+    return seen, findings
+
+
+def _outputs(plan: Plan) -> tuple[str, ...]:
+    """The outputs that are looked at; empty for all. Raises `InputError` for one that the plan's sensor does not have."""
+    spec, known = plan.diagnosis, plan.sensor.outputs
+    if spec is None or not spec.outputs:
+        return known
+    for index, name in enumerate(spec.outputs):
+        if known and name not in known:
+            message = f"'{name}' is no output of this plan's sensor"
+            raise InputError.at(spec.at(f"outputs[{index}]"), "gap-unfit", message, closest(name, known))
+    return spec.outputs
+
+
+def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
+    """The segments that the plan's `diagnosis` means, in the order of time: by their labels, or still spans that are found in them."""
+    return in_time_order(_meant(recorded))
+
+
+def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
+    spec = recorded.sound.plan.diagnosis
+    if spec is None:
+        return recorded.segments
+    if not isinstance(spec.segments, Detection):
+        return tuple(
+            recorded.segments[index] for index in select([item.label for item in recorded.segments], spec.segments)
+        )
+    from planrunner.estimators.accelerometer.still_detection import still_spans
+    from planrunner.estimators.interface import EstimationError
+
+    within = select([item.label for item in recorded.segments], spec.segments.within)
+    found: list[RecordedSegment] = []
+    for item in (recorded.segments[index] for index in within):
+        try:
+            spans = still_spans(item, spec.segments)
+        except EstimationError as error:
+            raise InputError.at(spec.segments.origin.mark, "gap-unfit", str(error), "look at `channels`") from None
+        found += [_stretch(item, number, one.span) for number, one in enumerate(spans, start=1)]
+    if not found:
+        hint = "raise `threshold` or shorten `at_least`"
+        raise InputError.at(spec.segments.origin.mark, "gap-unfit", "no still span was found in the recording", hint)
+    return tuple(found)
+
+
+def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
+    """The samples of a segment within a span, as a segment of its own."""
+
+    def blocks(channels: Sequence[str]) -> Iterator[Block]:
+        for block in item.blocks(channels):
+            part = span.of(block.time, item.statistics.period)
+            if part.start < part.stop:
+                yield Block(block.time[part], {name: block.channels[name][part] for name in channels})
+
+    rows = sum(len(block.time) for block in blocks(tuple(item.units)))
+    label = f"{item.label} {number}"
+    statistics = statistics_of(blocks(tuple(item.units)), tuple(item.units), rows)
+    return replace(item, segment=replace(item.segment, label=label, dwell=None), statistics=statistics, blocks=blocks)
+
+
+def _unfit(recorded: Recorded, error: Exception) -> InputError:
+    from planrunner.observation.samples import ObservationError
+
+    hint = error.hint if isinstance(error, ObservationError) else ""
+    return InputError.at(
+        Mark(recorded.where), "gap-unfit", str(error), hint or "look at the plan and at the bench file's channels"
+    )
+
+
+def recorded_run(run: Path) -> Recorded:
+    """A run folder. Raises `InputError` and `IntegrityError`."""
+    reader = RunReader.open(run)
+    sound = sound_run(reader)
+    known = [name for name, path in shipped_benches().items() if path.read_bytes() == sound.bench_bytes]
+    bench = known[0] if known else str((run / "bench.yaml").resolve())
+    created = datetime.fromisoformat(reader.run["created"])
+    return Recorded(sound, reader.recording(sound.schedule), str(run), bench, created, reader.findings)
+
+
+def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path | None = None) -> Recorded:
+    """A recording in a file. bench: maps its columns; the plan's own without it. segments: table of labels with beginnings and ends; the
+    bench's, beside the recording, without it. Raises `InputError`."""
+    sound = check_plan(plan, bench=bench, today=date.today()).sound()
+    parameters = _parameters(sound.bench, sound.file)
+    columns = parameters.segments
+    if segments is not None:
+        columns = SegmentColumns.of(segments.name) if columns is None else replace(columns, table=segments.name)
+    table = segments
+    if table is None and columns is not None:
+        table = recording.parent / Path(columns.table).name
+    pauses = None if columns is not None else parameters.pauses
+    parameters = replace(parameters, file=recording.name, segments=columns, pauses=pauses)
+    try:
+        player = RecordingPlayer.open(parameters, recording, table, VirtualClock())
+        player.foresee(sound.schedule.segments)
+        segments_played = played(player, sound.schedule.segments)
+    except UnservedError as error:
+        raise InputError(error.findings) from None
+    except InstrumentError as error:
+        hint = "look at the bench file, at --segments and at the plan's labels"
+        raise InputError.at(Mark(str(recording)), "recording-unfit", str(error), hint) from None
+    return Recorded(
+        sound,
+        segments_played,
+        str(recording),
+        _bench_for_others(bench or sound.plan.bench, plan if bench is None else None),
+    )
+
+
+def _bench_for_others(bench: str, plan: Path | None) -> str:
+    """A bench as a plan in another folder has to name it. plan: the file that names it; the command line without it."""
+    path = Path(bench) if plan is None else plan.parent / bench
+    return bench if bench in shipped_benches() else str(path.resolve())
+
+
+def _parameters(bench: Bench, plan: str) -> RecordingParameters:
+    for entry in bench.instruments.values():
+        if driver_of(entry) is RecordingPlayer:
+            found: RecordingParameters = entry.parameters
+            return found
+    message = (
+        f"the bench '{bench.name}' has no sensor with `driver: recording`, so it does not assign the columns of a "
+        "file to channels"
+    )
+    hint = "name a bench that maps the recording's columns with --bench"
+    raise InputError.at(Mark(plan), "recording-no-mapping", message, hint)
+
+
+def _axes(outputs: Sequence[str]) -> dict[str, str] | None:
+    """The sensor axis of each output that the plan uses, by the letter in its name; None where it names no outputs."""
+    letters = {name: [word for word in name.lower().split("_") if word in ("x", "y", "z")] for name in outputs}
+    return {name: found[0] for name, found in letters.items() if found} or None
+
+
+def _only(units: dict[str, str], dimension: str) -> str | None:
+    """The one channel of a dimension; None without one or with several."""
+    found = [name for name, text in units.items() if unit(text).dimension == DIMENSIONS[dimension]]
+    return found[0] if len(found) == 1 else None

@@ -1,0 +1,226 @@
+"""The plan that would settle what a diagnosis leaves open: what the bench can do, which of it to measure, and the plan's text.
+
+A segment is an option where the plan language can say it and the schedule finds nothing against it on the bench; what it costs is the
+schedule's time to get there. Of a bench that only plays recordings back nothing is known but what the recording shows: there, options stay
+within the rates and temperatures that it visited, and moves last as long as its own did.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.findings import Findings, InputError, Mark
+from planrunner.bench.model import BenchModels
+from planrunner.bench.scheduling import build_schedule
+from planrunner.gap.answer.segment_menu import Entry, menu
+from planrunner.plan.expand import StatedSegment, expand
+from planrunner.plan.reader import parse_plan
+from planrunner.plan.schedule import Segment
+
+if TYPE_CHECKING:
+    from planrunner.gap.answer.diagnosis import Diagnosis
+    from planrunner.gap.answer.next import Proposal
+
+DEFAULT_SOAK = 1800.0  # s, where the plan never changes temperature
+_CHANGED = 1.0  # K between segments: less is no change of temperature
+_LONGEST_TITLE = 200  # characters that the plan language allows
+_NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a proposed plan takes over from the one that was run. settle, soak: s; before: s, from its beginning to its first sample."""
+
+    title: str
+    bench: str
+    kind: str
+    outputs: tuple[str, ...]
+    settle: float
+    soak: float
+    before: float = 0.0
+
+
+@dataclass(frozen=True)
+class Next:
+    """A proposal and its plan's text, empty where nothing on the bench helps."""
+
+    proposal: Proposal
+    text: str
+
+    def to_json(self) -> dict[str, object]:
+        """`next` of the diagnosis as `schemas/diagnosis.schema.json` has it."""
+        found = self.proposal
+        expected: dict[str, object] = {
+            "rivals": [name for name, _ in found.rivals],
+            "separable": bool(self.text),
+            "probability_now": found.now,
+            "probability": found.probability,
+            "gain": found.probability - found.now,
+            "hours": found.seconds / 3600,
+            "repeating": {"hours": found.repeating[0] / 3600, "probability": found.repeating[1]},
+        }
+        if found.sensor:
+            expected["sensor"] = found.sensor
+        expected["words"] = words(found, bool(self.text))
+        return {"plan": None, "text": self.text, "expected": expected}
+
+
+def words(found: Proposal, planned: bool) -> str:
+    """What the proposal comes to, in sentences."""
+    names = [name for name, _ in found.rivals]
+    rivals = f"{', '.join(names[:-1])} and {names[-1]}"
+    if planned:
+        said = (
+            f"{len(found.segments)} segments in {_duration(found.seconds)} would separate {rivals}: the true one is "
+            "expected to have "
+            f"P = {found.probability:.2f} among them, now {found.now:.2f}."
+        )
+        hours, reached = found.repeating
+        said += f" Repeating the recorded segments takes {_duration(hours)} for P = {reached:.2f}."
+    else:
+        said = f"No segment that this bench can execute separates {rivals}."
+    if found.sensor:
+        return f"{said} {found.sensor[0].upper()}{found.sensor[1:]} would."
+    if not planned:
+        return (
+            f"{said} Nor would an autocollimator, a level, accelerometers or a second triad of gyros next to the "
+            "sensor."
+        )
+    return said
+
+
+def propose_next(
+    diagnosis: Diagnosis, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame
+) -> Next | None:
+    """What to measure next on a bench; None where nothing is left open. Raises `InputError` where it cannot be said in a plan."""
+    from planrunner.gap.answer.next import propose
+
+    options, grounds = _Options(recording, models, frame), diagnosis.grounds
+    found = propose(
+        grounds.weighing,
+        diagnosis.posterior,
+        grounds.candidates,
+        grounds.nominal,
+        options.segments,
+        options.seconds,
+        recording[-1].statistics.end - recording[0].statistics.start + frame.before,
+    )
+    if found is None:
+        return None
+    chosen = options.ordered(found.segments)
+    lasting = options.total(chosen)
+    entries = [options.entry(segment) for segment in chosen]
+    proposal = replace(found, segments=tuple(chosen), seconds=lasting)
+    return Next(proposal, plan_text(frame, entries, words(proposal, True)) if entries else "")
+
+
+def plan_text(frame: Frame, entries: Sequence[Entry], description: str) -> str:
+    """A plan with one segment a line."""
+    lines = [
+        "planrunner: 1",
+        f"title: {_quoted(('What to measure next: ' + frame.title)[:_LONGEST_TITLE])}",
+        "description: >",
+        f"  {description}",
+        f"bench: {_quoted(frame.bench)}",
+        f"sensor: {{kind: {_name(frame.kind)}, outputs: [{', '.join(map(_name, frame.outputs))}]}}",
+        f"defaults: {{settle: {frame.settle:g} s, soak: {frame.soak:g} s}}",
+        "",
+        "segments:",
+    ]
+    width = len(str(len(entries)))
+    lines += [f"  - {entry.line(f'N{number:0{width}d}')}" for number, entry in enumerate(entries, 1)]
+    return "\n".join(lines) + "\n"
+
+
+class _Options:
+    """What the bench can do, as segments of a schedule beside the lines of a plan that ask for them."""
+
+    def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
+        self.models = models
+        entries = menu([item.segment for item in recording], models)
+        stated = _stated(plan_text(frame, entries, "All that the bench may be able to do."))
+        schedule = build_schedule(stated, models, Findings())
+        by_label = {item.label: (item, entry) for item, entry in zip(stated, entries, strict=True)}
+        self.segments = schedule.segments
+        self._of = {segment.label: by_label[segment.label] for segment in schedule.segments}
+        self._known: dict[tuple[str, str], float] = {}
+        self._move, self._change = _pauses(recording)
+        self._last = recording[-1].segment
+
+    def entry(self, segment: Segment) -> Entry:
+        return self._of[segment.label][1]
+
+    def seconds(self, before: Segment | None, segment: Segment) -> float:
+        """Test time of a segment after another, or first."""
+        key = ("" if before is None else before.label, segment.label)
+        if key not in self._known:
+            self._known[key] = self._following(before, segment)
+        return self._known[key]
+
+    def _following(self, before: Segment | None, segment: Segment) -> float:
+        if self.models.replays:
+            was, now = _end(before or self._last), segment.temperature
+            warmer = segment.ramp_to is None and was is not None and now is not None and abs(was - now) > _CHANGED
+            return (segment.dwell or 0.0) + self._move + (self._change if warmer else 0.0)
+        stated = [] if before is None else [self._of[before.label][0]]
+        both = build_schedule([*stated, self._of[segment.label][0]], self.models, Findings()).segments
+        last = both[-1]
+        return last.transition + last.soak + last.settle + (last.dwell or 0.0)
+
+    def ordered(self, segments: Sequence[Segment]) -> list[Segment]:
+        """Those that the bench can do one after the other."""
+        stated = [replace(self._of[item.label][0], label=f"{i}") for i, item in enumerate(segments)]
+        kept = build_schedule(stated, self.models, Findings()).segments
+        return [segments[int(item.label)] for item in kept]
+
+    def total(self, segments: Sequence[Segment]) -> float:
+        if not self.models.replays:
+            return build_schedule([self._of[item.label][0] for item in segments], self.models, Findings()).total
+        pairs = zip([None, *segments[:-1]], segments, strict=True) if segments else ()
+        return sum(self.seconds(before, segment) for before, segment in pairs)
+
+
+def _stated(text: str) -> list[StatedSegment]:
+    """The segments of a plan's text. Raises `InputError` where they cannot be read back."""
+    plan, log = parse_plan(text, "<proposal>")
+    stated = [] if plan is None or log.errors else expand(plan, log)
+    if log.errors:
+        message = f"no plan can be proposed that could be run: {log.errors[0].message}"
+        hint = "the diagnosis is valid; check title, sensor and bench of the plan that was run, which a proposed plan inherits"
+        raise InputError.at(Mark("<proposal>"), "gap-next-unsound", message, hint)
+    return stated
+
+
+def _end(segment: Segment) -> float | None:
+    return segment.ramp_to if segment.ramp_to is not None else segment.temperature
+
+
+def _pauses(recording: Sequence[RecordedSegment]) -> tuple[float, float]:
+    """Seconds between recorded segments: at one temperature, and what a change of temperature takes beyond that."""
+    moves, changes = list[float](), list[float]()
+    for before, after in pairwise(recording):
+        pause = after.statistics.start - (before.statistics.start + before.statistics.duration)
+        was, now = before.segment.temperature, after.segment.temperature
+        changed = was is not None and now is not None and abs(was - now) > _CHANGED
+        (changes if changed or before.segment.ramp_to is not None else moves).append(max(pause, 0.0))
+    move = float(np.median(moves)) if moves else 0.0
+    return move, (float(np.median(changes)) - move if changes else DEFAULT_SOAK)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:.1f} h" if seconds >= 5400 else f"{math.ceil(seconds / 60)} min"
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _name(text: str) -> str:
+    return _quoted(text) if text.lower() in _NO_TEXT else text

@@ -1,0 +1,142 @@
+"""A report's context from a run folder, the plan and bench that it was run with, and what was estimated from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from planrunner.archive.recording import RecordedSegment, duration_of
+from planrunner.archive.run_reader import RunReader
+from planrunner.reporting import words
+from planrunner.reporting.context import CertificateFacts, ReportContext, SegmentSummary
+
+if TYPE_CHECKING:
+    from planrunner.estimators.analysis import Results
+    from planrunner.tasks.check import Sound
+
+FILES = ("plan.yaml", "bench.yaml")
+
+
+def report_context(
+    reader: RunReader,
+    sound: Sound,
+    recording: Iterable[RecordedSegment],
+    results: Results,
+    *,
+    analysis: str = "",
+    analysed: str | None = None,
+    certificate: CertificateFacts | None = None,
+) -> ReportContext:
+    """Everything that a report shows of one analysis.
+
+    analysis: its number, if it is known; analysed: when it was made, UTC in ISO 8601, now unless given.
+    """
+    segments = tuple(SegmentSummary.of(item) for item in recording)
+    moment = analysed or datetime.now(UTC).isoformat(timespec="seconds")
+    return ReportContext(
+        title=sound.plan.title,
+        description=" ".join(sound.plan.description.split()),
+        run_information={
+            "run": reader.run["run"],
+            **{name: _text(value) for name, value in reader.run["info"].items()},
+        },
+        bench=_bench(sound),
+        instruments={name: _identity(sound, name, said) for name, said in reader.instruments.items()},
+        site=sound.models.site,
+        segments=segments,
+        estimates=tuple(results.estimates.values()),
+        limits=tuple(results.limits),
+        failures=results.failures,
+        warnings=tuple(_of_the_run(reader, len(sound.schedule.segments))),
+        provenance=provenance(reader, analysis, moment, seeded=_seeded(sound)),
+        on_top=dict(_on_top(reader, segments, analysis)),
+        origin=sound.models.origin,
+        certificate=certificate,
+    )
+
+
+def _bench(sound: Sound) -> dict[str, str]:
+    """The bench as its file describes it, with the room where it says something of it."""
+    bench, room = sound.bench, sound.bench.ambient
+    stated = {} if room is None else {name: getattr(room, name) for name in ("temperature", "pressure", "humidity")}
+    facts = {"name": bench.name, "description": " ".join(bench.description.split())}
+    return facts | {f"ambient {name}": str(value) for name, value in stated.items() if value is not None}
+
+
+def _identity(sound: Sound, name: str, said: Mapping[str, str]) -> dict[str, str]:
+    """What an instrument says of itself, with the number that the bench file gives it."""
+    entry = sound.bench.instruments.get(name)
+    return {**said, "asset": entry.asset} if entry is not None and entry.asset else dict(said)
+
+
+def _seeded(sound: Sound) -> bool:
+    """Whether the run's seed decided anything: of what this program itself simulated."""
+    return sound.models.origin == "simulated" and sound.bench.simulation is None
+
+
+def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
+    """Item, operator, date, duration from the first sample to the last, and the analysis among those that stood when it was made."""
+    info = {name: _text(value) for name, value in reader.run["info"].items()}
+    for name in ("device_serial", "item_identification"):
+        if info.get(name):
+            yield name, info[name]
+    yield "operator", info.get("operator") or "not stated"
+    began = str(reader.run["created"])
+    ended = "" if reader.seal is None else str(reader.seal["sealed"])
+    yield "run (UTC)", _minute(began) + (f" to {_minute(ended, began)}" if ended else ", not finished")
+    lasted = duration_of(item.statistics for item in segments if item.statistics is not None)
+    if lasted is not None:
+        yield "duration of the measurements", words.duration(lasted)
+    if analysis:
+        yield "analysis", f"{analysis} of {max(int(analysis), len(reader.analyses))} when it was made"
+
+
+def _minute(moment: str, before: str = "") -> str:
+    """`2026-03-01 08:11` of an ISO time; without the date where it is that of `before`."""
+    text = moment[:16].replace("T", " ")
+    return text[11:] if before[:10] == moment[:10] else text
+
+
+def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
+    """What the results rest on: times, digests and versions, those of the run and, where they differ, of the analysis. seeded: whether
+    the run's seed decided anything."""
+    from planrunner.archive.provenance import versions
+
+    facts = {"analysis": analysis} if analysis else {}
+    facts |= {"recorded from (UTC)": str(reader.run["created"]), "analysed (UTC)": analysed}
+    if reader.seal is not None:
+        facts["sealed (UTC)"] = str(reader.seal["sealed"])
+        facts["journal head (SHA-256)"] = str(reader.seal["journal"]["head"])
+    digests = reader.state.created.get("files", {})
+    facts |= {f"{name} (SHA-256)": str(digests[name]) for name in FILES if name in digests}
+    if seeded and reader.run["seed"] is not None:
+        facts["seed of simulated noise"] = str(reader.run["seed"])
+    ran, now = reader.run["versions"], versions()
+    for name in {**ran, **now}:
+        first, second = ran.get(name, "none"), now.get(name, "none")
+        facts[name] = first if first == second else f"{first} when run, {second} when analysed"
+    return facts
+
+
+def _of_the_run(reader: RunReader, planned: int) -> list[str]:
+    """What a reader must know of how the run went."""
+    warnings = [f"Fault during the run: {text}" for text in reader.state.failures]
+    held = len(reader.acknowledged())
+    if held < planned:
+        warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
+    if not reader.sealed:
+        warnings.append("The run is not finished and not sealed: its data may still grow.")
+    for item in reader.acknowledged():
+        if item.truncated:
+            warnings.append(f"Segment {item.label} is shorter than planned: {item.reason or 'cut short'}.")
+    for other in reader.rejected():
+        reason = other.reason or "no reason given"
+        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded but does not count: {reason}.")
+    return warnings
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}: {_text(item)}" for name, item in value.items())
+    return str(value)

@@ -1,0 +1,396 @@
+"""Running a plan from start to finish: check → open the bench → execute → estimate → report.
+
+The layers know nothing of one another; here they are put together, for the command line and for programs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+from planrunner.archive.analyses import StoredAnalysis
+from planrunner.archive.formats import from_bytes, to_bytes
+from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.lock import FolderLock
+from planrunner.archive.origin import OriginUnknownError, made_here
+from planrunner.archive.run_folder import RunWriter
+from planrunner.archive.run_reader import RunReader
+from planrunner.archive.space import recording_bytes, require_space
+from planrunner.archive.storage import Durability
+from planrunner.archive.verifying import Examined, examine, open_run
+from planrunner.base.findings import Finding, Findings, InputError, Mark
+from planrunner.base.guarded_folder import GuardedFolder
+from planrunner.bench.attendance import check_unattended
+from planrunner.bench.guarding import guarded_bench
+from planrunner.bench.model import locate, runs_on_virtual_clock
+from planrunner.bench.opening import NotSafeError, OpenBench
+from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
+from planrunner.estimators.analysis import Results, analyse
+from planrunner.execution.executor import execute
+from planrunner.execution.operator import Operator
+from planrunner.execution.outcome import Outcome
+from planrunner.execution.progress import ProgressCallback
+from planrunner.execution.stopping import StopRequest
+from planrunner.instruments.interfaces import Foresees, InstrumentError, UnservedError
+from planrunner.plan import source
+from planrunner.plan.selection import closest_label
+from planrunner.reporting.certificate_requirements import is_certificate
+from planrunner.reporting.context import CertificateFacts, ReportContext
+from planrunner.reporting.report import render_report
+from planrunner.reporting.verdict import Headline
+from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
+from planrunner.tasks.check import BenchFile, Given, Sound, check_plan
+from planrunner.tasks.report import report_context
+
+RESULTS = "results.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """An analysis of a run: where it was written and what it found. withheld: why certificates that the plan asks for were not written;
+    remarks: what is to be known of the run folder; before: number of the analysis before this one, if there is one, and whether it has the
+    same numbers."""
+
+    folder: Path
+    results: Results
+    headline: Headline
+    reports: tuple[Path, ...]
+    withheld: tuple[Finding, ...] = ()
+    remarks: tuple[Finding, ...] = ()
+    before: int | None = None
+    same: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Retake:
+    """Recorded segments to set aside and take again, by label, and why."""
+
+    labels: tuple[str, ...]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Issue:
+    """What is asked for when reports are written after a run: which, run information supplied only now, and the run folder of the same item
+    before it was adjusted."""
+
+    reports: tuple[str, ...] = ()
+    given: Mapping[str, str] = field(default_factory=dict)
+    before: Path | None = None
+
+
+def start(
+    sound: Sound,
+    *,
+    info: Mapping[str, str],
+    runs: Path,
+    stop: StopRequest,
+    data_root: Path | None = None,
+    seed: int | None = None,
+    durability: Durability = "durable",
+    progress: ProgressCallback | None = None,
+    operator: Operator | None = None,
+) -> tuple[Path, Outcome]:
+    """Carry out a sound plan in a new run folder beneath `runs`; the folder and how it ended.
+
+    Disk space is checked and every instrument connected before the folder is made and anything moves. operator: who answers the plan's
+    prompts; nobody is there without one. Raises `InputError` and `InstrumentError` for what prevents the start.
+    """
+    operator = _attended(sound, operator)
+    seed = sound.bench.seed if seed is None else seed
+    require_space(runs, recording_bytes(sound.schedule, sound.sensor.sample_rate, len(sound.sensor.outputs) + 1))
+    name = Path(sound.file).stem
+
+    def create() -> RunWriter:
+        return RunWriter.create(runs, name, sound.plan_bytes, sound.bench_bytes, info, durability, seed=seed)
+
+    return _carry_out(sound, data_root, seed, create, stop, progress, operator)
+
+
+def resume(
+    run: Path,
+    *,
+    stop: StopRequest,
+    data_root: Path | None = None,
+    progress: ProgressCallback | None = None,
+    operator: Operator | None = None,
+    retake: Retake | None = None,
+    bench: str | None = None,
+    trust_bench: bool = False,
+) -> Outcome:
+    """Go on with a run that was cut short, from its own plan and bench; or take segments of it again, whether it is finished or not.
+
+    bench: a shipped name or a file to be used instead of the folder's; it may say otherwise only how instruments are reached. A folder that
+    was not made on this computer goes on with such a bench, or with its own where `trust_bench` says so: it names what is connected to.
+
+    The folder is locked first, then the bench, and only then is anything connected: of two that resume a run, one is refused before it has
+    looked at an instrument.
+    """
+    folder = open_run(run)  # no lock is left in what is no run folder
+    lock = _lock(folder)
+    try:
+        found = examine(folder, samples=True)  # once, under the lock; what was found is handed on
+        reader = RunReader.of(found, to_reopen=True)
+        file = None if bench is None else _stand_in(reader, bench)
+        return _resume(found, reader, lock, stop, data_root, progress, operator, retake, file, trust_bench=trust_bench)
+    finally:
+        lock.release()
+
+
+def _lock(run: GuardedFolder) -> FolderLock:
+    """Raises `InputError` for a folder that another process writes, or that cannot be written."""
+    try:
+        return FolderLock(run)
+    except OSError as error:
+        message = f"the run folder cannot be written: {error.strerror or error}"
+        raise InputError.at(Mark(str(run.path)), "run-unwritable", message, "change its permissions") from None
+
+
+def _resume(
+    found: Examined,
+    reader: RunReader,
+    lock: FolderLock,
+    stop: StopRequest,
+    data_root: Path | None,
+    progress: ProgressCallback | None,
+    operator: Operator | None,
+    retake: Retake | None,
+    file: BenchFile | None,
+    *,
+    trust_bench: bool,
+) -> Outcome:
+    """file: the bench that is used instead of the folder's."""
+    if reader.sealed and retake is None:
+        raise InputError.at(
+            Mark(str(reader.path)), "run-finished", "this run is finished and sealed", "use `planrunner estimate`"
+        )
+    seed = reader.run["seed"]
+    sound = sound_run(reader, date.today(), file)
+    if file is None and not trust_bench:
+        _require_made_here(reader, sound)
+    again = () if retake is None else _chosen(reader, retake.labels)
+    operator = _attended(sound, operator)
+    reason = None if retake is None else retake.reason
+
+    def reopen() -> RunWriter:
+        writer = RunWriter.reopen(found, reason=reason, lock=lock, bench=None if file is None else file.data)
+        try:
+            writer.take_watchdog_report()
+            for index in again:
+                writer.reject(index, reason or "")
+        except BaseException:
+            writer.close()
+            raise
+        return writer
+
+    return _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
+
+
+def _stand_in(reader: RunReader, bench: str) -> BenchFile:
+    """A bench to be used instead of the run's. Raises `InputError` for one on which the run would be another one."""
+    path, shown = locate(bench, Path())
+    data = source.read_bytes(path, shown)
+    other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
+    if other:
+        more = f" and {len(other) - 5} more" if len(other) > 5 else ""
+        message = f"this bench is not the one that the run began on: {', '.join(other[:5])}{more} differ"
+        hint = f"it may differ in {', '.join(REACHED_BY)} of instruments only: copy the folder's bench.yaml, and change these"
+        raise InputError.at(Mark(shown), "run-other-bench", message, hint)
+    return BenchFile(data, shown)
+
+
+def _require_made_here(reader: RunReader, sound: Sound) -> None:
+    """Raises `InputError` for a folder of unknown origin: its bench file says what would be connected to and commanded."""
+    why = "this run folder was not made on this computer by you"
+    try:
+        if made_here(reader.folder, reader.first):
+            return
+    except OriginUnknownError as error:
+        why = f"it cannot be known whether this run folder was made on this computer: {error}"
+    reached = ", ".join(f"{name} at {address}" for name, address in addresses(sound.bench).items())
+    message = f"{why}; its bench file {f'connects to {reached}' if reached else 'connects to no address'}"
+    hint = "read it, then add --trust-bench; or name your own bench file with --bench"
+    raise InputError.at(Mark(str(reader.path / "bench.yaml")), "run-not-made-here", message, hint)
+
+
+def _carry_out(
+    sound: Sound,
+    data_root: Path | None,
+    seed: int | None,
+    open_writer: Callable[[], RunWriter],
+    stop: StopRequest,
+    progress: ProgressCallback | None,
+    operator: Operator | None,
+) -> tuple[Path, Outcome]:
+    """Connect the bench, open the run folder and execute what is not yet recorded; how it ended outlives a bench that is not safe."""
+    ended: tuple[Path, Outcome] | None = None
+    try:
+        with _ready(sound, data_root, seed) as bench, open_writer() as writer:
+            if bench.watchdog is not None:
+                bench.watchdog.report_to(writer.path)
+            outcome = execute(
+                sound.schedule,
+                bench,
+                writer,
+                stop=stop,
+                progress=progress,
+                start_at=writer.next_segment,
+                operator=operator,
+            )
+            ended = writer.path, outcome
+    except NotSafeError as error:
+        if ended is None:
+            raise
+        path, outcome = ended
+        ended = path, replace(outcome, unsafe=outcome.unsafe or (str(error),))
+    return ended
+
+
+def _attended(sound: Sound, operator: Operator | None) -> Operator | None:
+    """Who is asked: nobody on a simulated bench. Raises `InputError` when somebody is needed and nobody there."""
+    if runs_on_virtual_clock(sound.bench):
+        return None
+    if operator is None:
+        log = Findings()
+        check_unattended(sound.bench, sound.schedule, log)
+        if log.errors:
+            raise InputError(log)
+    return operator
+
+
+def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
+    """The segments that count and have these labels."""
+    known = {item.label: item.index for item in reader.acknowledged()}
+    for label in labels:
+        if label not in known:
+            message = f"this run has no recorded segment '{label}' to take again"
+            raise InputError.at(Mark(str(reader.path)), "run-no-segment", message, closest_label(label, known))
+    return tuple(sorted({known[label] for label in labels}))
+
+
+@contextmanager
+def _ready(sound: Sound, data_root: Path | None, seed: int | None) -> Iterator[OpenBench]:
+    """The bench, connected and able to serve the schedule. A recording that is not is wrong input: nothing can have moved."""
+    bench, file = sound.bench, sound.bench.origin.mark.file
+    with ExitStack() as stack:
+        try:
+            opened = stack.enter_context(guarded_bench(bench, sound.bench_bytes, file, data_root=data_root, seed=seed))
+            if isinstance(opened.sensor, Foresees):
+                opened.sensor.foresee(sound.schedule.segments)
+        except InstrumentError as error:
+            raise _unfit(sound, error) from None
+        yield opened
+
+
+def _unfit(sound: Sound, error: InstrumentError) -> Exception:
+    if not sound.models.replays:
+        return error
+    if isinstance(error, UnservedError):
+        return InputError(error.findings)
+    hint = "look at the bench file, at --data and at the plan's labels"
+    return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
+
+
+def sound_run(reader: RunReader, today: date | None = None, bench: BenchFile | None = None) -> Sound:
+    """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass.
+
+    today: the day that calibrations must hold on; the one on which the run was made without it. bench: used instead of the folder's.
+    """
+    made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
+    given = Given(reader.plan_bytes, bench or BenchFile(reader.bench_bytes, str(reader.path / "bench.yaml")))
+    return check_plan(reader.path / "plan.yaml", today=today or made, given=given).sound()
+
+
+def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
+    """Estimate from a run's recording alone; write results and reports as a new analysis.
+
+    issue: which reports and the information for them; without it, the plan's. A certificate that the plan asks for and that cannot be
+    issued is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
+    """
+    issue = issue or Issue()
+    made = _analyse(run, issue, kept=True)
+    reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
+    withheld: tuple[Finding, ...] = ()
+    if any(is_certificate(name) for name in reports):
+        withheld = tuple(_obstacles(made, issue))
+        if withheld and issue.reports:
+            raise InputError(withheld)
+        reports = tuple(name for name in reports if not withheld or not is_certificate(name))
+    files = {RESULTS: to_bytes(made.results.to_json())}
+    for report in reports:
+        files[report] = render_report(made.context, report).encode()
+    if any(is_certificate(name) for name in reports):
+        files[ISSUED] = to_bytes(issued_as(made.shown))
+    earlier = made.reader.analyses[-1] if made.reader.analyses else None
+    same = earlier is not None and _read_results(earlier) == from_bytes(files[RESULTS])
+    stored = made.reader.add_analysis(files)
+    paths = tuple(stored.path / name for name in reports)
+    before = None if earlier is None else earlier.number
+    return Analysis(
+        stored.path, made.results, made.context.headline, paths, withheld, made.reader.findings, before, same
+    )
+
+
+def stored_results(analysis: StoredAnalysis) -> Results:
+    """The results that an analysis kept. Raises `IntegrityError` where they are not as they were written."""
+    try:
+        return Results.from_json(_read_results(analysis), str(analysis.path / RESULTS))
+    except (InputError, AttributeError, OverflowError) as error:  # as no version wrote it
+        raise IntegrityError(f"{analysis.path / RESULTS}: no results as planrunner writes them: {error}") from None
+
+
+def _read_results(analysis: StoredAnalysis) -> Any:
+    """As JSON data: an older version's results lack keys that today's schema asks for. Raises `IntegrityError`."""
+    try:
+        return from_bytes(analysis.read(RESULTS))
+    except ValueError as error:
+        raise IntegrityError(f"{analysis.path / RESULTS}: not JSON: {str(error)[:200]}; estimate again") from None
+
+
+def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
+    """A run's results through a template of one's own; nothing is written into the run folder."""
+    made = _analyse(run, issue or Issue())
+    return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    reader: RunReader
+    sound: Sound
+    results: Results
+    context: ReportContext
+    shown: CertificateFacts
+
+
+def _analyse(run: Path, issue: Issue, *, kept: bool = False) -> _Made:
+    """kept: whether it becomes the run's next analysis, whose number its reports then show."""
+    reader = RunReader.open(run)
+    sound = sound_run(reader)
+    recording = reader.recording(sound.schedule)
+    setup = replace(sound.setup, information=recorded_information(reader))
+    results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)
+    results = replace(results, origin=sound.models.origin)
+    before = None if issue.before is None else _analyse(issue.before, Issue())
+    shown = facts(
+        reader,
+        sound,
+        recording,
+        issue.given,
+        None if before is None else before.results.estimates,
+        "" if before is None else before.reader.run["run"],
+    )
+    earlier = reader.analyses
+    number = str(earlier[-1].number + 1 if earlier else 1) if kept else ""
+    context = report_context(reader, sound, recording, results, analysis=number, certificate=shown)
+    return _Made(reader, sound, results, context, shown)
+
+
+def _obstacles(made: _Made, issue: Issue) -> list[Finding]:
+    found = obstacles(made.reader, made.sound, made.results, made.shown)
+    return (
+        found if issue.before is None else [*found, *not_before(made.shown, made.reader, RunReader.open(issue.before))]
+    )

@@ -1,0 +1,81 @@
+"""Validating this installation: reference recordings with known answers, through the whole pipeline, on the user's machine.
+
+Each reference plan in `plans/self_test` is checked, played back, recorded, estimated and compared with `answers.yaml`. Then one byte of a
+recorded file is changed, which must be noticed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.run_reader import RunReader
+from planrunner.base.shipped import shipped
+from planrunner.estimators.results import Results
+from planrunner.execution.stopping import StopRequest
+from planrunner.plan import source
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.run import analyse_run, start
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One known answer beside what this installation found. `difference` is relative, in absolute value."""
+
+    case: str
+    quantity: str
+    known: str
+    found: str
+    difference: float
+    allowed: float
+
+    @property
+    def passed(self) -> bool:
+        return self.difference <= self.allowed
+
+
+def validate(folder: Path) -> Iterator[Comparison]:
+    """Runs every reference beneath `folder`, which must be empty, and yields the comparisons as they are made."""
+    references = shipped("plans") / "self_test"
+    answers: dict[str, Any] = source.plain(source.load(references / "answers.yaml"))
+    run = folder
+    for case, answer in answers.items():
+        run, results = _carry_out(references / f"{case}.yaml", references, folder)
+        for quantity, known in answer["coefficients"].items():
+            yield from _compare(case, quantity, known, results, float(answer["relative"]))
+    yield _tamper(run)
+
+
+def _carry_out(plan: Path, data: Path, folder: Path) -> tuple[Path, Results]:
+    run, outcome = start(check_plan(plan).sound(), info={}, runs=folder, stop=StopRequest(), data_root=data)
+    if not outcome.ok:
+        raise RuntimeError(f"{plan.name} did not run: {'; '.join(map(str, outcome.failures))}")
+    return run, analyse_run(run).results
+
+
+def _compare(
+    case: str, quantity: str, known: dict[str, float], results: Results, allowed: float
+) -> Iterator[Comparison]:
+    estimate, _, name = quantity.partition(".")
+    coefficient = results.estimates[estimate][name]
+    for key, shown in (("value", quantity), ("standard_uncertainty", f"u({quantity})")):
+        if key in known:
+            expected, found = float(known[key]), float(getattr(coefficient, key))
+            yield Comparison(case, shown, f"{expected:.15g}", f"{found:.15g}", abs(found / expected - 1), allowed)
+
+
+def _tamper(run: Path) -> Comparison:
+    """Whether a changed byte in a recorded file is noticed."""
+    file = sorted((run / "segments").glob("*.parquet"))[0]
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(bytes(data))
+    try:
+        RunReader.open(run).check_digests()
+        noticed = "not noticed"
+    except IntegrityError:
+        noticed = "noticed"
+    return Comparison("integrity", "one changed bit", "noticed", noticed, float(noticed != "noticed"), 0.0)

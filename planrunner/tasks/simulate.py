@@ -1,0 +1,147 @@
+"""Simulating a plan with effects added: the bench with one more instrument, and everything else as in any run.
+
+What is added stands in the bench file of the run folder, so that resuming, estimating and diagnosing know of it, and the same bench
+file run tomorrow has it again.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from planrunner.base.findings import InputError, Mark
+from planrunner.bench.model import driver_of, runs_on_virtual_clock
+from planrunner.error_model.virtual_instrument import AddedEffects
+from planrunner.plan import source
+from planrunner.tasks.check import Sound, check_plan
+
+if TYPE_CHECKING:
+    from planrunner.error_model.added import Addition
+
+OPTION = Mark("--with")
+INSTRUMENT = "added"
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A plan and bench that pass their checks, the bench with its effects, and what was added."""
+
+    sound: Sound
+    additions: tuple[Addition, ...]
+
+    def words(self) -> list[str]:
+        """A line for each effect."""
+        return [
+            f"{item.id}: " + ", ".join(f"{name} {value}" for name, value in stated(item).items())
+            for item in self.additions
+        ]
+
+
+def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulation:
+    """The plan on a virtual bench with effects, each as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`.
+
+    Raises `InputError` for whatever stands against it.
+    """
+    sound = check_plan(plan, bench=bench, today=date.today()).sound()
+    _check_virtual(sound)
+    if not effects:
+        return Simulation(sound, ())
+    additions = _additions(sound, effects)
+    text = source.decode(sound.bench_bytes, str(plan))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.yaml"
+        path.write_text(with_effects(text, additions), encoding="utf-8", newline="")
+        return Simulation(check_plan(plan, bench_path=path, today=date.today()).sound(), additions)
+
+
+def stated(item: Addition) -> dict[str, str]:
+    """All parameters of an effect with their units, as a bench file has them."""
+    units = {name: "" if text == "1" else f" {text}" for name, text in item.units.items()}
+    return {name: f"{value:.12g}{units[name]}" for name, value in item.values.items()}
+
+
+def _check_virtual(sound: Sound) -> None:
+    hint = "name a virtual bench with --bench; `planrunner bench` lists those that are shipped"
+    if sound.models.replays or not runs_on_virtual_clock(sound.bench):
+        what = "plays back recordings" if sound.models.replays else "is a real one"
+        raise InputError.at(
+            Mark(sound.file), "simulate-bench", f"the bench '{sound.bench.name}' {what}: nothing is simulated", hint
+        )
+
+
+def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
+    """The effects, each with all its parameters."""
+    from planrunner.error_model.added import addition
+    from planrunner.error_model.scheduled import scheduled, sensor_channels
+
+    taken = any(getattr(driver_of(entry), "takes_effects", False) for entry in sound.bench.instruments.values())
+    channels = sensor_channels(sound.sensor)
+    if not taken or not channels:
+        message = f"the sensor of the bench '{sound.bench.name}' takes no effects"
+        hint = "use a bench whose sensor is a virtual_imu with outputs such as gyro_x and accel_x"
+        raise InputError.at(Mark(sound.file), "simulate-sensor", message, hint)
+    if any(driver_of(entry) is AddedEffects for entry in sound.bench.instruments.values()):
+        message = f"the bench '{sound.bench.name}' already has added effects"
+        raise InputError.at(Mark(sound.file), "simulate-twice", message, "add to them in the bench file")
+    observed = scheduled(sound.schedule.segments, sound.models.site, channels, sound.sensor.sample_rate)
+    found: dict[str, Addition] = {}
+    for text in effects:
+        name, values = parsed(text)
+        if name in found:
+            raise InputError.at(OPTION, "effect-twice", f"'{name}' is added twice", "give its parameters together")
+        found[name] = addition(name, values, observed, OPTION)
+    return tuple(found.values())
+
+
+def parsed(text: str) -> tuple[str, dict[str, str]]:
+    """`EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` as name and values; a value without a name stands under ''."""
+    name, equals, rest = (part.strip() for part in text.partition("="))
+    values: dict[str, str] = {}
+    for piece in rest.split(",") if equals else ():
+        key, colon, value = piece.partition(":")
+        key, value = (key.strip(), value.strip()) if colon else ("", key.strip())
+        if not value or key in values:
+            hint = "write for example --with 'gyro_warm_up=tau:600 s,a_x:0.01 deg/s'"
+            raise InputError.at(OPTION, "effect-value", f"'{piece.strip()[:60]}' in '{text[:80]}' is no value", hint)
+        values[key] = value
+    return name, values
+
+
+def with_effects(text: str, additions: Sequence[Addition]) -> str:
+    """A bench file's text with one more instrument that adds effects, made safe last."""
+    entry = {"driver": "added_effects", "effects": {item.id: stated(item) for item in additions}}
+    return _with_instrument(text, INSTRUMENT, _flow(entry))
+
+
+def _flow(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name}: {_flow(item)}" for name, item in value.items()) + "}"
+    return f"'{value}'"
+
+
+def _with_instrument(text: str, name: str, entry: str) -> str:
+    """The text with an instrument added behind the others, in the form in which they stand."""
+    root: Any = yaml.compose(text)
+    nodes = {key.value: value for key, value in root.value}
+    instruments, order = nodes["instruments"], nodes.get("safe_order")
+    changes = [_appended(text, instruments, f"{name}: {entry}", instruments.value[-1][1])]
+    if order is not None and order.value:
+        changes.append(_appended(text, order, name, order.value[-1], "- "))
+    for at, more in sorted(changes, reverse=True):
+        text = text[:at] + more + text[at:]
+    return text
+
+
+def _appended(text: str, node: Any, more: str, last: Any, dash: str = "") -> tuple[int, str]:
+    """Where something is put in behind the last item of a mapping or list, and what."""
+    begin = node.start_mark.index
+    end = begin + len(text[begin : last.end_mark.index].rstrip())
+    if node.flow_style:
+        return end, f", {more}"
+    return end, "\n" + " " * node.start_mark.column + dash + more

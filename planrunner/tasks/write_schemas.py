@@ -1,0 +1,98 @@
+"""JSON Schemas (draft 2020-12) of plans and benches, generated from the records that also read them.
+
+`python -m planrunner.tasks.write_schemas schemas` writes them; a test holds the files equal to what the records say.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from planrunner.plan import quantity
+from planrunner.plan.kinds import Schema, keys_of, object_schema
+from planrunner.plan.units import DIMENSIONS
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def plan_schema() -> Schema:
+    """The schema of plan files, with the parameters of every installed estimator."""
+    from planrunner.plan.model import Plan, SegmentSpec
+
+    segment = {
+        "description": "A state to reach and hold, a sweep, or steps that share a state.",
+        **object_schema(keys_of(SegmentSpec)),
+    }
+    return _document("planrunner plan", object_schema(keys_of(Plan)), {"segment": segment})
+
+
+def bench_schema() -> Schema:
+    """The schema of bench files, with the parameters of every installed instrument driver."""
+    from planrunner.bench.model import Bench
+
+    return _document("planrunner bench", object_schema(keys_of(Bench)), {})
+
+
+def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
+    """The whole schema; what many keys have in common, such as a quantity of time, stands in `$defs` once."""
+    shared = _shared()
+    names = {json.dumps(part, sort_keys=True): name for name, part in shared.items()}
+    used: set[str] = set()
+    body = _with_references(schema, names, used)
+    definitions = {name: _with_references(part, names, used) for name, part in definitions.items()}
+    queue = list(used)
+    while queue:
+        name = queue.pop()
+        if name not in definitions:
+            inner: set[str] = set()
+            part = {key: _with_references(value, names, inner) for key, value in shared[name].items()}
+            definitions[name] = part
+            queue.extend(inner)
+    return {"$schema": DRAFT, "title": title, **body, "$defs": dict(sorted(definitions.items()))}
+
+
+def _shared() -> dict[str, Schema]:
+    from planrunner.plan.model import Motion
+    from planrunner.plan.orientation import OrientationKind
+
+    parts: dict[str, Schema] = {"orientation": OrientationKind().schema(), "motion": object_schema(keys_of(Motion))}
+    for dimension in (None, *DIMENSIONS):
+        name = (dimension or "any").replace(" ", "-")
+        parts[f"uncertain-{name}"] = quantity.schema(dimension, uncertain=True)
+        parts[f"uncertain-text-{name}"] = quantity.text_schema(dimension, uncertain=True)
+        parts[f"quantity-{name}"] = quantity.schema(dimension, uncertain=False)
+    return parts
+
+
+def _with_references(schema: Any, names: dict[str, str], used: set[str]) -> Any:
+    """`schema` with every part that `names` knows replaced by a reference; descriptions and examples stay beside it."""
+    if isinstance(schema, list):
+        return [_with_references(item, names, used) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    about = {key: value for key, value in schema.items() if key in ("description", "examples")}
+    rest = {key: value for key, value in schema.items() if key not in about}
+    name = names.get(json.dumps(rest, sort_keys=True))
+    if name is not None:
+        used.add(name)
+        return {**about, "$ref": f"#/$defs/{name}"}
+    return {**about, **{key: _with_references(value, names, used) for key, value in rest.items()}}
+
+
+def text(schema: dict[str, Any]) -> str:
+    """The file's text."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+SCHEMAS = {"plan.schema.json": plan_schema, "bench.schema.json": bench_schema}
+
+
+def main(folder: str) -> None:
+    for name, make in SCHEMAS.items():
+        (Path(folder) / name).write_text(text(make()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

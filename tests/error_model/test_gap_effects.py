@@ -1,0 +1,224 @@
+"""Effects' columns against the same physics simulated for a finite amplitude, with rotations by scipy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from planrunner.base import plugins
+from planrunner.error_model.effects.gyro_output import lagged
+from planrunner.error_model.effects.interface import Column
+from planrunner.error_model.effects.surroundings import TimeLatency
+from planrunner.error_model.observed import Observed
+from planrunner.plan.schedule import Rock
+from tests.gap.turntable import DEG, SITE, G, record
+
+Array = np.ndarray
+IDS = [
+    "gyro_bias_temperature",
+    "gyro_scale_temperature",
+    "gyro_scale_nonlinearity",
+    "gyro_scale_asymmetry",
+    "gyro_g_sensitivity",
+    "gyro_g2_sensitivity",
+    "gyro_bandwidth",
+    "gyro_dead_zone",
+    "gyro_saturation",
+    "gyro_bias_random_walk",
+    "gyro_warm_up",
+    "gyro_thermal_hysteresis",
+    "gyro_thermal_gradient",
+    "gyro_noise_excess",
+    "gyro_quantization",
+    "magnetic_sensitivity",
+    "accel_bias_temperature",
+    "accel_scale_temperature",
+    "accel_second_order",
+    "table_tilt",
+    "table_azimuth",
+    "table_position_error",
+    "table_rate_ripple",
+    "table_wobble",
+    "table_rate_error",
+    "site_latitude",
+    "lever_arm",
+    "time_latency",
+    "gyro_bias",
+    "gyro_scale_factor",
+    "gyro_misalignment",
+    "earth_rate",
+    "accel_bias",
+    "accel_scale_factor",
+    "accel_misalignment",
+]
+EARTH = 15.041067 * DEG / 3600 * np.array([0, np.cos(SITE.latitude), np.sin(SITE.latitude)])
+EAST, NORTH, UP = np.eye(3)
+
+
+@pytest.fixture(scope="module")
+def observed() -> Observed:
+    return record()
+
+
+def test_the_whole_catalogue_is_installed() -> None:
+    assert set(plugins.names("planrunner.effects")) == set(IDS)
+    for name in IDS:
+        effect = plugins.load("planrunner.effects", name)()
+        assert effect.id == name
+        assert effect.stage in ("stimulus", "sensor", "output", "acquisition", "covariance")
+        assert effect.__doc__
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_columns_are_whole_and_named_apart(observed: Observed, name: str) -> None:
+    for variant in plugins.load("planrunner.effects", name)().variants(observed):
+        names = [column.name for column in variant.columns]
+        assert len(set(names)) == len(names)
+        for column in variant.columns:
+            assert column.magnitude > 0
+            assert column.factor > 0
+            for index, part in column.parts.items():
+                assert 0 <= index < 6
+                assert part.shape == observed.time.shape
+                assert np.isfinite(part).all()
+
+
+def _columns(observed: Observed, name: str) -> dict[str, Column]:
+    (variant,) = plugins.load("planrunner.effects", name)().variants(observed)
+    return {column.name: column for column in variant.columns}
+
+
+def _part(column: Column, observed: Observed) -> Array:
+    mask = 1.0 if column.segments is None else column.segments[observed.owner][:, None]
+    return (
+        np.column_stack([column.parts[i] if i in column.parts else np.zeros(len(observed.time)) for i in range(6)])
+        * mask
+    )
+
+
+def _simulated(observed: Observed, attitude: Callable[[Rotation], Rotation], rate: Callable[[Array], Array]) -> Array:
+    """Rate and specific force with the platform's rotation (site from platform) and its rate [site axes] changed."""
+    platform = Rotation.from_rotvec(observed.angle[:, None] * UP)
+    turned = attitude(platform)
+    omega = turned.inv().apply(EARTH + rate(observed.rate[:, None] * UP))
+    force = turned.inv().apply(G * UP)
+    fixed = observed.attitude[observed.owner]
+    return np.hstack([np.einsum("nij,nj->ni", fixed, omega), np.einsum("nij,nj->ni", fixed, force)])
+
+
+def _close(found: Array, expected: Array) -> None:
+    for columns in (slice(0, 3), slice(3, 6)):
+        size = np.abs(expected[:, columns]).max()
+        assert found[:, columns] == pytest.approx(expected[:, columns], abs=2e-5 * size + 2e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "column"),
+    [("table_tilt", EAST, "about_east"), ("table_tilt", NORTH, "about_north"), ("table_azimuth", UP, "about_up")],
+)
+def test_a_turned_base(observed: Observed, name: str, axis: Array, column: str) -> None:
+    small = 1e-5
+    base = Rotation.from_rotvec(small * axis)
+    changed = _simulated(observed, lambda platform: base * platform, base.apply)
+    plain = _simulated(observed, lambda platform: platform, lambda rate: rate)
+    _close(_part(_columns(observed, name)[column], observed), (changed - plain) / small)
+
+
+@pytest.mark.parametrize(
+    ("name", "turned"),
+    [("table_tilt", (0.1, -0.06, 0.0)), ("table_azimuth", (0.0, 0.0, 0.4)), ("table_azimuth", (0.0, 0.0, 0.0))],
+)
+def test_secants_of_a_base_turned_far(observed: Observed, name: str, turned: tuple[float, float, float]) -> None:
+    """Multiplied by the angles that they were made for, the columns give the whole change."""
+    base = Rotation.from_rotvec(turned)
+    changed = _simulated(observed, lambda platform: base * platform, base.apply)
+    plain = _simulated(observed, lambda platform: platform, lambda rate: rate)
+    angles = np.array(turned)[:2] if name == "table_tilt" else np.array(turned)[2:]
+    (secant,) = plugins.load("planrunner.effects", name)().around(observed, angles)
+    found = sum(angle * _part(column, observed) for angle, column in zip(angles, secant.columns, strict=True))
+    assert found == pytest.approx(changed - plain, abs=1e-9)
+
+
+def test_secant_of_a_latitude_far_off(observed: Observed) -> None:
+    error = 0.3
+    moved = 15.041067 * DEG / 3600 * np.array([0, np.cos(SITE.latitude + error), np.sin(SITE.latitude + error)])
+    back = Rotation.from_rotvec(-observed.angle[:, None] * UP)
+    expected = np.einsum("nij,nj->ni", observed.attitude[observed.owner], back.apply(moved - EARTH))
+    (secant,) = plugins.load("planrunner.effects", "site_latitude")().around(observed, np.array([error]))
+    assert error * _part(secant.columns[0], observed)[:, :3] == pytest.approx(expected, abs=1e-11)
+
+
+def test_wobble_is_the_matrix_of_its_definition_with_the_rate_that_goes_with_it(observed: Observed) -> None:
+    """C = (I + [δ×])·R, its rate by numerical differentiation of the rotation."""
+    a, phase, step = 1e-5, 0.7, 1e-4
+    part = observed.segments()[14]
+    angle, rate = observed.angle[part], float(observed.rate[part][0])
+
+    def attitude(theta: Array) -> Rotation:
+        delta = a * np.column_stack([np.cos(theta + phase), np.sin(theta + phase), 0 * theta])
+        return Rotation.from_rotvec(delta) * Rotation.from_rotvec(theta[:, None] * UP)
+
+    own = (attitude(angle - rate * step).inv() * attitude(angle + rate * step)).as_rotvec() / (2 * step)
+    omega = attitude(angle).inv().apply(EARTH) + own
+    force = attitude(angle).inv().apply(G * UP)
+    fixed = observed.attitude[14]
+    columns = _columns(observed, "table_wobble")
+    found = (
+        a * (np.cos(phase) * _part(columns["cos"], observed) + np.sin(phase) * _part(columns["sin"], observed))[part]
+    )
+    assert found[:, :3] == pytest.approx(omega @ fixed.T - observed.omega[part], abs=1e-4 * a * rate)
+    assert found[:, 3:] == pytest.approx(force @ fixed.T - observed.force[part], abs=1e-4 * a * G)
+    still = observed.segments()[0]
+    assert not _part(columns["cos"], observed)[still].any()
+
+
+def test_lever_arm_is_the_acceleration_of_its_path(observed: Observed) -> None:
+    """Second differences of the position of a point carried round, on rocking segments."""
+    arm, step = np.array([0.02, -0.01, 0.03]), 1e-3
+    index = next(i for i, p in enumerate(observed.segments()) if observed.acceleration[p].any())
+    part, motion = observed.segments()[index], observed.motions[index]
+    assert isinstance(motion, Rock)
+    amplitude, pulse = motion.amplitude, 2 * np.pi * motion.frequency
+    since = observed.time[part] - observed.time[part.start]
+
+    def position(t: Array) -> Array:
+        angle = amplitude * np.sin(pulse * t)
+        return Rotation.from_rotvec(angle[:, None] * UP).apply(observed.attitude[index].T @ arm)
+
+    path = (position(since + step) - 2 * position(since) + position(since - step)) / step**2
+    back = Rotation.from_rotvec(-observed.angle[part][:, None] * UP).apply(path) @ observed.attitude[index].T
+    columns = _columns(observed, "lever_arm")
+    found = sum(value * _part(columns[f"r_{axis}"], observed)[part, 3:] for axis, value in zip("xyz", arm, strict=True))
+    assert found == pytest.approx(back, abs=1e-5 * np.abs(back).max())
+
+
+def test_latitude_is_the_derivative_of_the_earth_rate(observed: Observed) -> None:
+    small = 1e-6
+    moved = 15.041067 * DEG / 3600 * np.array([0, np.cos(SITE.latitude + small), np.sin(SITE.latitude + small)])
+    back = Rotation.from_rotvec(-observed.angle[:, None] * UP)
+    expected = np.einsum("nij,nj->ni", observed.attitude[observed.owner], back.apply((moved - EARTH) / small))
+    assert _part(_columns(observed, "site_latitude")["error"], observed)[:, :3] == pytest.approx(expected, abs=1e-10)
+
+
+def test_a_lag_of_a_sine_is_the_textbook_response(observed: Observed) -> None:
+    """After its transient, amplitude 1/√(1 + (ωτ)²) and phase −atan ωτ; and a delay shifts the phase alone."""
+    index = next(i for i, p in enumerate(observed.segments()) if observed.acceleration[p].any())
+    part, motion = observed.segments()[index], observed.motions[index]
+    assert isinstance(motion, Rock)
+    pulse = 2 * np.pi * motion.frequency
+    since = observed.time[part] - observed.time[part.start]
+    axis = int(np.argmax(np.abs(observed.omega[part]).max(0)))
+
+    def phasor(signal: Array) -> complex:
+        late = since >= 2.0 - 1e-9
+        return complex(np.mean(signal[late] * np.exp(-1j * pulse * since[late])))
+
+    tau = 0.03
+    ratio = phasor(lagged(observed, tau)[part, axis]) / phasor(observed.omega[part, axis])
+    assert ratio == pytest.approx(1 / (1 + 1j * pulse * tau), rel=3e-3)
+    delayed = observed.omega[part, axis] + TimeLatency().at(observed, 0.01).columns[0].parts[axis][part]
+    ratio = phasor(delayed) / phasor(observed.omega[part, axis])
+    assert ratio == pytest.approx(np.exp(-1j * pulse * 0.01), rel=3e-3)

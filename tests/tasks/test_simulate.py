@@ -1,0 +1,140 @@
+"""Simulating with effects: the bench's text, what is refused, and a run that is diagnosed, continued as proposed and joined."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planrunner.base.findings import InputError
+from planrunner.base.shipped import shipped
+from planrunner.bench.model import parse_bench
+from planrunner.cli import main
+from planrunner.gap.answer.diagnosis import Options
+from planrunner.plan import source
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
+from planrunner.tasks.join import joined
+from planrunner.tasks.simulate import parsed, simulation, with_effects
+
+PLAN = """
+planrunner: 1
+title: Six positions and two rates
+bench: virtual_imu_nominal
+sensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}
+defaults: {settle: 5 s, dwell: 20 s}
+segments:
+  - for_each:
+      orientation:
+        P1: &x {x: up, y: north, z: west}
+        P2: {x: down, y: north, z: east}
+        P3: &y {x: north, y: up, z: east}
+        P4: {x: south, y: down, z: east}
+        P5: &z {x: east, y: north, z: up}
+        P6: {x: west, y: north, z: down}
+  - {orientation: *x, for_each: {rate: "±60 deg/s"}, label: "X{rate}", dwell: {turns: 3}}
+  - {orientation: *y, for_each: {rate: "±60 deg/s"}, label: "Y{rate}", dwell: {turns: 3}}
+  - {orientation: *z, for_each: {rate: "±60 deg/s"}, label: "Z{rate}", dwell: {turns: 3}}
+  - {orientation: *z, motion: {rock: {amplitude: 5 deg, frequency: 1 Hz}}, label: K}
+"""
+FEW = Options(effects=("gyro_g_sensitivity", "table_tilt", "time_latency", "gyro_warm_up", "gyro_noise_excess"))
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "six.yaml"
+    path.write_text(PLAN, encoding="utf-8")
+    return path
+
+
+def _simulated(plan: Path, *effects: str) -> Path:
+    runs = plan.parent / f"runs{len(list(plan.parent.glob('runs*')))}"
+    listed = [word for effect in effects for word in ("--with", effect)]
+    assert main(["simulate", str(plan), *listed, "--quiet", "--runs", str(runs)]) == 0
+    return next(runs.iterdir())
+
+
+@pytest.mark.parametrize(
+    "bench", sorted((shipped("plans") / "benches").glob("virtual*.yaml")), ids=lambda path: path.stem
+)
+def test_effects_fit_into_every_shipped_bench(bench: Path) -> None:
+    made = simulation(shipped("plans") / "imu_multi_position.yaml", "virtual_imu_nominal", ["table_tilt=20"])
+    text = with_effects(bench.read_text(encoding="utf-8"), made.additions)
+    found, log = parse_bench(source.parse(text, bench.name))
+    assert not log.errors
+    assert found is not None
+    assert found.instruments["added"].parameters.effects["table_tilt"]["about_east"] == "20 arcsec"
+    assert found.safe_order[-1] == "added"
+
+
+@pytest.mark.parametrize(
+    ("effects", "bench", "code"),
+    [
+        (["table_tlit"], None, "effect-unknown"),
+        (["table_tilt", "table_tilt=2"], None, "effect-twice"),
+        (["table_tilt="], None, "effect-value"),
+        (["table_tilt=about_east:1,about_east:2"], None, "effect-value"),
+        (["gyro_bias"], "imu_recording", "simulate-bench"),
+    ],
+)
+def test_what_is_wrong_is_said(plan: Path, effects: list[str], bench: str | None, code: str) -> None:
+    with pytest.raises(InputError) as caught:
+        simulation(plan, bench, effects)
+    assert code in {finding.code for finding in caught.value.findings}
+
+
+def test_a_sensor_that_takes_no_effects_is_named() -> None:
+    with pytest.raises(InputError, match="takes no effects"):
+        simulation(shipped("plans") / "flexure_gyro_eight_position.yaml", None, ["table_tilt"])
+
+
+def test_values_are_told_apart() -> None:
+    assert parsed("gyro_warm_up=tau:600 s,a_x:0.01 deg/s") == ("gyro_warm_up", {"tau": "600 s", "a_x": "0.01 deg/s"})
+    assert parsed("time_latency = 1 ms") == ("time_latency", {"": "1 ms"})
+    assert parsed("table_tilt") == ("table_tilt", {})
+
+
+def test_without_effects_nothing_changes(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = _simulated(plan)
+    assert "Nothing was added" in capsys.readouterr().out
+    found = diagnose_recorded(recorded_run(run), FEW)
+    assert found.diagnosis.verdict.kind == "none"
+
+
+@pytest.mark.parametrize(
+    ("effect", "name"),
+    [
+        ("gyro_g_sensitivity=K_x_y:0.003,K_y_x:-0.002", "gyro_g_sensitivity"),
+        ("time_latency=0.5 ms", "time_latency"),
+        ("gyro_noise_excess=0.004", "gyro_noise_excess"),
+    ],
+)
+def test_what_is_added_is_found_back(plan: Path, effect: str, name: str) -> None:
+    """Self-consistency, of every stage that the plan can show: the same columns on both sides."""
+    run = _simulated(plan, effect)
+    assert name in (run / "bench.yaml").read_text(encoding="utf-8")
+    found = diagnose_recorded(recorded_run(run), FEW).diagnosis
+    assert found.verdict.effects == (name,)
+
+
+def test_a_proposed_plan_passes_its_checks_runs_and_is_weighed_with_the_first(plan: Path, tmp_path: Path) -> None:
+    first = recorded_run(_simulated(plan, "table_tilt=about_east:1.3"))
+    before = diagnose_recorded(first, FEW)
+    following = before.following
+    assert following is not None
+    expected = following.to_json()["expected"]
+    assert isinstance(expected, dict)
+    assert expected["probability"] > expected["probability_now"]
+    path = tmp_path / "next.yaml"
+    path.write_text(following.text, encoding="utf-8")
+    sound = check_plan(path).sound()
+    assert not sound.findings
+    assert sound.schedule.total == pytest.approx(3600 * expected["hours"])
+    assert main(["run", str(path), "--quiet", "--flushed", "--runs", str(tmp_path / "more")]) == 0
+    both = joined(first, [next((tmp_path / "more").iterdir())])
+    assert len(both.segments) == len(first.segments) + len(sound.schedule.segments)
+    times = [item.statistics.start for item in both.segments]
+    assert times == sorted(times)
+    after = diagnose_recorded(both, FEW)
+    tilt = [sum(p for n, p in d.diagnosis.posterior.probability.items() if "table_tilt" in n) for d in (before, after)]
+    assert tilt[1] > tilt[0]
