@@ -13,8 +13,9 @@ import pytest
 
 from benchmarks import __main__ as command
 from benchmarks.measuring import ROOT, ProcessFailedError, counted, figures_of
+from benchmarks.shipped_results import differences
 
-MEASURES_WITH = {"__init__", "__main__", "measuring"}
+MEASURES_WITH = {"__init__", "__main__", "measuring", "shipped_results"}
 UNIX = {"sensor_streaming": "it needs pseudo-terminals"}
 
 
@@ -122,3 +123,11 @@ def refused(number: float) -> dict[str, float]:
 )
 def test_counts_in_words(number: float, words: str) -> None:
     assert counted(number) == words
+
+
+def test_a_result_that_moved_is_found() -> None:
+    kept = {"plan": {"run": {"printed": {"estimates": [{"value": 2.0, "unit": "1"}], "analysis": "one"}}}}
+    same = {"plan": {"run": {"printed": {"estimates": [{"value": 2.0 + 1e-9, "unit": "1"}], "analysis": "two"}}}}
+    moved = {"plan": {"run": {"printed": {"estimates": [{"value": 2.0 + 1e-8, "unit": "1"}], "analysis": "one"}}}}
+    assert list(differences(kept, same)) == []
+    assert len(list(differences(kept, moved))) == 1
