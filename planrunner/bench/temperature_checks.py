@@ -20,6 +20,7 @@ class Temperatures:
         self._set = models.chamber.ambient if models.chamber else 0.0  # K, the last setpoint
         self._changes: list[tuple[float, float]] = []  # when [s] and by how much [K] it changed
         self._reached = 0.0  # s, when the air was within tolerance of it
+        self._warned: float | None = None  # of which change a soak was found too short, by when it was reached
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
         """Seconds until the air is there, from `now` [s]."""
@@ -54,13 +55,15 @@ class Temperatures:
             self._log.warning("physics-ramp", mark, message, f"dwell for {_minutes(seconds)}")
 
     def check_soaked(self, label: str, now: float, soak: float, mark: Mark) -> None:
-        """Warns where the sensor's declared lag leaves it further from the setpoint than the chamber's tolerance as the dwell begins."""
-        if self._chamber is None or not self._lag:
+        """Warns where the sensor's declared lag leaves it further from the setpoint than the chamber's tolerance as the dwell begins; once
+        for each change of the setpoint, since the soak that the first segment needs is enough for those after it."""
+        if self._chamber is None or not self._lag or self._warned == self._reached:
             return
         left = self._behind(now)
         tolerance = self._chamber.tolerance
         if abs(left) <= tolerance:
             return
+        self._warned = self._reached
         low, high = now, now + self._lag
         while abs(self._behind(high)) > tolerance:
             low, high = high, high + self._lag

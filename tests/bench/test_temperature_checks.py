@@ -77,6 +77,9 @@ def test_a_soak_is_held_against_the_declared_lag(found: Callable[..., dict[str, 
     assert "physics-soak" not in found("{label: same, temperature: 25 degC}")  # nothing changes
     measured = "{label: cold, temperature: -40 degC, soak: {temperature_drift: 0.1 K/min, for: 2 min, within: 2 h}}"
     assert "physics-soak" not in found(measured)  # the readings decide
+    two = "{label: cold, temperature: -40 degC, dwell: 1 s}", "{label: again, temperature: -40 degC, dwell: 1 s}"
+    assert len(found(*two)["physics-soak"]) == 1  # the second waits for the same change
+    assert len(found(*two, "{label: hot, temperature: 60 degC}")["physics-soak"]) == 2
 
 
 def test_what_a_ramp_left_behind_counts(found: Callable[..., dict[str, list[Finding]]]) -> None:
