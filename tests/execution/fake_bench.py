@@ -18,17 +18,17 @@ EAST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class Calls(list[str]):
-    """What was asked of the bench, in order. `fail_at` names a call that raises `error` when it comes; `then` is called after each."""
+    """What was asked of the bench, in order. `fail_at` names a call that raises a new `error`; `then` is called after each call."""
 
     fail_at: str = ""
-    error: BaseException = InstrumentError("the cable is out")
+    error: type[BaseException] = InstrumentError
     clock: Any = None
     then: Callable[[str], None] | None = None
 
     def note(self, call: str) -> None:
         self.append(call)
         if self.fail_at and call.startswith(self.fail_at):
-            raise self.error
+            raise self.error("the cable is out")
         if self.then is not None:
             self.then(call)
 

@@ -106,16 +106,14 @@ CALLS = (
 
 
 @pytest.mark.parametrize("call", CALLS)
-@pytest.mark.parametrize(
-    "error", [InstrumentError("the cable is out"), ZeroDivisionError("x"), SystemExit(9), MemoryError()]
-)
-def test_a_failing_driver_leaves_the_bench_safe(tmp_path: Path, call: str, error: BaseException) -> None:
+@pytest.mark.parametrize("kind", [InstrumentError, ZeroDivisionError, SystemExit, MemoryError])
+def test_a_failing_driver_leaves_the_bench_safe(tmp_path: Path, call: str, kind: type[BaseException]) -> None:
     bench = make_bench()
-    bench.calls.fail_at, bench.calls.error = call, error
+    bench.calls.fail_at, bench.calls.error = call, kind
     outcome, reader = carry_out(tmp_path, bench, mixed_schedule())
     assert not outcome.finished
     assert len(outcome.failures) == 1
-    assert outcome.failures[0].kind == type(error).__name__
+    assert outcome.failures[0].kind == kind.__name__
     assert [name for name in bench.calls if name.endswith("safe")] == ["table.safe", "chamber.safe", "sensor.safe"]
     failing = max(index for index, name in enumerate(bench.calls) if name.startswith(call))
     assert bench.calls.index("table.safe") >= failing or call.endswith("checkpoint")

@@ -72,7 +72,7 @@ def test_third_interrupt_breaks_into_a_driver_that_does_not_return(tmp_path: Pat
 
 def test_keyboard_interrupt_without_handlers(tmp_path: Path) -> None:
     bench = make_bench()
-    bench.calls.fail_at, bench.calls.error = "sensor.stream P2", KeyboardInterrupt()
+    bench.calls.fail_at, bench.calls.error = "sensor.stream P2", KeyboardInterrupt
     outcome, _ = carry_out(tmp_path, bench, mixed_schedule())
     assert (outcome.completed, outcome.stopped, outcome.failures) == (1, "at once", ())
     assert bench.calls[-1] == "sensor.safe"
