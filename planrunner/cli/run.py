@@ -67,4 +67,4 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
-    return finish(running.analyse_run(folder), as_json=args.json)
+    return finish(running.analyse_run(folder, checked=sound), as_json=args.json)

@@ -61,6 +61,6 @@ def run(args: argparse.Namespace) -> int:
     out = sys.stderr if args.json else sys.stdout
     for line in made.words() or ["Nothing was added."]:
         print(f"added {line}" if made.additions else line, file=out)
-    code = finish(running.analyse_run(folder), as_json=args.json)
+    code = finish(running.analyse_run(folder, checked=made.sound), as_json=args.json)
     print(folder, file=out)
     return code

@@ -119,42 +119,30 @@ class Sound:
 
 
 @dataclass(frozen=True, slots=True)
-class BenchFile:
-    """The bytes of a bench file, and its name in messages."""
+class Document:
+    """The bytes of a plan or bench file, and the name that findings show for it."""
 
     data: bytes
     shown: str
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
-    """A plan and a bench that were read, and verified, before."""
-
-    plan: bytes
-    bench: BenchFile
-
-
 def check_plan(
-    path: Path,
-    bench: str | None = None,
-    bench_path: Path | None = None,
-    today: date | None = None,
-    given: Given | None = None,
+    plan_file: Path | Document, bench: str | Path | Document | None = None, today: date | None = None
 ) -> Checked:
-    """Everything that can be said of a plan before it runs. Never raises for what the files hold.
+    """Everything that can be said of a plan before it runs. Never raises for what the files contain.
 
-    bench: use this bench instead of the plan's own (a shipped name or a file relative to the working folder); bench_path: use exactly
-    this file. today: the day that calibrations must hold on, the present one without it. given: what both files hold, which are then not
-    read; `path` is for messages alone.
+    plan_file: where the plan is, or the plan itself; its own bench is then sought beside the name that it shows. bench: used instead of
+    the plan's own: a shipped name or a file relative to the working folder, exactly this path, or the bench itself. today: the day that
+    calibrations must hold on, the present one without it.
     """
-    checked = Checked(str(path), Findings())
+    checked = Checked(plan_file.shown if isinstance(plan_file, Document) else str(plan_file), Findings())
     try:
-        checked.plan_bytes = source.read_bytes(path) if given is None else given.plan
-        text = source.decode(checked.plan_bytes, str(path))
+        checked.plan_bytes = plan_file.data if isinstance(plan_file, Document) else source.read_bytes(plan_file)
+        text = source.decode(checked.plan_bytes, checked.file)
     except InputError as error:
         checked.findings = Findings(list(error.findings))
         return checked
-    plan, checked.findings = parse_plan(text, str(path))
+    plan, checked.findings = parse_plan(text, checked.file)
     if plan is None:
         return checked
     checked.plan = plan
@@ -162,8 +150,8 @@ def check_plan(
     stated = expand(plan, log)
     reports = report_names()
     check_meaning(plan, stated, reports, log)
-    if _find_bench(checked, plan, path, bench, bench_path, given):
-        named = plan.origin.parts("bench") if bench is None and bench_path is None and given is None else ()
+    if _find_bench(checked, plan, bench):
+        named = plan.origin.parts("bench") if bench is None else ()
         with log.resting_on(*named):
             _check_physics(checked, plan, stated)
         if checked.bench is not None:
@@ -183,23 +171,20 @@ def report_names() -> tuple[str, ...]:
     return tuple(name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis.")))
 
 
-def _find_bench(
-    checked: Checked, plan: Plan, path: Path, bench: str | None, bench_path: Path | None, given: Given | None
-) -> bool:
+def _find_bench(checked: Checked, plan: Plan, bench: str | Path | Document | None) -> bool:
     try:
-        if given is not None:
-            file = given.bench
-            found = bench_of(file.data, file.shown), file.data, file.shown
-        elif bench_path is not None:
-            found = read_bench(str(bench_path), None)
+        if isinstance(bench, Document):
+            found = bench_of(bench.data, bench.shown), bench.data, bench.shown
+        elif isinstance(bench, Path):
+            found = read_bench(str(bench), None)
         elif bench is not None:
             found = read_bench(bench, Path())
         else:
-            found = read_bench(plan.bench, path.parent)
+            found = read_bench(plan.bench, Path(checked.file).parent)
     except InputError as error:
         missing = all(finding.code in ("file-missing", "meaning-unknown-bench") for finding in error.findings)
         for finding in error.findings:
-            mark = plan.at("bench") if missing and bench is None and bench_path is None else finding.mark
+            mark = plan.at("bench") if missing and bench is None else finding.mark
             checked.findings.error(finding.code, mark, finding.message, finding.hint)
         return False
     checked.bench, checked.bench_bytes, _ = found

@@ -13,7 +13,6 @@ nonlinearity, which a scale-factor test reports too.
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +22,6 @@ from numpy.typing import NDArray
 
 from planrunner.base import plugins
 from planrunner.base.findings import Findings, InputError
-from planrunner.bench.model import locate
 from planrunner.design import bundles
 from planrunner.estimators.interface import Coefficient, Design, DesignBlock, DesignRequest, EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis, spin_up_time
@@ -33,7 +31,7 @@ from planrunner.plan.model import Turns
 from planrunner.plan.rewriting import RewriteError, with_rates
 from planrunner.plan.schedule import Segment, Spin
 from planrunner.plan.selection import Detection, select
-from planrunner.tasks.check import Checked, check_plan
+from planrunner.tasks.check import Checked, Document, check_plan
 
 Array = NDArray[np.float64]
 
@@ -379,13 +377,7 @@ class _RateDesigner:
 
     def _with(self, text: str) -> Checked:
         """The plan with other rates, checked on the same bench."""
-        given = Path(self.checked.file)
-        assert self.checked.plan is not None
-        bench, _ = locate(self.bench, Path()) if self.bench else locate(self.checked.plan.bench, given.parent)
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / given.name
-            path.write_text(text, encoding="utf-8", newline="")
-            checked = check_plan(path, bench_path=bench)
+        checked = check_plan(Document(text.encode(), self.checked.file), self.bench)
         if checked.schedule is None or self.sweep.name not in checked.designs:
             raise InputError(checked.findings)
         return checked

@@ -21,7 +21,7 @@ from planrunner.plan.expand import expand
 from planrunner.plan.orientation import Orientation, in_words
 from planrunner.plan.rewriting import RewriteError, with_dwells, with_orientations
 from planrunner.plan.schedule import Schedule
-from planrunner.tasks.check import Checked, check_plan
+from planrunner.tasks.check import Checked, Document, check_plan
 
 Place = tuple[int, int]
 """(line, column) of what is changed in the plan."""
@@ -41,14 +41,16 @@ def write_plan(study: Proposal, path: Path, bench: str | None = None) -> Checked
     `EstimationError` rather than writing over the plan that was designed for."""
     if path.exists() and path.samefile(study.checked.file):
         raise EstimationError(f"{path} is the plan itself: write to another file")
+    data = study.text.encode()
+    checked = check_plan(Document(data, str(path)), bench)
+    checked.sound()
     aside = path.with_name(f".{path.name}.tmp")
-    aside.write_text(study.text, encoding="utf-8", newline="")
     try:
-        check_plan(aside, bench=bench).sound()
+        aside.write_bytes(data)
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
-    return check_plan(path, bench=bench)
+    return checked
 
 
 def moved(checked: Checked, attitudes: Mapping[Place, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:

@@ -43,7 +43,7 @@ from planrunner.reporting.context import CertificateFacts, ReportContext
 from planrunner.reporting.report import render_report
 from planrunner.reporting.verdict import Headline
 from planrunner.tasks.certify import ISSUED, facts, issued_as, not_before, obstacles, recorded_information
-from planrunner.tasks.check import BenchFile, Given, Sound, check_plan
+from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.report import report_context
 
 RESULTS = "results.json"
@@ -159,7 +159,7 @@ def _resume(
     progress: ProgressCallback | None,
     operator: Operator | None,
     retake: Retake | None,
-    file: BenchFile | None,
+    file: Document | None,
     *,
     trust_bench: bool,
 ) -> Outcome:
@@ -190,7 +190,7 @@ def _resume(
     return _carry_out(sound, data_root, seed, reopen, stop, progress, operator)[1]
 
 
-def _stand_in(reader: RunReader, bench: str) -> BenchFile:
+def _stand_in(reader: RunReader, bench: str) -> Document:
     """A bench to be used instead of the run's. Raises `InputError` for one on which the run would be another one."""
     path, shown = locate(bench, Path())
     data = source.read_bytes(path, shown)
@@ -200,7 +200,7 @@ def _stand_in(reader: RunReader, bench: str) -> BenchFile:
         message = f"this bench is not the one that the run began on: {', '.join(other[:5])}{more} differ"
         hint = f"it may differ in {', '.join(REACHED_BY)} of instruments only: copy the folder's bench.yaml, and change these"
         raise InputError.at(Mark(shown), "run-other-bench", message, hint)
-    return BenchFile(data, shown)
+    return Document(data, shown)
 
 
 def _require_made_here(reader: RunReader, sound: Sound) -> None:
@@ -295,24 +295,27 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
     return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
 
 
-def sound_run(reader: RunReader, today: date | None = None, bench: BenchFile | None = None) -> Sound:
+def sound_run(reader: RunReader, today: date | None = None, bench: Document | None = None) -> Sound:
     """The plan and bench of a run folder, checked as before it ran. Raises `InputError` when they no longer pass.
 
     today: the day that calibrations must hold on; the one on which the run was made without it. bench: used instead of the folder's.
     """
     made = datetime.fromisoformat(reader.run["created"]).astimezone().date()
-    given = Given(reader.plan_bytes, bench or BenchFile(reader.bench_bytes, str(reader.path / "bench.yaml")))
-    return check_plan(reader.path / "plan.yaml", today=today or made, given=given).sound()
+    plan = Document(reader.plan_bytes, str(reader.path / "plan.yaml"))
+    bench = bench or Document(reader.bench_bytes, str(reader.path / "bench.yaml"))
+    return check_plan(plan, bench, today or made).sound()
 
 
-def analyse_run(run: Path, issue: Issue | None = None) -> Analysis:
+def analyse_run(run: Path, issue: Issue | None = None, checked: Sound | None = None) -> Analysis:
     """Estimate from a run's recording alone; write results and reports as a new analysis.
+
+    checked: the plan as it was checked for this run, which is not checked again if the folder contains the same plan and bench.
 
     issue: which reports and the information for them; without it, the plan's. A certificate that the plan asks for and that cannot be
     issued is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
     """
     issue = issue or Issue()
-    made = _analyse(run, issue, kept=True)
+    made = _analyse(run, issue, checked, kept=True)
     reports = tuple(dict.fromkeys(issue.reports or made.sound.plan.report))
     withheld: tuple[Finding, ...] = ()
     if any(is_certificate(name) for name in reports):
@@ -366,10 +369,11 @@ class _Made:
     shown: CertificateFacts
 
 
-def _analyse(run: Path, issue: Issue, *, kept: bool = False) -> _Made:
+def _analyse(run: Path, issue: Issue, checked: Sound | None = None, *, kept: bool = False) -> _Made:
     """kept: whether it becomes the run's next analysis, whose number its reports then show."""
     reader = RunReader.open(run)
-    sound = sound_run(reader)
+    same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
+    sound = checked if checked is not None and same else sound_run(reader)
     recording = reader.recording(sound.schedule)
     setup = replace(sound.setup, information=recorded_information(reader))
     results = analyse(sound.plan.estimates, sound.plan.limits, recording, sound.models.site, sound.sensor, setup)

@@ -6,7 +6,6 @@ file run tomorrow has it again.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -19,7 +18,7 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import driver_of, runs_on_virtual_clock
 from planrunner.error_model.virtual_instrument import AddedEffects
 from planrunner.plan import source
-from planrunner.tasks.check import Sound, check_plan
+from planrunner.tasks.check import Document, Sound, check_plan
 
 if TYPE_CHECKING:
     from planrunner.error_model.added import Addition
@@ -53,11 +52,10 @@ def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulat
     if not effects:
         return Simulation(sound, ())
     additions = _additions(sound, effects)
-    text = source.decode(sound.bench_bytes, str(plan))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bench.yaml"
-        path.write_text(with_effects(text, additions), encoding="utf-8", newline="")
-        return Simulation(check_plan(plan, bench_path=path, today=date.today()).sound(), additions)
+    shown = sound.bench.origin.mark.file
+    text = with_effects(source.decode(sound.bench_bytes, shown), additions)
+    added = Document(text.encode(), shown)
+    return Simulation(check_plan(Document(sound.plan_bytes, sound.file), added, date.today()).sound(), additions)
 
 
 def stated(item: Addition) -> dict[str, str]:

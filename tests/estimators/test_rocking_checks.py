@@ -25,7 +25,7 @@ def checked(folder: Path, *changes: tuple[str, str], bench: tuple[str, str] | No
         assert bench[0] in table
         table = table.replace(*bench)
     (folder / "bench.yaml").write_text(table, encoding="utf-8")
-    return check_plan(folder / "plan.yaml", bench_path=folder / "bench.yaml")
+    return check_plan(folder / "plan.yaml", bench=folder / "bench.yaml")
 
 
 def rocking(found: Checked) -> list[tuple[str, str, str]]:

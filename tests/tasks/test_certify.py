@@ -50,7 +50,7 @@ def own_bench(folder: Path, *replacements: tuple[str, str]) -> Path:
 
 
 def missing(path: Path, bench: Path | None = None) -> list[str]:
-    checked = check_plan(path, bench_path=bench)
+    checked = check_plan(path, bench=bench)
     return [str(item) for item in checked.findings.errors if item.code == "report-certificate-missing"]
 
 

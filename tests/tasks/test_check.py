@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from planrunner.tasks.check import Checked, check_plan
+from planrunner.cli import main
+from planrunner.tasks.check import Checked, Document, check_plan
 from tests.conftest import FLAGSHIP, ROOT
 
 Write = Callable[..., Path]
@@ -39,6 +40,27 @@ def test_the_patents_printed_first_position_is_refused_where_it_stands(plan_file
     assert finding.mark.column == path.read_text().splitlines()[finding.mark.line - 1].index("{") + 1
     for repair in ("{x: up, y: north, z: west}", "{x: up, y: west, z: south}", "{x: up, y: east, z: north}"):
         assert repair in finding.hint
+
+
+def test_a_plan_and_a_bench_that_are_no_files_are_checked_alike(plan_file: Write) -> None:
+    path = plan_file((P1, "P1: {x: up, y: west, z: north}"))
+    bench = ROOT / "plans" / "benches" / "virtual.yaml"
+    in_memory = check_plan(Document(path.read_bytes(), str(path)), Document(bench.read_bytes(), str(bench)))
+    assert list(map(str, in_memory.findings)) == list(map(str, check_plan(path, bench).findings))
+    assert in_memory.findings.errors
+    empty = check_plan(path, Document(b"", "given.yaml")).findings.errors
+    assert any(finding.mark.file == "given.yaml" for finding in empty)
+
+
+def test_a_run_checks_its_plan_once(plan_file: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def again(*given: object) -> Checked:
+        raise AssertionError("checked again")
+
+    monkeypatch.setattr("planrunner.tasks.run.check_plan", again)
+    settings = ["--set", "device_serial=1", "--set", "operator=demo", "--quiet"]
+    assert main(["run", str(plan_file()), *settings, "--runs", str(tmp_path)]) == 0
+    (folder,) = (path for path in tmp_path.iterdir() if (path / "run.json").exists())
+    assert (folder / "analyses" / "1" / "results.json").exists()
 
 
 def test_all_errors_in_one_run(plan_file: Write) -> None:
