@@ -30,9 +30,9 @@ def from_bytes(data: bytes) -> Any:
     try:
         value = _decode(data.decode("utf-8"))
     except RecursionError:
-        raise ValueError(f"more than {MOST_LEVELS} brackets within each other") from None
+        raise ValueError(f"more than {MOST_LEVELS} nested brackets") from None
     if data.count(b"{") + data.count(b"[") > MOST_LEVELS and _too_deep(value):
-        raise ValueError(f"more than {MOST_LEVELS} brackets within each other")
+        raise ValueError(f"more than {MOST_LEVELS} nested brackets")
     return value
 
 
@@ -80,7 +80,10 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
         raise IntegrityError(f"{path}: not JSON: {str(error)[:200]}; {FROM_BACKUP}") from None
     version = value.get(version_key) if isinstance(value, dict) else None
     if type(version) is int and version > newest:
-        raise IntegrityError(f"{path}: format {version}; this planrunner reads up to {newest}: use a newer planrunner")
+        raise IntegrityError(
+            f"{path}: format {version}; this version of planrunner reads up to {newest}: use a "
+            f"newer version of planrunner"
+        )
     fault = _check_of(name)(value)
     if fault is not None:
         place, _, what = fault.partition(": ")

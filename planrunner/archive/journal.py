@@ -140,9 +140,9 @@ class JournalScan:
                     raise self._error(f"is beyond the {MOST_EVENTS} events that a journal can have")
                 event = self._event(line)
                 if event.get("previous") != self.head:
-                    raise self._error("does not carry the digest of the line before")
+                    raise self._error("does not contain the digest of the line before")
                 if event.get("seq") != self.count + 1:
-                    raise self._error("is not numbered as its place is")
+                    raise self._error("has a number that does not match its position")
                 self.head = hashlib.sha256(line[:-1]).hexdigest()
                 self.count += 1
                 self.size += len(line)

@@ -148,7 +148,9 @@ def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[Jour
             if fault is None and (scan.count == 1) != (event["event"] == "created"):
                 fault = "is in the wrong place: only the first event, and always the first, describes the creation of the run"
             if fault is not None:
-                raise IntegrityError(f"{path}:{scan.count}: this event {fault}; was it written by a newer planrunner?")
+                raise IntegrityError(
+                    f"{path}:{scan.count}: this event {fault}; was it written by a newer version of planrunner?"
+                )
             state.take(event)
     except NotOrdinaryError as error:
         raise IntegrityError(f"{path}: {error.strerror}; {formats.FROM_BACKUP}") from None

@@ -19,9 +19,9 @@ class FolderLock:
         try:
             self._file = ExclusiveFile(folder.path / NAME, opened=folder.open_or_make(NAME))
         except HeldError:
-            hint = "wait until the other one ends, or stop it"
+            hint = "wait until that process ends, or stop it"
             raise InputError.at(
-                Mark(str(folder.path)), "run-in-use", "another planrunner writes this run", hint
+                Mark(str(folder.path)), "run-in-use", "another planrunner process is writing this run", hint
             ) from None
 
     def release(self) -> None:

@@ -48,7 +48,7 @@ def state_folder() -> Path:
             return _home() / "Library" / "Application Support" / "planrunner"
         return Path(os.environ.get("XDG_STATE_HOME") or _home() / ".local" / "state") / "planrunner"
     except (RuntimeError, OSError):
-        raise OriginUnknownError(f"this user has no home folder; name a folder of your own in {STATE}") from None
+        raise OriginUnknownError(f"this user has no home folder; give a folder of your own in {STATE}") from None
 
 
 def _home() -> Path:
@@ -103,7 +103,7 @@ def _key(make: bool) -> bytes:
         return b""
     except (OSError, UntrustedFolderError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise OriginUnknownError(f"{path}: {why}; name a folder of your own in {STATE}") from None
+        raise OriginUnknownError(f"{path}: {why}; give a folder of your own in {STATE}") from None
 
 
 def _make_key(folder: GuardedFolder) -> None:
@@ -146,5 +146,5 @@ def _read_key(folder: GuardedFolder) -> bytes:
     if sys.platform != "win32" and (status.st_uid != this_user() or status.st_mode & 0o077):
         raise OriginUnknownError(f"{folder.path / KEY} belongs to another user, or others may read it: remove it")
     if len(key) != KEY_BYTES:
-        raise OriginUnknownError(f"{folder.path / KEY} is no key: remove it")
+        raise OriginUnknownError(f"{folder.path / KEY} is not a key: remove it")
     return key

@@ -109,7 +109,7 @@ class RunReader:
             known = item.index < len(schedule.segments)
             if not (known and spelt_alike(item.label, schedule.segments[item.index].label)):
                 message = f"segment {item.index + 1} was recorded as '{item.label}', which the plan does not have there"
-                raise IntegrityError(f"{self.path}: {message}; was planrunner updated since?")
+                raise IntegrityError(f"{self.path}: {message}; has planrunner been updated since?")
             first = SegmentData(self.folder, item.parts[0]) if item.parts else None
             units = {} if first is None else first.units
             read = partial(self.blocks, item)
@@ -132,12 +132,14 @@ class RunReader:
         for data in chain(() if first is None else (first,), read):
             first = None
             if units is not None and data.units != units:
-                raise IntegrityError(f"{data.path}: its columns are not those of the segment's first part")
+                raise IntegrityError(f"{data.path}: its columns differ from those of the segment's first part")
             units = data.units
             for block in data.blocks(channels):
                 if len(block.time):
                     if not block.time[0] > last:
-                        raise IntegrityError(f"{data.path}: its time does not increase after the part before it")
+                        raise IntegrityError(
+                            f"{data.path}: its first time is not later than the end of the part before it"
+                        )
                     last = float(block.time[-1])
                 yield block
 

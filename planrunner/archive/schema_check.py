@@ -60,7 +60,7 @@ def _compiled(schema: Any, whole: Mapping[str, Any], known: dict[str, list[Check
     if "items" in rest:
         checks.append(_items(_compiled(rest.pop("items"), whole, known)))
     if rest:
-        raise ValueError(f"this schema uses what is not checked here: {', '.join(sorted(rest))}")
+        raise ValueError(f"this schema uses keywords that are not supported here: {', '.join(sorted(rest))}")
     return checks[0] if len(checks) == 1 else _all_of(checks)
 
 
@@ -154,7 +154,7 @@ def _date_time(value: Any) -> str | None:
             return None
     except ValueError:
         pass
-    return f": {_shown(value)} is no time with an offset to UTC, such as 2026-03-01T12:00:00+00:00"
+    return f": {_shown(value)} is not a time with an offset to UTC, such as 2026-03-01T12:00:00+00:00"
 
 
 def _date(value: Any) -> str | None:
@@ -165,7 +165,7 @@ def _date(value: Any) -> str | None:
             return None
     except ValueError:
         pass
-    return f": {_shown(value)} is no date, such as 2026-03-01"
+    return f": {_shown(value)} is not a date, such as 2026-03-01"
 
 
 _FORMATS: dict[str, Check] = {"date-time": _date_time, "date": _date}
@@ -204,7 +204,7 @@ def _object(properties: Mapping[str, Check], required: Sequence[str], other: Che
         for name, item in value.items():
             one = known.get(name, other)
             if one is None:
-                return f": it has a key that is not known, {_shown(name)}"
+                return f": it has an unknown key, {_shown(name)}"
             fault = one(item)
             if fault is not None:
                 return f"/{name[:40]}{fault}"

@@ -51,10 +51,10 @@ def seal_faults(path: Path, seal: Mapping[str, Any], scan: JournalScan, state: J
     """
     sealed = seal["journal"]
     if sealed["events"] > scan.count:
-        yield (f"{path}: the seal counts {sealed['events']} events, the journal has {scan.count} that are whole")
+        yield (f"{path}: the seal counts {sealed['events']} events, but the journal has {scan.count} complete events")
         return
     if scan.heads.get(sealed["events"]) != sealed["head"]:
-        yield f"{path}: the journal is not the one that was sealed"
+        yield f"{path}: this is not the journal that was sealed"
         return
     known = {part.file: part.sha256 for part in state.files()} | state.created["files"]
     for name, value in seal["files"].items():
@@ -62,4 +62,4 @@ def seal_faults(path: Path, seal: Mapping[str, Any], scan: JournalScan, state: J
             yield f"{path}: the digest of {name} is not the one in the journal"
     if sealed["events"] == scan.count:
         for name in sorted(set(known) - set(seal["files"])):
-            yield f"{path}: it does not list {name}, which the journal knows"
+            yield f"{path}: it does not list {name}, which is in the journal"

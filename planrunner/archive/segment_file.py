@@ -85,7 +85,9 @@ class SegmentWriter:
         part_seconds: float = PART_SECONDS,
     ):
         if "time" in channels:
-            raise InstrumentError("the sensor has a channel named 'time', which is the recording's own: rename it")
+            raise InstrumentError(
+                "the sensor has a channel named 'time', which is reserved for the recording: rename it"
+            )
         if len(channels) >= MOST_COLUMNS:
             raise InstrumentError(
                 f"the sensor has {len(channels)} channels; a recording takes {MOST_COLUMNS - 1} at most"
@@ -153,15 +155,15 @@ class SegmentWriter:
     def _check(self, block: Block) -> None:
         if set(block.channels) != set(self.channels):
             got, want = ", ".join(block.channels), ", ".join(self.channels)
-            raise InstrumentError(f"the sensor gave the channels {got} where it had announced {want}")
+            raise InstrumentError(f"the sensor gave the channels {got} but had announced {want}")
         count = len(block.time)
         if any(len(values) != count for values in block.channels.values()):
             raise InstrumentError("the sensor gave a block whose channels differ in length")
         if count:
             if not (block.time[0] > self._last_time and (count == 1 or bool(np.all(np.diff(block.time) > 0)))):
                 raise InstrumentError(
-                    f"the sensor's time does not increase after {self._last_time:.6f} s: look at its clock, or at "
-                    "the recording"
+                    f"the sensor's time does not increase after {self._last_time:.6f} s: check its clock, or the "
+                    "recording"
                 )
             self._last_time = float(block.time[-1])
 
@@ -357,7 +359,7 @@ class SegmentData:
         version = (schema.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
         if version != str(FORMAT):
             raise IntegrityError(
-                f"{self.path}: segment format {version[:40]!r}; this planrunner reads {FORMAT}: use a newer planrunner"
+                f"{self.path}: segment format {version[:40]!r}; this planrunner reads {FORMAT}: use a newer version of planrunner"
             )
 
     def _check_shape(self, part: Part, schema: Any) -> None:
@@ -368,7 +370,7 @@ class SegmentData:
         groups = [about.row_group(number) for number in range(about.num_row_groups)]
         columns = len(schema.names)
         if about.num_rows != part.rows or sum(group.num_rows for group in groups) != part.rows:
-            raise self._foreign(f"it holds {about.num_rows} rows, the journal counts {part.rows}")
+            raise self._foreign(f"it holds {about.num_rows} rows, but the journal counts {part.rows}")
         if not 1 <= columns <= MOST_COLUMNS or len(set(schema.names)) != columns or "time" not in schema.names:
             raise self._foreign("its columns must be time and channels, with different names")
         if any(field.type != pa.float64() for field in schema) or about.num_columns != columns:
@@ -381,7 +383,7 @@ class SegmentData:
                 if column.physical_type != "DOUBLE" or column.num_values != group.num_rows:
                     raise self._foreign("its tables contradict each other")
                 if column.total_uncompressed_size > MOST_BYTES:
-                    raise self._foreign("its samples would need more memory than a part does")
+                    raise self._foreign("its samples would need more memory than a part may use")
 
     def _later(self, time: NDArray[np.float64], last: float) -> float:
         """The last time of a block whose times are finite and increase from `last` on, as the writer takes them."""

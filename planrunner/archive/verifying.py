@@ -102,7 +102,9 @@ def open_run(path: Path) -> GuardedFolder:
     except (OSError, ValueError):
         known = False
     if not known:
-        raise InputError.at(Mark(str(path)), "run-not-found", "this is not a run folder", "give a folder beneath runs/")
+        raise InputError.at(
+            Mark(str(path)), "run-not-found", "this is not a run folder", "give a run folder, such as one in runs/"
+        )
     return folder
 
 
@@ -185,7 +187,7 @@ def _read_analyses(found: Examined, standing: Recorded) -> None:
         found.error("run-analysis-chain", f"{path / str(number)}: this analysis is missing, but later ones exist")
     for name, entry in entries.items():
         if name.isdecimal() and entry.kind != "folder":
-            found.error("run-changed", f"{path / name}: it is {entry.what}, where a folder belongs")
+            found.error("run-changed", f"{path / name}: it is {entry.what}, but a folder is expected here")
         elif name not in known and not _aside(name, entry, "folder"):
             found.unknown.append((path / name, entry))
 
@@ -209,7 +211,7 @@ def _check_given(found: Examined) -> None:
         if name not in (RUN, PLAN, BENCH):
             found.error(
                 "run-changed",
-                f"{found.folder.path / JOURNAL}:1: it names a file that no run begins with, {name[:60]!r}",
+                f"{found.folder.path / JOURNAL}:1: it names a file that does not belong to the start of a run, {name[:60]!r}",
             )
             continue
         data = _read(found, name, MOST_GIVEN)
@@ -224,7 +226,7 @@ def _check_given(found: Examined) -> None:
         with _collecting(found):
             found.run = formats.parse_json(found.given[RUN], path, "run", "planrunner_run", formats.RUN_FORMAT)
         if found.run and found.run["run"] != found.state.created["run"]:
-            found.error("run-changed", f"{path}: its name of the run is not the one in the journal")
+            found.error("run-changed", f"{path}: its name of the run differs from the one in the journal")
 
 
 def _check_seal(found: Examined, standing: Recorded) -> None:
@@ -238,22 +240,26 @@ def _check_seal(found: Examined, standing: Recorded) -> None:
     )
     torn = found.scan.torn and f"; the last line is not whole: {found.scan.torn} bytes were not acknowledged"
     if seals.NAME not in standing and found.sealed_before:
-        found.error("run-seal-removed", f"{path / seals.NAME}: the run was sealed, and its seal is missing")
+        found.error("run-seal-removed", f"{path / seals.NAME}: the run was sealed, but its seal is missing")
     elif seals.NAME not in standing and found.state.finished and not _written(found):
-        message = f"{path / seals.NAME}: the run is finished, and its seal is missing: it was never written, or it was removed"
+        message = f"{path / seals.NAME}: the run is finished, but its seal is missing: the seal was never written, or it was removed"
         found.error(
             "run-seal-missing",
             message,
-            "where planrunner was ended before it was written, `planrunner resume` seals the run",
+            "if planrunner ended before it wrote the seal, `planrunner resume` seals the run",
         )
     elif found.seal is None or not found.state.finished:
         again = found.seal is not None and "it was opened again after it was sealed, and is not finished: "
-        message = f"{again or ''}not sealed: its data may still grow, and what was taken away at its end does not show{torn or ''}"
+        message = (
+            f"{again or ''}not sealed: more data may follow, and data removed at its end cannot be detected{torn or ''}"
+        )
         found.findings.warning("run-not-sealed", Mark(str(path)), message, "finish it with `planrunner resume`")
     elif found.scan.torn:
-        message = f"{path / JOURNAL}: behind the sealed events stand {found.scan.torn} bytes that do not form an event"
+        message = (
+            f"{path / JOURNAL}: after the sealed events there are {found.scan.torn} bytes that do not form an event"
+        )
         found.error(
-            "run-journal-torn", message, "take a segment again with `planrunner resume --retake`, which cuts them off"
+            "run-journal-torn", message, "record a segment again with `planrunner resume --retake`, which removes them"
         )
 
 
@@ -274,21 +280,22 @@ def _check_chain(found: Examined) -> None:
         if basis is None:
             if before is not None and before.basis is not None:
                 found.error(
-                    "run-analysis-chain", f"{path}: an older planrunner's, without the digest of the one before it"
+                    "run-analysis-chain",
+                    f"{path}: made by an older version of planrunner, without the digest of the analysis before it",
                 )
         else:
             follows = before is None or before.number == analysis.number - 1
             if follows and analysis.digests["previous"] != (FIRST if before is None else before.digest):
                 found.error(
                     "run-analysis-chain",
-                    f"{path}: it does not carry the digest of the analysis before it: one of the two was changed or "
-                    "exchanged",
+                    f"{path}: it does not contain the digest of the analysis before it: one of the two was changed or "
+                    "replaced",
                 )
             if found.scan.heads.get(basis.events) != basis.head:
                 message = (
-                    f"{path}: the analysis was made from another journal, or the journal was cut: it counted "
-                    f"{basis.events} events, "
-                    f"there are {found.scan.count}"
+                    f"{path}: the analysis was made from another journal, or the journal was shortened: the analysis counted "
+                    f"{basis.events} events, the journal "
+                    f"has {found.scan.count}"
                 )
                 found.error("run-analysis-chain", message)
             elif _follows_seal(found, basis) and basis.seal != found.seal_digest:
@@ -307,7 +314,9 @@ def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
     known: dict[str, Part] = {}
     for part in found.state.files():
         if known.setdefault(part.file, part) != part:
-            found.error("run-changed", f"{found.folder.path / JOURNAL}: it knows {part.file} with two digests")
+            found.error(
+                "run-changed", f"{found.folder.path / JOURNAL}: it contains two different digests of {part.file}"
+            )
     try:
         folder = found.folder.folder(SEGMENTS)
     except OSError:
@@ -321,7 +330,7 @@ def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
         if entry is None:
             found.error("run-changed", f"{path}: the samples cannot be read: No such file or directory")
         elif entry.kind != "file":
-            found.error("run-changed", f"{path}: it is {entry.what}, where a file of one name belongs")
+            found.error("run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here")
         elif entry.size != part.bytes:
             found.error(
                 "run-changed",
@@ -335,9 +344,9 @@ def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
         if f"{SEGMENTS}/{name}" in known or _aside(name, entry, "file"):
             continue
         if name_parts(name) is not None and entry.kind == "file" and not found.state.finished:
-            message = f"{path}: these samples are not in the journal yet, and do not count"
+            message = f"{path}: these samples are not in the journal yet, and are not used"
             found.findings.warning(
-                "run-not-sealed", Mark(str(found.folder.path)), message, "`planrunner resume` settles it"
+                "run-not-sealed", Mark(str(found.folder.path)), message, "`planrunner resume` resolves this"
             )
         else:
             found.unknown.append((path, entry))
@@ -349,17 +358,19 @@ def _check_names(found: Examined, standing: Recorded) -> None:
         path = found.folder.path / name
         if name in FILES:
             if entry.kind != "file" and name in (LOCK, pausing.NAME, ORIGIN, WATCHDOG):
-                found.error("run-changed", f"{path}: it is {entry.what}, where a file of one name belongs")
+                found.error(
+                    "run-changed", f"{path}: it is {entry.what}, but a file with a single name is expected here"
+                )
         elif name not in (SEGMENTS, stored.FOLDER) and not _aside(name, entry, "file"):
             found.unknown.append((path, entry))
 
 
 def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
-    """Something that planrunner did not put there: an error once the folder was sealed, and where it is no plain file or folder."""
+    """Something that planrunner did not write: an error once the folder was sealed, and where it is no plain file or folder."""
     if entry.kind == "file" and path.name in FILE_MANAGERS:
         return
-    message = f"{path}: {entry.what} that planrunner did not put there"
-    hint = "move it elsewhere: nothing but the run belongs into its folder"
+    message = f"{path}: {entry.what} that planrunner did not write"
+    hint = "move it elsewhere: a run folder must contain only the run"
     sealed = found.sealed_before or (found.state is not None and found.state.finished)
     add = found.findings.error if sealed or entry.kind == "other" else found.findings.warning
     add("run-unknown-file", Mark(str(found.folder.path)), message, hint)

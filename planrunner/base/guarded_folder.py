@@ -115,14 +115,14 @@ class GuardedFolder:
         self._check_place()
         entry = _entry(self._status(name))
         if entry.kind != "folder":
-            raise NotOrdinaryError(path, f"it is {entry.what}, where a folder belongs")
+            raise NotOrdinaryError(path, f"it is {entry.what}, but a folder is expected here")
         if self._descriptor is None:
             return GuardedFolder(path, None, _identity(self._status(name)))
         try:
             descriptor = os.open(name, _READ | os.O_DIRECTORY | _NEVER, dir_fd=self._descriptor)
         except OSError as error:
             if error.errno in (errno.ELOOP, errno.EMLINK, errno.ENOTDIR):
-                raise NotOrdinaryError(path, "it is a link, where a folder belongs") from None
+                raise NotOrdinaryError(path, "it is a link, but a folder is expected here") from None
             raise
         return GuardedFolder(path, descriptor, _identity(os.fstat(descriptor)))
 
@@ -286,6 +286,6 @@ def _what(status: os.stat_result) -> str:
 def _require(path: Path, status: os.stat_result, limit: int | None) -> None:
     what = _what(status)
     if what != "a file":
-        raise NotOrdinaryError(path, f"it is {what}, where a file of one name belongs")
+        raise NotOrdinaryError(path, f"it is {what}, but a file with a single name is expected here")
     if limit is not None and status.st_size > limit:
         raise NotOrdinaryError(path, f"it has {status.st_size} bytes; at most {limit} belong there")

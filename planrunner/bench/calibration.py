@@ -22,14 +22,14 @@ class Calibration(Record):
     """Where figures come from and how long they hold."""
 
     certificate: str = key(
-        Text(LINE, "a certificate"), "Certificate or report that gives the figures.", "RT-0042 / 2026-117"
+        Text(LINE, "a certificate"), "Certificate or report that gives the values.", "RT-0042 / 2026-117"
     )
     date: str = key(
         Text(_DATE, "a date", "write for example 2026-03-01"), "Day of the calibration or survey.", "2026-03-01"
     )
     due: str | None = key(
         Text(_DATE, "a date", "write for example 2027-03-01"),
-        "Last day on which it may be relied on.",
+        "Last day on which the calibration is valid.",
         "2027-03-01",
         default=None,
     )
@@ -46,7 +46,7 @@ def check_dates(calibration: Calibration, log: Findings) -> None:
     days = {name: _day(getattr(calibration, name)) for name in ("date", "due")}
     for name, day in days.items():
         if day is None and getattr(calibration, name) is not None:
-            message = f"'{getattr(calibration, name)}' is no day of the calendar"
+            message = f"'{getattr(calibration, name)}' is not a calendar date"
             log.error("meaning-date", calibration.at(name), message, "write year-month-day, such as 2026-03-01")
     made, due = days["date"], days["due"]
     if made is not None and due is not None and due < made:
@@ -65,7 +65,12 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
         made, due = _day(calibration.date), _day(calibration.due)
         if made is not None and made > today:
             message = f"the calibration of {what} is dated {made}, which is after {today}"
-            log.error("bench-calibration-future", calibration.at("date"), message, "correct the date, or wait for it")
+            log.error(
+                "bench-calibration-future",
+                calibration.at("date"),
+                message,
+                "correct the date, or run on or after that date",
+            )
         if due is None:
             continue
         if due < today:
@@ -76,7 +81,7 @@ def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date,
         elif (left := due - today) <= SOON or left.days < lasts:
             when = "expires during this run" if left.days < lasts else "expires soon"
             message = f"the calibration of {what} ({calibration.certificate}) {when}, on {due}"
-            log.warning("bench-calibration-due", calibration.at("due"), message, "arrange for its calibration")
+            log.warning("bench-calibration-due", calibration.at("due"), message, "plan a recalibration")
 
 
 def _day(text: str | None) -> date | None:

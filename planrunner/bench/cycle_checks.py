@@ -23,7 +23,7 @@ Place = Callable[[str], Mark]
 """The mark of one of the motion's keys."""
 
 _UPRIGHT = math.cos(math.radians(0.1))
-_DESIGN = "`planrunner design` finds cycles that leave nothing"
+_DESIGN = "`planrunner design` finds cycles without a residual"
 
 
 def check_cycle(
@@ -36,7 +36,7 @@ def check_cycle(
         if one.kind == "rate":
             log.error("physics-rate", at("turn_rate"), one.message, "lower turn_rate")
         else:
-            hint = "choose turns that go back as they came, or begin the cycle at another position"
+            hint = "choose turns that return by the same path, or begin the cycle at another position"
             log.error("physics-cable-wrap", at("moves"), one.message, hint)
     if excess:
         return start, 0.0
@@ -45,7 +45,7 @@ def check_cycle(
         message = (
             f"the cycle turns the {axis.name} axis, which is not vertical: it modulates the errors across that axis"
         )
-        log.warning("physics-cycle-axis", at("cycle"), message, "use a bench whose outermost axis points up")
+        log.warning("physics-cycle-axis", at("cycle"), message, "use a bench whose outermost axis is vertical")
     stops, turns = cycle.integral()
     _check_residual(cycle, stops, turns, at("moves"), log)
     if abs(stops) > NOTHING * cycle.period:
@@ -56,7 +56,7 @@ def check_cycle(
             f"the cycle stands at {_deg(cycle.mean_angle)} deg on average: 10 ppm of the azimuth gyro's scale factor bias heading by "
             f"{heading:+.2g} arcsec"
         )
-        log.warning("physics-cycle-angle", at("moves"), message, "let the cycle go as far to either side")
+        log.warning("physics-cycle-angle", at("moves"), message, "let the cycle turn equally far to both sides")
     if dwell is None:
         return start, 0.0
     _check_schuler(cycle, dwell, site, at("stop"), log)
@@ -95,7 +95,7 @@ def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
         if seconds > opposite:
             unlike.append(f"{names[angle]} for {seconds:g} s a cycle, the opposite side for {opposite:g} s")
     message = f"the stops do not balance: {'; '.join(unlike)}"
-    log.warning("physics-cycle-stops", mark, message, "stop as long on opposite sides")
+    log.warning("physics-cycle-stops", mark, message, "stop equally long on opposite sides")
 
 
 def _check_schuler(cycle: RotationCycle, dwell: float, site: Site, mark: Mark, log: Findings) -> None:
@@ -107,7 +107,12 @@ def _check_schuler(cycle: RotationCycle, dwell: float, site: Site, mark: Mark, l
         f"a cycle of {cycle.period / 60:.1f} min drives the Schuler oscillation of {minutes:.1f} min: within this dwell a constant "
         f"horizontal gyro drift builds up {drive:.2g} times the oscillation that it makes without rotation"
     )
-    log.warning("physics-cycle-schuler", mark, message, "stop for shorter, so that no harmonic of the cycle is near it")
+    log.warning(
+        "physics-cycle-schuler",
+        mark,
+        message,
+        "shorten the stops, so that no harmonic of the cycle is near the Schuler frequency",
+    )
 
 
 def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) -> None:

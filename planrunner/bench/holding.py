@@ -45,7 +45,7 @@ def check_measured(state: Mapping[str, Any], marks: Mapping[str, Mark], models: 
     for name in ("soak", "settle", "watch"):
         stated = state.get(name)
         if isinstance(stated, holding_spec.Tolerated) and stated.stated() and not models.measures:
-            message = f"no instrument of this bench has live readings to hold {', '.join(stated.stated())} against"
+            message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
             add("physics-unmeasured", marks[name], message, "leave them out, or use a bench that measures them")
     watch = state.get("watch")
     if watch is None or models.counts:

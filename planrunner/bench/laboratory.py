@@ -14,11 +14,16 @@ class Laboratory(Record):
     address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")
     location: str | None = key(
         Text(LINE, "a place"),
-        "Location of the bench, if not at that address: another site, a customer's site, a mobile facility.",
+        "Location of the bench if it differs from that address: another site, a customer's site, a mobile facility.",
         "Building 7, basement",
         default=None,
     )
-    contact: str | None = key(Text(LINE, "a contact"), "How to reach it.", "calibration@example.org", default=None)
+    contact: str | None = key(
+        Text(LINE, "a contact"),
+        "Telephone, e-mail or website of the laboratory.",
+        "calibration@example.org",
+        default=None,
+    )
     accreditation: str | None = key(
         Text(LINE, "an accreditation"),
         "Accreditation body, number and scope.",
@@ -27,7 +32,7 @@ class Laboratory(Record):
     )
     traceability: str | None = key(
         Text(r"[^\x00-\x1f]{1,1000}", "a statement"),
-        "How results are traceable to the SI, beyond the calibrations that instruments and site name.",
+        "How results are traceable to the SI, in addition to the calibrations of instruments and site.",
         "Angles and rates through the table's calibration; Earth rate from the conventional value (WGS 84).",
         default=None,
     )

@@ -89,18 +89,18 @@ def lock_folder() -> Path:
             mode = place.lstat().st_mode
             if stat.S_ISDIR(mode) and mode & stat.S_ISVTX and mode & stat.S_IWGRP:
                 return trusted(place)
-    raise OSError("this computer has no folder that its users share")
+    raise OSError("this computer has no folder that all its users share")
 
 
 def _named(folder: Path) -> Path:
     """The folder that the environment names; made when absent, for all users by an administrator, for the user alone else."""
     if not folder.is_absolute():
-        raise UntrustedFolderError(f"{folder} is another folder for every process: write its whole path")
+        raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
         if folder.is_symlink():
-            raise UntrustedFolderError(f"{folder} is a link: name the folder itself") from None
+            raise UntrustedFolderError(f"{folder} is a link: give the folder itself") from None
     else:
         if sys.platform != "win32" and os.geteuid() == 0:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -141,7 +141,7 @@ def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown
             lock = ExclusiveFile(path, note, 0o666)
         except HeldError as error:
             message = f"this bench is in use: {written} is held by {str(error) or 'another process'}"
-            hint = "wait until that ends, or stop it; a lock ends with its process"
+            hint = "wait until that process ends, or stop it; the lock ends with the process"
             raise InUseError.at(Mark(shown), "bench-in-use", message, hint) from None
         except OSError as error:
             message = f"the bench cannot be locked: {path}: {error.strerror or error}"
@@ -149,18 +149,18 @@ def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown
         stack.callback(lock.release)
 
 
-_ELSEWHERE = f"let an administrator make a folder that all who use the bench may write to, with the sticky bit, and name it in {FOLDER}"
+_ELSEWHERE = f"ask an administrator to create a folder with the sticky bit, writable for all users of the bench, and name it in {FOLDER}"
 
 
 def _usable_folder(shown: str) -> Path:
     try:
         return lock_folder()
     except UntrustedFolderError as error:
-        message = f"the folder for the locks of benches is not safe: {error}"
+        message = f"the folder for bench locks is not safe: {error}"
         raise InputError.at(Mark(shown), "bench-lock", message, _ELSEWHERE) from None
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        message = f"the folder for the locks of benches cannot be used: {where}{error.strerror or error}"
+        message = f"the folder for bench locks cannot be used: {where}{error.strerror or error}"
         raise InputError.at(Mark(shown), "bench-lock", message, _ELSEWHERE) from None
 
 

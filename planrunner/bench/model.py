@@ -63,15 +63,15 @@ class SiteSpec(Record):
     )
     latitude_kind: str | None = key(
         Choice(("astronomic", "geodetic")),
-        "Which latitude that is: of the plumb line, as stars or gyros show it, or of the ellipsoid, as satellites "
-        "and maps give it; "
-        "taken for both without it.",
+        "Kind of the latitude: astronomic (of the plumb line, as measured with stars or gyros) or geodetic (of the "
+        "ellipsoid, as in satellite positions and maps); without it, the value counts as "
+        "both.",
         "geodetic",
         default=None,
     )
     deviation_of_vertical: DeviationOfVertical | None = key(
         RecordOf(DeviationOfVertical),
-        "By which the other latitude follows from the one stated; from a geoid model or a survey.",
+        "Gives the other latitude from the stated one; from a geoid model or a survey.",
         {"north": "3.2 arcsec ± 0.5 arcsec", "east": "-1.5 arcsec"},
         default=None,
     )
@@ -93,7 +93,7 @@ class SiteSpec(Record):
     )
     magnetic_field: MagneticFieldSpec | None = key(
         RecordOf(MagneticFieldSpec),
-        "The Earth's magnetic field, all components in one unit; for sensors that feel it.",
+        "The Earth's magnetic field, all components in one unit; for sensors that respond to it.",
         {"north": 22.0, "up": -44.0},
         default=None,
     )
@@ -132,12 +132,12 @@ class AmbientSpec(Record):
 
 
 class InstrumentEntry(Record):
-    """One instrument of the bench. The driver's own keys stand beside these."""
+    """One instrument of the bench. The driver has additional keys."""
 
     driver: str = key(Text(NAME, "a driver's name"), "Driver that talks to the instrument.", "virtual_table")
     asset: str | None = key(
         Text(LINE, "an asset number"),
-        "Your own number for the instrument, kept in the run folder.",
+        "Your own number for the instrument; stored in the run folder.",
         "RT-0042",
         default=None,
     )
@@ -179,9 +179,9 @@ class Bench(Record):
     description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", default="")
     clock: str | None = key(
         Choice(("virtual", "wall")),
-        "virtual: time is simulated and runs as fast as it can; wall: real time. Without it, virtual where the "
-        "sensor plays back a "
-        "recording, else wall.",
+        "virtual: time is simulated and runs as fast as possible; wall: real time. The default is virtual if the "
+        "sensor plays back a recording, otherwise "
+        "wall.",
         "virtual",
         default=None,
     )
@@ -201,7 +201,9 @@ class Bench(Record):
     site: SiteSpec = key(
         RecordOf(SiteSpec), "Site of the bench.", {"latitude": "39.98 deg", "gravity": "9.80154 m/s^2"}
     )
-    seed: int = key(Number(0, 2**63 - 1, integer=True), "Seed of all that a simulated bench draws.", 20, default=0)
+    seed: int = key(
+        Number(0, 2**63 - 1, integer=True), "Seed of all random numbers of a simulated bench.", 20, default=0
+    )
     ambient: AmbientSpec | None = key(
         RecordOf(AmbientSpec), "The room of the bench.", {"temperature": "23 degC"}, default=None
     )
@@ -218,7 +220,7 @@ class Bench(Record):
     )
     protection: Protection = key(
         PROTECTION,
-        "Limits of the bench. Instruments that support such limits enforce them; plans may not exceed them.",
+        "Limits of the bench. Instruments that support such limits enforce them; plans must not exceed them.",
         {"rate": "320 deg/s", "hottest": "75 degC"},
         default_factory=Protection,
     )
@@ -390,7 +392,7 @@ def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
         if name_or_path not in known:
             near = nearest(name_or_path, known)
             first = f"did you mean '{near}'? A file" if near else "`planrunner bench list` names them; a file"
-            hint = f"{first} is named with its ending, such as my-bench.yaml"
+            hint = f"{first} must be given with its extension, such as my-bench.yaml"
             raise InputError.at(
                 Mark(name_or_path), "meaning-unknown-bench", f"no bench '{name_or_path}' is shipped", hint
             )
@@ -407,7 +409,7 @@ def _check(bench: Bench, log: Findings) -> None:
         log.error(
             "meaning-range",
             bench.site.at("latitude"),
-            f"{bench.site.latitude} is no latitude",
+            f"{bench.site.latitude} is not a latitude",
             "from -90 deg to 90 deg",
         )
     if not 9.7 < bench.site.gravity.value < 9.9:
@@ -417,7 +419,7 @@ def _check(bench: Bench, log: Findings) -> None:
     for name, entry in bench.instruments.items():
         role = driver_of(entry).role
         if role in (*SINGLE_ROLES, "carrier") and holders.setdefault(role, name) != name:
-            message = f"'{name}' is a second {role}, beside '{holders[role]}'"
+            message = f"'{name}' is a second {role}, in addition to '{holders[role]}'"
             log.error("meaning-role", entry.origin.mark, message, f"a bench has at most one {role}")
         if role == "chamber":
             _check_chamber(entry, log)
@@ -440,7 +442,10 @@ def _check_safe_order(bench: Bench, log: Findings) -> None:
     for index, name in enumerate(bench.safe_order):
         if name not in bench.instruments:
             log.error(
-                "meaning-safe-order", at, f"'{name}' is no instrument of this bench", closest(name, bench.instruments)
+                "meaning-safe-order",
+                at,
+                f"'{name}' is not an instrument of this bench",
+                closest(name, bench.instruments),
             )
         elif name in bench.safe_order[:index]:
             log.error("meaning-safe-order", at, f"'{name}' is named twice", "name each instrument once")

@@ -68,7 +68,7 @@ def start_motion(
     if isinstance(motion, Rock):
         _check_sampled(motion, hold.sampled, at("rock"), log)
         if models.sensor is not None and models.sensor.records_angle and not about_one_axis(motion):
-            message = f"the sensor records the table's angle about one axis, and {len(motion.phases)} rings are to rock"
+            message = f"the sensor records the table's angle about one axis, and {len(motion.phases)} rings are planned to rock"
             hint = "rock the outermost ring alone, or write `table_angle: false` in the bench file"
             log.error("physics-table-angle", at("rock"), message, hint)
     if table is None:
@@ -94,11 +94,11 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
         if one.kind == "rings":
             log.error("physics-axes", mark, one.message, "give a phase for each ring at most")
         elif one.kind == "rate":
-            log.error("physics-rate", mark, one.message, "lower the rate, or amplitude or frequency")
+            log.error("physics-rate", mark, one.message, "lower the rate, amplitude or frequency")
         elif one.kind == "acceleration":
             log.error("physics-acceleration", mark, one.message, "lower amplitude or frequency")
         else:
-            hint = "turn less far, begin at another position, or use a table with slip rings"
+            hint = "turn by smaller angles, begin at another position, or use a table with slip rings"
             log.error("physics-cable-wrap", mark, one.message, hint)
 
 
@@ -129,13 +129,15 @@ def _spin(
     try:
         course = SpinCourse.of(motion, table.axes, state.joints, models.site.azimuth)
     except Unreachable as error:
-        log.error("physics-rate-axis", mark, f"the table cannot spin about that direction: {error}", "spin about up")
+        log.error("physics-rate-axis", mark, f"the table cannot turn about that direction: {error}", "spin about up")
         return 0.0, state
     if state.roughly is not None and course.joint > state.roughly:
         # Where an axis points follows from the joints that carry it.
         carrier, axis = table.axes[state.roughly].name, table.axes[course.joint].name
         message = f"the {axis} axis is along that direction only if the {carrier} axis is at the planned end of the previous motion"
-        log.error("physics-rate-axis", mark, message, "give the segment an orientation, which the table takes first")
+        log.error(
+            "physics-rate-axis", mark, message, "give the segment an orientation; the table then moves there first"
+        )
         return 0.0, state
     seconds = None if hold.dwell is None else hold.settle + hold.dwell
     excess = spin_excess(table.axes, state.joints, course, seconds)
@@ -174,8 +176,8 @@ def _whole_turns(
         default=0.0,
     )
     if worst > WHOLE_TURN_TOLERANCE:
-        share = f"up to {worst * 1e6:.0f} ppm of the rate that a tilted axis sees"
-        message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave Earth rate in the mean: {share}"
+        share = f"up to {worst * 1e6:.0f} ppm of the rate that a tilted axis senses"
+        message = f"{turns:.3g} turns at {_deg(motion.rate)} deg/s leave a part of Earth rate in the mean: {share}"
         log.warning("physics-whole-turns", mark, message, "write dwell: {turns: 1, at_least: …}")
 
 

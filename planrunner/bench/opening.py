@@ -125,7 +125,7 @@ class OpenBench:
         unsafe = self.make_safe()
         failures = unsafe + [failure for failure in self.close() if failure.instrument in self._controlled]
         if failures:
-            message = "not everything could be made safe: " + "; ".join(map(str, failures))
+            message = "not all instruments could be made safe: " + "; ".join(map(str, failures))
             raise NotSafeError(message) from error
 
 

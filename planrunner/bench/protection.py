@@ -21,30 +21,31 @@ class Protection(Record):
     """Limits of the bench. What is not stated, every instrument takes from its own keys."""
 
     rate: Quantity | None = key(
-        QuantityOf("angular rate", "positive"), "Rate that no axis of the table may pass.", "320 deg/s", default=None
+        QuantityOf("angular rate", "positive"), "Largest rate of any axis of the table.", "320 deg/s", default=None
     )
     acceleration: Quantity | None = key(
         QuantityOf("angular acceleration", "positive"),
-        "Acceleration that no axis of the table may pass.",
+        "Largest acceleration of any axis of the table.",
         "200 deg/s^2",
         default=None,
     )
     position_error: Quantity | None = key(
         QuantityOf("angle", "positive"),
-        "Following error at which the table is stopped, with whatever it carries.",
+        "Following error at which the table, with everything that it carries, is stopped.",
         "2 deg",
         default=None,
     )
     coldest: Quantity | None = key(
-        QuantityOf("temperature"), "Temperature below which nothing on the bench may get.", "-50 degC", default=None
+        QuantityOf("temperature"), "Lowest permitted temperature of anything on the bench.", "-50 degC", default=None
     )
     hottest: Quantity | None = key(
-        QuantityOf("temperature"), "Temperature above which nothing on the bench may get.", "75 degC", default=None
+        QuantityOf("temperature"), "Highest permitted temperature of anything on the bench.", "75 degC", default=None
     )
     silence: Quantity = key(
         QuantityOf("time", "positive"),
-        "Time without a sign of life from planrunner, from 5 s to 1 h, after which the watchdog, and every instrument that can, makes the "
-        "bench safe.",
+        "Time without a sign of life from planrunner, from 5 s to 1 h, after which the watchdog makes the bench "
+        "safe, and so does every instrument that "
+        "can.",
         "60 s",
         default=parse_quantity("60 s"),
     )

@@ -199,7 +199,7 @@ class _Planner:
         elif isinstance(dwell, Quantity):
             return dwell.value
         elif isinstance(dwell, str) and not self.models.replays:
-            message = "this bench records live: there is no recording whose length could be the dwell"
+            message = "this bench records live: there is no recording that determines the dwell"
             self._once("physics-dwell", item.marks["dwell"], message, "write for example `dwell: 2 min`")
         elif isinstance(dwell, Turns):
             return self._turns(item, dwell)
@@ -222,9 +222,9 @@ class _Planner:
             period = RotationCycle.of(motion, axes[0].max_acceleration if axes else math.inf).period
         else:
             asked = "turns" if dwell.turns else "cycles"
-            does = "spin" if dwell.turns else "go through a cycle"
+            does = "spin" if dwell.turns else "have a cycle"
             message = f"'{item.label}' dwells in {asked}, but does not {does}"
-            hint = "dwell in turns where the motion is a rate, in cycles where it is a cycle, or for a time"
+            hint = "write turns if the motion is a rate, cycles if it is a cycle, or a time"
             self._once("meaning-turns", item.marks["dwell"], message, hint)
             return None
         if dwell.at_least is not None:
@@ -248,13 +248,17 @@ class _Planner:
     def _check_mode(self, item: StatedSegment) -> None:
         mode, sensor = item.state.get("mode"), self.models.sensor
         if mode is not None and sensor is not None and mode not in sensor.modes and not self.models.replays:
-            hint = closest(mode, sensor.modes) or "leave mode out: this sensor has only one"
+            hint = closest(mode, sensor.modes) or "leave mode out: this sensor has only one mode"
             self._once("physics-mode", item.marks["mode"], f"the sensor of this bench has no mode '{mode}'", hint)
 
     def _check_samples(self, item: StatedSegment, dwell: float | None) -> None:
         rate, sensor, sampled = item.state.get("sample_rate"), self.models.sensor, self._sampled(item)
         if rate is not None and sensor is not None and (refused := sensor.rate_refused(rate.value)):
-            hint = "sample as the sensor is set, or leave sample_rate out" if sensor.one_rate else "sample more slowly"
+            hint = (
+                "use the sample rate to which the sensor is set, or leave sample_rate out"
+                if sensor.one_rate
+                else "sample more slowly"
+            )
             self._once("physics-sample-rate", item.marks["sample_rate"], refused, hint)
         elif dwell is not None and sampled is not None and dwell * sampled < 1 - 1e-9:
             message = f"a dwell of {dwell:.4g} s ends before the first sample at {sampled:g} Hz"

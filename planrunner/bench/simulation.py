@@ -36,7 +36,7 @@ class Simulation(Record):
     )
     framing: str = key(
         Choice(("words", "ascii")),
-        "How a simulated ACUTROL marks its replies over TCP: error code and length as two words, or as eight "
+        "Header of each reply of a simulated ACUTROL over TCP: error code and length as two words, or as eight "
         "characters.",
         "ascii",
         default="words",

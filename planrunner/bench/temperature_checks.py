@@ -76,7 +76,7 @@ class Temperatures:
             f"{_minutes(waited)} ({waited / self._lag:.2g} time constants) after the chamber is at {self._set - ZERO_CELSIUS:g} degC, "
             f"while the sensor is still {abs(left):.2g} K from it"
         )
-        hint = f"soak for {_minutes(soak + high - now)} at least: then it is within the chamber's tolerance of {tolerance:g} K"
+        hint = f"soak for {_minutes(soak + high - now)} at least: the sensor is then within the chamber's tolerance of {tolerance:g} K"
         with self._log.resting_on(mark):  # a soak that could not be read counts as none
             self._log.warning("physics-soak", mark, message, hint)
 
@@ -113,9 +113,7 @@ class Temperatures:
             return False
         if not chamber.lowest - 1e-9 <= kelvin <= chamber.highest + 1e-9:
             lowest, highest = chamber.lowest - ZERO_CELSIUS, chamber.highest - ZERO_CELSIUS
-            message = (
-                f"{kelvin - ZERO_CELSIUS:g} degC is beyond the chamber, which reaches {lowest:g} to {highest:g} degC"
-            )
+            message = f"{kelvin - ZERO_CELSIUS:g} degC is outside the chamber's range of {lowest:g} to {highest:g} degC"
             self._log.error("physics-temperature", mark, message, "stay within the chamber's range")
             return False
         return True

@@ -56,7 +56,7 @@ class Watchdog:
             self._process.kill()
             self._part(LEAVING)
             raise InstrumentError(
-                f"the watchdog that makes the bench safe should planrunner be killed does not start: {answer}"
+                f"the watchdog, which makes the bench safe if planrunner is killed, does not start: {answer}"
             )
         with contextlib.suppress(OSError, AttributeError):  # a watchdog that stands still must not hold planrunner up
             os.set_blocking(self._stdin.fileno(), False)

@@ -123,7 +123,7 @@ def _ended(parent: int) -> str:
     deadline = time.monotonic() + ENDED_WITHIN
     while os.name != "nt" and os.getppid() == parent and time.monotonic() < deadline:
         time.sleep(0.05)
-    return "was ended; `planrunner resume` goes on with the run"
+    return "was ended; `planrunner resume` continues the run"
 
 
 def rescue(charge: Charge) -> list[str]:
@@ -143,7 +143,7 @@ def _made_safe(charge: Charge, name: str) -> str:
         thread = threading.Thread(target=_make_safe, args=(charge, name, done), daemon=True)
         thread.start()
         thread.join(PATIENCE)
-        told = done[0] if done else f"NOT SAFE, it did not return within {PATIENCE:g} s"
+        told = done[0] if done else f"NOT SAFE, the command did not return within {PATIENCE:g} s"
         if told == "safe" or not done:
             break
     return told

@@ -28,17 +28,17 @@ from planrunner.reporting.printable import printable_streams
 COMMANDS = {
     "check": "check plans and benches before anything moves",
     "show": "show a plan's timeline, positions, total time and predicted uncertainties",
-    "design": "find better positions for a plan, and what no positions can pass",
+    "design": "find better positions, rates or cycles for a plan, and the bound of what is possible",
     "run": "run a plan on a bench, then estimate and report",
     "simulate": "run a plan on a virtual bench with effects of the catalogue added",
-    "resume": "go on with a run that was cut short or waits, or take segments of it again",
-    "pause": "let a run wait, with its bench safe, before its next segment",
+    "resume": "continue a run that was cut short or is paused, or record segments of it again",
+    "pause": "pause a run before its next segment, with the bench in the safe state",
     "estimate": "estimate again from a recording, as a new analysis",
     "report": "write the reports of an analysis again",
-    "diagnose": "find where a recording differs from its simulation, which effect explains it, how far the gap "
-    "shrinks, and what to measure next",
+    "diagnose": "find where a recording differs from its simulation, which effect explains the difference, and what to measure "
+    "next",
     "new": "list the shipped plans, or copy one to start from",
-    "bench": "list benches and installed drivers, or ask whether the instruments of a bench answer",
+    "bench": "list benches and installed drivers, or check whether the instruments of a bench answer",
     "simulate-bench": "serve simulated instruments at the addresses of a bench, and inject faults",
     "export": "export coefficients to CSV, MATLAB, YAML or a C header",
     "self-test": "check this installation against reference data with known answers",
@@ -93,7 +93,7 @@ class _Parser(argparse.ArgumentParser):
             usage = " ".join(self.format_usage().split())
             raise InputError.at(COMMAND_LINE, "command-usage", message, usage)
         self.print_usage(sys.stderr)
-        self.exit(WRONG_INPUT, f"{self.prog}: error: {message}\n    hint: `{self.prog} --help` explains what to give\n")
+        self.exit(WRONG_INPUT, f"{self.prog}: error: {message}\n    hint: `{self.prog} --help` lists the arguments\n")
 
 
 def _fail(error: Exception, *, as_json: bool) -> int:
@@ -153,7 +153,7 @@ def _run(arguments: list[str], asked: Asked) -> int:
             module = _imported(f"planrunner.cli.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.add_argument(
-                "--no-excerpt", action="store_true", help="print findings without the line that they point at"
+                "--no-excerpt", action="store_true", help="print findings without the source lines that they refer to"
             )
             command.set_defaults(run=module.run)
     parser.set_defaults(json=False)

@@ -19,10 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the shipped benches and the installed drivers")
     listing.add_argument("--json", action="store_true", help="print them as JSON")
-    pinging = actions.add_parser("ping", help="ask every instrument of a bench who it is; nothing moves")
+    pinging = actions.add_parser("ping", help="ask every instrument of a bench for its identification; nothing moves")
     pinging.add_argument("bench", help="bench file, or the name of a shipped bench")
     pinging.add_argument("--data", type=Path, metavar="DIR", help="folder that contains the recordings")
-    pinging.add_argument("--json", action="store_true", help="print what they answer as JSON")
+    pinging.add_argument("--json", action="store_true", help="print the answers as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

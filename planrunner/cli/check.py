@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--data",
         metavar="DIR",
         type=Path,
-        help="folder that contains the recordings to play back: look the recording over and try the estimates on it",
+        help="folder that contains the recordings to play back: check the recording and try the estimates on it",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print a list of findings as JSON")
@@ -76,7 +76,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
                 f"{judged.condition:.3g}"
             )
         if design.predicted:
-            lines.append(f"  {name}: standard uncertainties to expect")
+            lines.append(f"  {name}: expected standard uncertainties")
             lines.append(
                 _columns(
                     [
@@ -86,7 +86,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
                 )
             )
     if not looked_over and checked.models is not None and checked.models.replays:
-        lines.append("  the recording was not looked at: add --data DIR")
+        lines.append("  the recording was not checked: add --data DIR")
     prompts = sum(len(segment.prompts) for segment in checked.schedule.segments)
     if prompts and not runs_on_virtual_clock(checked.bench):
         lines.append(f"  asks the operator {_count(prompts, 'time')}")

@@ -29,17 +29,24 @@ PATIENCE = 2.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN", help="plan file")
     parser.add_argument("--bench", metavar="BENCH", help="design for this bench: a shipped name or a file")
-    parser.add_argument("--estimate", metavar="NAME", help="design for this estimate (default: the first that can be)")
     parser.add_argument(
-        "--criterion", choices=("D", "A", "G", "I"), default="D", help="what to search for (default: D; rates: D or A)"
+        "--estimate", metavar="NAME", help="design for this estimate (default: the first that can be designed)"
     )
     parser.add_argument(
-        "--time", metavar="DURATION", help="the whole plan's time, such as '45 min': allot dwells within it"
+        "--criterion",
+        choices=("D", "A", "G", "I"),
+        default="D",
+        help="optimality criterion (default: D; rates: D or A)",
+    )
+    parser.add_argument(
+        "--time",
+        metavar="DURATION",
+        help="total time of the plan, such as '45 min': distribute the dwell times within it",
     )
     design_positions.add_arguments(parser)
     design_rates.add_arguments(parser)
     design_cycle.add_arguments(parser)
-    parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with what was chosen")
+    parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the chosen design")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")

@@ -18,13 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--segment",
         metavar="LABEL",
-        help="design this segment's cycle of turns and stops (default: where no estimate's positions can be designed)",
+        help="design this segment's cycle of turns and stops (default: if no estimate has positions that can be designed)",
     )
     parser.add_argument(
         "--order",
         choices=("free", "same"),
         default="free",
-        help="which cycle goes into the plan: with a free or with the same order of stops (default: free)",
+        help="cycle that is written into the plan: with a free order of stops, or with the same order (default: free)",
     )
 
 
@@ -32,14 +32,14 @@ def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[s
     from planrunner.tasks.design_cycles import CycleOptions, design_cycle
 
     if seconds is not None:
-        raise EstimationError("--time allots dwells; a cycle takes the time that its turns and stops take")
+        raise EstimationError("--time distributes dwell times; the length of a cycle follows from its turns and stops")
     return design_cycle(Path(args.plan), CycleOptions(args.segment, args.order), args.bench)
 
 
 def missing(study: CycleStudy) -> str:
     """Why there is no plan to write."""
     reason = study.reasons.get(study.chosen, "none was found")
-    return f"there is no cycle with the {study.chosen} of stops to write: {reason}"
+    return f"no cycle with the {study.chosen} of stops can be written: {reason}"
 
 
 def context(study: CycleStudy) -> CycleContext:

@@ -15,12 +15,14 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--output", metavar="NAME", help="of this output, where the outputs see different things")
+    parser.add_argument(
+        "--output", metavar="NAME", help="design for this output, where the outputs have different terms"
+    )
     parser.add_argument(
         "--orientations",
         choices=("free", "cardinal", "planned"),
         default="free",
-        help="which set goes into the plan (default: free)",
+        help="set that is written into the plan (default: free)",
     )
     parser.add_argument("--restarts", type=int, default=8, help="seeded starts of the free search (default: 8)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: 0)")
@@ -30,7 +32,7 @@ def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[s
     from planrunner.tasks.design_positions import Options, design_plan
 
     if args.restarts < 1 or args.seed < 0:
-        raise EstimationError("--restarts is at least 1 and --seed at least 0")
+        raise EstimationError("--restarts must be at least 1 and --seed at least 0")
     options = Options(args.estimate, args.output, args.criterion, args.orientations, seconds, args.restarts, args.seed)
     return design_plan(Path(args.plan), options, args.bench, progress)
 

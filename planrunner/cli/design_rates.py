@@ -18,14 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rates",
         action="store_true",
-        help="design the rates of a sweep (default: where an estimate is a line through rates)",
+        help="design the rates of a sweep (default: if an estimate fits a line over rates)",
     )
     parser.add_argument(
         "--line-only",
         action="store_true",
-        help="rates: for the straight line alone, without asymmetry and nonlinearity",
+        help="rates: design for the straight line alone, without asymmetry and nonlinearity",
     )
-    parser.add_argument("--drop-lowest", action="store_true", help="rates: the lowest planned rate need not stay")
+    parser.add_argument("--drop-lowest", action="store_true", help="rates: the design may omit the lowest planned rate")
 
 
 def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[str, float], None] | None) -> RateStudy:

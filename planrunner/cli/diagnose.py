@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type=Path,
         default=[],
-        help="a later run of the same sensor, such as of a proposed plan, weighed together with it; several may be "
-        "given",
+        help="a later run of the same sensor, such as one of a proposed plan, analysed together with it; may be "
+        "repeated",
     )
     parser.add_argument("--json", action="store_true", help="print the diagnosis as JSON")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures")
@@ -55,14 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=_jobs,
         default=1,
-        help="threads of the linear algebra (default: 1, mostly the fastest)",
+        help="threads of the linear algebra (default: 1, usually the fastest)",
     )
 
 
 def _jobs(text: str) -> int:
     value = int(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"at least one: {value}")
+        raise argparse.ArgumentTypeError(f"must be at least 1: {value}")
     return value
 
 

@@ -22,7 +22,7 @@ class Done:
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
     """RUN [RUN …], for commands that take nothing else by position."""
-    parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="run folder; several may be given")
+    parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="one or more run folders")
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:

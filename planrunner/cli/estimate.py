@@ -12,7 +12,7 @@ from planrunner.cli.outcome import conclude
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_runs(parser)
-    parser.add_argument("--json", action="store_true", help="print a list of results as JSON, one entry a run")
+    parser.add_argument("--json", action="store_true", help="print a list of results as JSON, one entry per run")
 
 
 def run(args: argparse.Namespace) -> int:

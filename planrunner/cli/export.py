@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RUN|ESTIMATE",
         nargs="+",
         type=Path,
-        help="run folder, or several; then the name of the estimate (default: the first)",
+        help="one or more run folders; then the name of the estimate (default: the first)",
     )
     parser.add_argument("--format", choices=FORMS, default="csv", help="csv, matlab, yaml or c (default: csv)")
     parser.add_argument("--analysis", type=int, metavar="N", help="number of the analysis (default: the newest)")
@@ -28,17 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         metavar="FILE",
         type=Path,
-        help="file to write, or a folder for one file a run (default: standard output)",
+        help="file to write, or a folder for one file per run (default: standard output)",
     )
-    parser.add_argument("--json", action="store_true", help="print a list of coefficients as JSON, one entry a run")
+    parser.add_argument("--json", action="store_true", help="print a list of coefficients as JSON, one entry per run")
 
 
 def run(args: argparse.Namespace) -> int:
     runs, name = _told(args.words)
     folder = args.output is not None and args.output.is_dir()
     if len(runs) > 1 and not args.json and not folder:
-        message = "the coefficients of several runs do not go into one file"
-        raise InputError.at(COMMAND_LINE, "export-several", message, "give --json, or a folder that exists as --output")
+        message = "the coefficients of several runs cannot be written to one file"
+        raise InputError.at(COMMAND_LINE, "export-several", message, "give --json, or an existing folder as --output")
     return each_run(runs, lambda run: _export(run, name, args, folder=folder), as_json=args.json)
 
 
@@ -62,12 +62,12 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     if number not in analyses:
         message = "this run has no such analysis" if analyses else "this run has no analysis yet"
         known = ", ".join(map(str, analyses))
-        hint = f"known here: {known}" if analyses else "make one with `planrunner estimate`"
+        hint = f"known here: {known}" if analyses else "make an analysis with `planrunner estimate`"
         raise InputError.at(Mark(str(run)), "analysis-missing", message, hint)
     analysis = analyses[number]
     results = stored_results(analysis)
     if not results.estimates:
-        message, hint = "no estimate of this analysis came to a result", "its reports say why"
+        message, hint = "no estimate of this analysis has a result", "its reports give the reasons"
         raise InputError.at(Mark(str(analysis.path)), "estimate-missing", message, hint)
     name = asked or next(iter(results.estimates), "")
     if name not in results.estimates:

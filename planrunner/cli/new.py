@@ -17,9 +17,15 @@ _HEADER = re.compile(rb"^# yaml-language-server: \$schema=(\S+)", re.MULTILINE) 
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("plan", nargs="?", metavar="NAME", help="shipped plan to copy; without it they are listed")
-    parser.add_argument("target", nargs="?", metavar="FILE", help="where to write it (default: NAME.yaml here)")
-    parser.add_argument("--json", action="store_true", help="print the list, or the files written, as JSON")
+    parser.add_argument(
+        "plan", nargs="?", metavar="NAME", help="shipped plan to copy (default: list the shipped plans)"
+    )
+    parser.add_argument(
+        "target", nargs="?", metavar="FILE", help="file to write (default: NAME.yaml in the current folder)"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the list, or the names of the written files, as JSON"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,7 +91,7 @@ def _write_new(path: Path, text: bytes) -> None:
                 path.unlink(missing_ok=True)
                 raise
     except FileExistsError:
-        raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "name another one") from None
+        raise InputError.at(Mark(str(path)), "new-exists", "this file exists already", "choose another name") from None
     except OSError as error:
         message = f"the file cannot be written: {error.strerror or error}"
         hint = "make room, or name a file in another folder"

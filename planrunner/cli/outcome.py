@@ -22,16 +22,19 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
     for failure in outcome.failures:
         print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
-        print(f"error: NOT IN THE SAFE STATE: {unsafe}; look at the instrument now", file=sys.stderr)
+        print(f"error: NOT IN THE SAFE STATE: {unsafe}; check the instrument now", file=sys.stderr)
     if outcome.untouched:
-        print(f"Never commanded, and left as they were found: {', '.join(outcome.untouched)}.", file=sys.stderr)
+        print(f"Never commanded, and left as found: {', '.join(outcome.untouched)}.", file=sys.stderr)
     if not outcome.unsafe:
         which = "Every other instrument is in its" if outcome.untouched else "The instruments are in their"
         print(f"{which} safe state.", file=sys.stderr)
     if outcome.stopped:
         print(f"Stopped {outcome.stopped} on request.", file=sys.stderr)
-    print(f"{outcome.completed} of {outcome.segments} segments were recorded now and are kept.", file=sys.stderr)
-    print(f"Go on with: planrunner resume {folder}", file=sys.stderr)
+    print(
+        f"{outcome.completed} of {outcome.segments} segments were recorded in this session and are kept.",
+        file=sys.stderr,
+    )
+    print(f"Continue with: planrunner resume {folder}", file=sys.stderr)
     code = (
         exit_codes.INTERRUPTED if outcome.stopped and not outcome.failures and not outcome.unsafe else exit_codes.FAULT
     )

@@ -23,12 +23,14 @@ def run(args: argparse.Namespace) -> int:
         raise InputError.at(
             Mark(str(folder.path)),
             "run-not-running",
-            "no planrunner writes this run",
-            "give the folder of a run that is going on",
+            "no planrunner process is writing this run",
+            "give the folder of a run that is in progress",
         )
     pausing.ask_to_pause(folder)
     if args.json:
         print_json({"run": str(folder.path), "asked": "pause"})
         return exit_codes.DONE
-    print(f"The run waits after this segment, with the bench safe. Go on with: planrunner resume {folder.path}")
+    print(
+        f"The run pauses after this segment, with the bench in the safe state. Continue with: planrunner resume {folder.path}"
+    )
     return exit_codes.DONE

@@ -79,7 +79,7 @@ class RowsLookedAt:
     def take(self, rows: int) -> None:
         if self._now() - self._shown >= LINES_EVERY:
             self._shown = self._now()
-            print(f"{rows:,} rows looked at".replace(",", " "), file=sys.stderr, flush=True)
+            print(f"{rows:,} rows checked".replace(",", " "), file=sys.stderr, flush=True)
 
 
 def left_text(seconds: float | None) -> str:

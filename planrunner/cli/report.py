@@ -18,23 +18,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "words",
         metavar="RUN|NAME",
         nargs="+",
-        help="run folder, or several; then reports to write instead of the plan's, such as certificate.html",
+        help="one or more run folders; then reports to write instead of those in the plan, such as certificate.html",
     )
     parser.add_argument(
         "--set",
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help="details for a certificate that the run did not record",
+        help="certificate details that the run did not record",
     )
     parser.add_argument("--info", metavar="FILE", type=Path, help="the same as a YAML file of name: value")
     parser.add_argument("--before", metavar="RUN", type=Path, help="run folder of the same item before its adjustment")
     parser.add_argument(
-        "--template", metavar="FILE", type=Path, help="a template of your own (ending in .html.j2 or .md.j2)"
+        "--template", metavar="FILE", type=Path, help="your own template (ending in .html.j2 or .md.j2)"
     )
     parser.add_argument("--output", metavar="FILE", type=Path, help="with --template: the file to write")
     parser.add_argument(
-        "--json", action="store_true", help="print a list of the files written as JSON, one entry a run"
+        "--json", action="store_true", help="print a list of the written files as JSON, one entry per run"
     )
 
 

@@ -24,18 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LABEL",
         action="append",
         default=[],
-        help="set this recorded segment aside, whose data stay, and take it again (with --reason)",
+        help="record this segment again and keep its earlier data (with --reason)",
     )
-    parser.add_argument("--reason", metavar="TEXT", help="why, for --retake; kept in the run folder")
+    parser.add_argument("--reason", metavar="TEXT", help="reason for --retake; stored in the run folder")
     parser.add_argument(
         "--bench",
         metavar="BENCH",
-        help="use this bench file instead of the folder's; it may differ only in how instruments are reached",
+        help="use this bench file instead of the one in the folder; it may differ only in the addresses of the instruments",
     )
     parser.add_argument(
         "--trust-bench",
         action="store_true",
-        help="go on with the bench file of a folder that was not made on this computer, and connect to what it names",
+        help="use the bench file of a folder that was not made on this computer, and connect to the addresses in it",
     )
     add_run_arguments(parser)
 
@@ -43,12 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     folder: Path = args.run_folder
     if bool(args.retake) != bool(args.reason):
-        raise InputError.at(COMMAND_LINE, "run-retake", "--retake and --reason belong together", "give both")
+        raise InputError.at(COMMAND_LINE, "run-retake", "give both --retake and --reason", "give both")
     if pausing.take_back(open_run(folder)):
         if args.json:
             print_json({"run": str(folder), "asked": "go on"})
         else:
-            print("The run goes on.")
+            print("The run continues.")
         return exit_codes.DONE
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running

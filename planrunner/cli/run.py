@@ -22,11 +22,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
     parser.add_argument("--seed", type=seed, help="seed of a simulated bench (default: the bench's own)")
     parser.add_argument(
-        "--flushed", action="store_true", help="do not wait for the disk after every event: faster, less durable"
+        "--flushed",
+        action="store_true",
+        help="do not wait for the disk after every event: faster, but a power failure can lose data",
     )
     add_run_arguments(parser)
     parser.add_argument(
-        "--runs", metavar="DIR", type=Path, default=Path("runs"), help="where run folders are made (default: runs)"
+        "--runs",
+        metavar="DIR",
+        type=Path,
+        default=Path("runs"),
+        help="folder in which run folders are created (default: runs)",
     )
 
 
@@ -41,9 +47,9 @@ def seed(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"a seed is a whole number: {text!r}") from None
+        raise argparse.ArgumentTypeError(f"the seed must be a whole number: {text!r}") from None
     if value < 0:
-        raise argparse.ArgumentTypeError(f"a seed is not negative: {value}")
+        raise argparse.ArgumentTypeError(f"the seed must not be negative: {value}")
     return value
 
 

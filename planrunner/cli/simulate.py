@@ -22,8 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EFFECT[=VALUE]",
         action="append",
         default=[],
-        help="effect to add; several may be given. EFFECT alone has its natural size; EFFECT=VALUE sets its one parameter, or all its "
-        "amplitudes; EFFECT=NAME:VALUE,NAME:VALUE sets some and leaves the others at zero",
+        help="effect to add; may be repeated. EFFECT alone uses the natural size; EFFECT=VALUE sets its only "
+        "parameter, or all its amplitudes; EFFECT=NAME:VALUE,NAME:VALUE sets these parameters and leaves the others at "
+        "zero",
     )
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"
@@ -34,7 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_run_arguments(parser)
     parser.add_argument(
-        "--runs", metavar="DIR", type=Path, default=Path("runs"), help="where run folders are made (default: runs)"
+        "--runs",
+        metavar="DIR",
+        type=Path,
+        default=Path("runs"),
+        help="folder in which run folders are created (default: runs)",
     )
 
 

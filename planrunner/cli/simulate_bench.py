@@ -22,21 +22,24 @@ _LONGEST_NOTE = 1_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bench", metavar="BENCH", help="bench with `simulation`: a shipped name or a file")
     parser.add_argument(
-        "--speed", type=_speed, default=1.0, help="seconds of the bench in one of the wall (default: 1)"
+        "--speed", type=_speed, default=1.0, help="simulated seconds per second of real time (default: 1)"
     )
-    parser.add_argument("--faults", metavar="FILE", type=Path, help="fault script: what goes wrong, and when")
+    parser.add_argument("--faults", metavar="FILE", type=Path, help="fault script: which faults occur, and when")
     parser.add_argument(
-        "--copy", metavar="FILE", type=Path, help="serve at free addresses and write the bench file with them here"
+        "--copy",
+        metavar="FILE",
+        type=Path,
+        help="serve at free addresses, and write the bench file with these addresses to this file",
     )
     parser.add_argument(
         "--ready",
         metavar="FILE",
         type=Path,
-        help="write addresses and the token for --inject, --clear and --stop as JSON here when everything listens; "
-        "with one of these: "
-        "read the token here",
+        help="readiness file: written with addresses and token as JSON as soon as all instruments listen; --inject, "
+        "--clear and --stop read the token from "
+        "it",
     )
-    parser.add_argument("--seed", type=_seed, help="seed of all that is simulated (default: the virtual bench's own)")
+    parser.add_argument("--seed", type=_seed, help="seed of the simulation (default: the virtual bench's own)")
     parser.add_argument(
         "--inject",
         metavar="FAULT",
@@ -50,9 +53,9 @@ def _speed(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"a speed is a number: {text!r}") from None
+        raise argparse.ArgumentTypeError(f"the speed must be a number: {text!r}") from None
     if not 0.01 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"a speed is from 0.01 to 1000: {text}")
+        raise argparse.ArgumentTypeError(f"the speed must be from 0.01 to 1000: {text}")
     return value
 
 
@@ -91,7 +94,7 @@ def _tell(bench: Bench, request: dict[str, Any], ready: Path | None) -> int:
 
 def _token(ready: Path | None, control: str) -> str:
     """The token that authorises commands to a running simulated bench, from its readiness file. Raises `InputError`."""
-    start = "start the simulated bench with `--ready FILE`, and name the same file here"
+    start = "start the simulated bench with `--ready FILE`, and give the same file here"
     if ready is None:
         message = "a running simulated bench accepts commands only with the token of its readiness file"
         raise InputError.at(COMMAND_LINE, "simulation-token", message, start)
@@ -101,10 +104,10 @@ def _token(ready: Path | None, control: str) -> str:
     except RefusedFileError as error:
         raise InputError.at(Mark(str(ready)), "simulation-token", str(error), start) from None
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise InputError.at(Mark(str(ready)), "simulation-token", "this is no readiness file", start) from None
+        raise InputError.at(Mark(str(ready)), "simulation-token", "this is not a readiness file", start) from None
     if served != control:
-        message = f"this readiness file is of the simulated bench at {served}, not {control}"
-        raise InputError.at(Mark(str(ready)), "simulation-token", message, "name the bench file that it serves")
+        message = f"this readiness file belongs to the simulated bench at {served}, not to the one at {control}"
+        raise InputError.at(Mark(str(ready)), "simulation-token", message, "give the bench file that it serves")
     return token
 
 

@@ -79,7 +79,9 @@ def same_order(planned: RotationCycle, cable: Cable = Cable()) -> FoundCycle:
     Raises `CycleError` where the stops themselves do not balance, which no turn can mend, and where there are too many choices.
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
-        raise CycleError("the stops do not balance, and no turns can make up for it: stop as long on opposite sides")
+        raise CycleError(
+            "the stops do not balance, and no turns can make up for it: stop equally long on opposite sides"
+        )
     most = max(HALF_TURN, *(abs(turn) for turn in planned.turns)) + _ANGLE
     choices = [_ways(turn, most) for turn in planned.turns]
     rounds: list[Round] = []

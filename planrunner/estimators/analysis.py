@@ -134,7 +134,7 @@ def _detection(spec: Any, estimator: object) -> Detection | None:
         return None
     if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
         raise EstimationError(
-            f"{spec.estimator} takes whole segments and looks for no spans in the data: name segments in `segments`"
+            f"{spec.estimator} uses whole segments and does not search for spans in the data: name segments in `segments`"
         )
     return spec.segments
 

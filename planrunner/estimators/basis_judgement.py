@@ -46,9 +46,8 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     if basis == "residual":
         raise EstimationError(f"{name}: {no_residual(fit.coefficients.shape[1])}; {MORE_SEGMENTS}")
     raise UnfitDataError(
-        f"{name}: the samples within the segments do not vary (or are too few), so there is no within-segment noise "
-        "to take "
-        "an uncertainty from; write `uncertainty: residual` or give the output's resolution in the bench file"
+        f"{name}: the samples within the segments do not vary (or are too few), so the within-segment noise cannot give an "
+        "uncertainty; write `uncertainty: residual` or give the output's resolution in the bench file"
     )
 
 
@@ -61,7 +60,7 @@ def planned_basis(request: DesignRequest, blocks: Sequence[DesignBlock], basis: 
             return (Remark("physics-basis", no_residual(p), MORE_SEGMENTS, "segments", error=True),)
     single = [one for one in request.segments if planned_samples(request, one) == 1]
     if basis == "within_segment" and blocks and len(single) == len(request.segments):
-        message = "no segment has two samples, so there is no noise within the segments to take an uncertainty from"
+        message = "no segment has two samples, so the noise within the segments cannot give an uncertainty"
         hint = "dwell longer, or write `uncertainty: residual`"
         return (Remark("physics-basis", message, hint, error=True),)
     return ()
@@ -72,7 +71,7 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 
 def no_residual(count: int) -> str:
     """That so many segments are only just as many as the coefficients."""
-    return f"{count} segments for {count} coefficients leave no residual to take an uncertainty from"
+    return f"{count} segments for {count} coefficients leave no residual that could give an uncertainty"
 
 
 def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
@@ -83,8 +82,8 @@ def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
     count, label = min(short, key=lambda one: one[0])
     others = f", and {len(short) - 1} more are as short" if len(short) > 1 else ""
     message = (
-        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is judged "
-        "from the scatter of "
+        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is estimated from the scatter "
+        "of "
         f"{BATCHES} batches of samples"
     )
     return (Remark("physics-few-samples", message, f"dwell for {BATCHES} samples at least, or sample faster"),)
@@ -119,16 +118,16 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
     if basis == "residual":
         together = ", pooled over the outputs" if fit.pooled else ""
         notes.append(
-            f"Uncertainties rest on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
+            f"Uncertainties are based on the residuals: {fit.freedom} degrees of freedom for each output{together}, "
             "so the coverage factors are large."
         )
         if fit.pooled and (different := unlike_outputs(fit)):
             warnings.append(different)
     else:
         notes.append(
-            "Uncertainties rest on the noise within the segments and on what is stated; whatever else changes from "
-            "segment to segment is "
-            "not in them."
+            "Uncertainties are based on the noise within the segments and on the stated inputs; anything else that "
+            "changes from segment to segment is not "
+            "included."
         )
     notes += _weights(fit, channels or fit.outputs)
     for found in compare(fit):
@@ -147,7 +146,7 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
                 f"(positions, slow drift, or the model is incomplete): {consequence}."
             )
         else:
-            notes.append(f"{text}, which chance explains (probability {found.probability:.2g}).")
+            notes.append(f"{text}, which can be due to chance (probability {found.probability:.2g}).")
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
             notes.append(

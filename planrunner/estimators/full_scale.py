@@ -75,7 +75,7 @@ def not_turned(request: DesignRequest, outputs: Sequence[str], shares: Array) ->
         "slope is its misalignment, not its scale factor"
     )
     turned = _nearest_axis(request, moving[0])
-    hint = f"lay its input axis along the rotation axis, or fit the output along {turned}, which turns"
+    hint = f"align its input axis with the rotation axis, or fit the output along {turned}, which turns"
     return [Remark("physics-input-axis", message, hint, "outputs")]
 
 

@@ -74,7 +74,7 @@ def fit(
         triangle = _triangle(white[:, :p], white[:, p], None, 1.0 / scale)
     if not np.isfinite(triangle).all():
         raise UnfitDataError(
-            "an observation or a planned value is not a finite number: look for missing data in the segments"
+            "an observation or a planned value is not a finite number: check the segments for missing data"
         )
     left, singular, rows = np.linalg.svd(triangle[:p, :p])
     if singular[-1] <= rank.TOLERANCE * singular[0]:

@@ -86,7 +86,7 @@ def _global(
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
         return GlobalRisk(math.nan, math.nan)
     if not limit.prior.standard_uncertainty:
-        raise EstimationError("the prior states no spread: write for example prior: 0.1 deg/h ± 0.2 deg/h")
+        raise EstimationError("the prior has no uncertainty: write for example prior: 0.1 deg/h ± 0.2 deg/h")
     spread = limit.prior.standard_uncertainty / unit(coefficient.unit).factor
     prior = Prior(_in_unit(limit.prior, coefficient), spread)
     return global_risk(prior, coefficient.standard_uncertainty, coefficient.degrees_of_freedom, tolerance, acceptance)
@@ -111,7 +111,9 @@ def bounds(limit: Any, coefficient: Coefficient) -> tuple[float, float]:
     if limit.within is not None:
         bound = parse_symmetric(limit.within)
         if bound is None:
-            raise EstimationError(f"'{limit.within}' is no limit about zero; write for example ±0.5 {coefficient.unit}")
+            raise EstimationError(
+                f"'{limit.within}' is not a limit about zero; write for example ±0.5 {coefficient.unit}"
+            )
         width = _in_unit(bound, coefficient)
         return -width, width
     lower = -math.inf if limit.at_least is None else _in_unit(limit.at_least, coefficient)
@@ -119,7 +121,7 @@ def bounds(limit: Any, coefficient: Coefficient) -> tuple[float, float]:
     if math.isinf(lower) and math.isinf(upper):
         raise EstimationError("the limit gives no bound: write within, at_least or at_most")
     if lower > upper:
-        raise EstimationError("at_least is larger than at_most, so nothing can pass")
+        raise EstimationError("at_least is larger than at_most, so no value can pass")
     return lower, upper
 
 

@@ -106,14 +106,16 @@ def _words(
     notes = [f"{draws} Monte Carlo draws compare the intervals at 95 % with the declared distributions."]
     if not stabilised:
         notes.append(
-            "The draws had not stabilised to a fifth of the tolerance δ when the most that were asked for had been "
-            "made."
+            "At the largest requested number of draws, the results had not stabilised to a fifth of the tolerance δ."
         )
     if first_order:
-        notes.append("They go through this estimate's own sensitivities, so they do not test whether these are enough.")
+        notes.append(
+            "The draws use the sensitivities of this estimate, so they do not test whether these are sufficient."
+        )
     if undecided := ", ".join(verdicts["undecided"]):
         notes.append(
-            f"So many draws cannot decide on {undecided}: their ends scatter by more than is left to δ. Ask for more "
+            f"This number of draws cannot decide on {undecided}: the ends of their intervals scatter by more than "
+            f"the remainder of δ. Increase "
             "`draws`."
         )
     warnings = []

@@ -49,7 +49,7 @@ class RepeatabilityParameters(Record):
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; all that every one of them has when left out.",
+        "Coefficients of the estimates in `uses`, with * and ?; by default all that they have in common.",
         "K_gyro_*",
         default_factory=tuple,
     )
@@ -61,8 +61,7 @@ class RepeatabilityParameters(Record):
     )
     groups: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(Text("", "a name or a pattern"), minimum=1, single=True)),
-        "What belongs together, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, "
-        "with * and ?.",
+        "Groups, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, with * and ?.",
         {"monday": "monday*", "tuesday": ["tuesday*"]},
         default_factory=dict,
     )
@@ -181,7 +180,7 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
     items = list(labels) if parameters.channels else list(uses)
     if len(items) < 2:
         what = "segment" if parameters.channels else "estimate"
-        raise EstimationError(f"one {what} cannot show how much it repeats: choose two or more")
+        raise EstimationError(f"one {what} gives no repeatability: choose two or more")
     return items
 
 
@@ -198,11 +197,13 @@ def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: 
         if len(own) != 1:
             listed = " and ".join(list(groups)[k] for k in sorted(own))
             why = f"belongs to {listed}" if own else "belongs to no group"
-            raise EstimationError(f"'{name}' {why}: let the patterns in `groups` mean each exactly once")
+            raise EstimationError(
+                f"'{name}' {why}: correct the patterns in `groups` so that each is in exactly one group"
+            )
     number[:] = [own.pop() for own in held]
     empty = [name for k, name in enumerate(groups) if k not in number]
     if empty:
-        raise EstimationError(f"the group '{empty[0]}' holds nothing: correct its patterns")
+        raise EstimationError(f"the group '{empty[0]}' is empty: correct its patterns")
     if len(groups) < 2 or len(names) == len(groups):
         raise EstimationError(
             "give at least two groups, one of them with at least two members, to separate the scatter within groups "
@@ -241,7 +242,7 @@ def _coefficients(request: EstimateRequest, group: NDArray[np.int64]) -> list[Re
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in shared):
             raise EstimationError(
-                f"no coefficient that all estimates have is named like '{pattern}': {closest(pattern, shared)}"
+                f"no coefficient that all estimates have matches '{pattern}': {closest(pattern, shared)}"
             )
     if not wanted:
         raise EstimationError("the estimates in `uses` have no coefficient in common: use estimates of one kind")
@@ -441,10 +442,10 @@ def _notes(one: Repeats, split: Variance) -> list[str]:
     if np.isfinite(one.own).all() and (one.own > 0).all():
         own = math.sqrt(float(np.mean(one.own**2)))
         found.append(
-            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), "
-            "beside a scatter of "
-            f"{math.sqrt(split.within):.3g}; what all repeats share, such as a fixture's angle, is in the former and "
-            "not in the latter."
+            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), compared with a scatter "
+            "of "
+            f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, are in the former but not in the "
+            "latter."
         )
     return found
 

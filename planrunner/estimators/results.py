@@ -63,7 +63,7 @@ class Results:
     def from_json(cls, data: Mapping[str, Any], file: str = "results.json") -> Results:
         """The results that `to_json` wrote. Raises `InputError` for another format."""
         if not isinstance(data, Mapping) or data.get("planrunner_results") not in range(1, FORMAT + 1):
-            message = "this file contains no results in a format that this version reads"
+            message = "this file contains no results in a format that this version can read"
             raise InputError.at(
                 Mark(file), "results-format", message, "open it with the version that wrote it, or estimate again"
             )

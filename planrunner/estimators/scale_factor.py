@@ -76,7 +76,7 @@ class ScaleFactorParameters(Record):
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the rates about the line, or the noise within the segments.",
+        "Basis of the uncertainties: the scatter of the rates about the line, or the noise within the segments.",
         "residual",
         default="residual",
     )
@@ -152,7 +152,7 @@ class ScaleFactor(Method[LineQuantities]):
                 "All rates have one sign, so asymmetry cannot be determined, and an offset that depends on the sense of rotation is in F0."
             )
         if not (found.common or request.setup.inputs.get("table rate")):
-            notes.append("The table's rate is taken as exact; state `rate_uncertainty` to include it.")
+            notes.append("The table's rate counts as exact; state `rate_uncertainty` to include it.")
         return Words(
             headline=tuple(item.name for item in found.coefficients),
             settings={

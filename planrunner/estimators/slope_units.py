@@ -14,7 +14,7 @@ def rate_and_output(rate_unit: str, output_unit: str) -> tuple[Unit, Unit]:
         raise EstimationError(str(error)) from None
     if rate.dimension != unit("rad/s").dimension:
         raise EstimationError(
-            f"rate_unit is '{rate_unit}', which is no unit of angular rate; write for example 'deg/s'"
+            f"rate_unit is '{rate_unit}', which is not a unit of angular rate; write for example 'deg/s'"
         )
     return rate, own
 

@@ -187,7 +187,7 @@ class _Execution:
         return self.through and all(self.writer.acknowledged(index) for index in range(self.start_at))
 
     def _prepare(self) -> None:
-        self.doing = "asking the instruments what they are"
+        self.doing = "reading the identification of the instruments"
         known = self.writer.resume_point.instruments
         identities = {}
         for name, instrument in self.bench.instruments.items():
@@ -199,9 +199,9 @@ class _Execution:
                 )
         self.channels = dict(self.bench.sensor.channels()) if self.streams else {}
         if self.writer.resume_point.resumed:
-            self.doing = "going back to where the run broke off"
+            self.doing = "returning to the state in which the run was interrupted"
             self.continuity.restore(self.writer.resume_point)
-        self.doing = "setting the instruments' own limits"
+        self.doing = "setting the limits in the instruments"
         limits = self._protect()
         self.bench.take_control()
         self.doing = "writing the run folder"
@@ -255,8 +255,8 @@ class _Execution:
             except LimitPassedError as error:
                 self.writer.set_aside(str(error), _frames(holding.counts()))
                 if not left:
-                    taken = f"; it was taken {retakes + 1} times" if retakes else ""
-                    raise InstrumentError(f"{error}{taken}. Look at the bench, then resume the run") from None
+                    taken = f"; it was recorded {retakes + 1} times" if retakes else ""
+                    raise InstrumentError(f"{error}{taken}. Check the bench, then resume the run") from None
                 self.reaching.come_to_rest(segment)
                 continue
             self._acknowledge(segment, holding, counts, in_mode)
@@ -275,7 +275,7 @@ class _Execution:
         readings = {**in_mode, **self._read()}
         self.reaching.come_to_rest(segment)
         self.lookout.hear()
-        self._say("noting the instruments' state")
+        self._say("recording the state of the instruments")
         states = self.continuity.states()
         self._say("writing the run folder")
         self.writer.acknowledge(self.clock.now(), states, readings, frames=_frames(counts))
@@ -346,7 +346,9 @@ class _Execution:
         self.reaching.forget()
         failures = [str(failure) for failure in self.bench.make_safe()]
         if failures:
-            raise InstrumentError("the bench cannot be made safe to approach: " + "; ".join(failures))
+            raise InstrumentError(
+                "the bench cannot be brought into a state that is safe to approach: " + "; ".join(failures)
+            )
 
     def _attend(self, callback: Callable[[], bool] | None) -> None:
         attend = getattr(self.clock, "attend", None)

@@ -42,7 +42,9 @@ class Holding:
         passed = outside(self._watch.limits, values)
         if self._watch.doubts:
             passed += [
-                f"'{name}' doubts its samples ({doubt})" for name, now in conditions.items() for doubt in now.doubts
+                f"'{name}' marks its samples as doubtful ({doubt})"
+                for name, now in conditions.items()
+                for doubt in now.doubts
             ]
         if passed:
             raise LimitPassedError("; ".join(passed))

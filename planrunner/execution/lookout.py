@@ -133,7 +133,7 @@ class Lookout:
         for doubt in condition.doubts:
             self._once(name, doubt)
         if condition.faults:
-            raise InstrumentError(f"'{name}' cannot go on: {'; '.join(condition.faults)}")
+            raise InstrumentError(f"'{name}' cannot continue: {'; '.join(condition.faults)}")
         values, limits = condition.values, self._limits
         kelvin = values.get("temperature")
         if kelvin is not None and limits.hottest is not None and kelvin > limits.hottest:
@@ -143,14 +143,15 @@ class Lookout:
         error = abs(values.get("position_error", 0.0))
         if limits.position_error is not None and error > limits.position_error:
             raise InstrumentError(
-                f"'{name}' follows with an error of {error:.3g} rad, more than the {limits.position_error:.3g} rad "
-                "of the bench's protection: check for an obstruction or an unbalanced load"
+                f"'{name}' has a following error of {error:.3g} rad, more than the {limits.position_error:.3g} rad "
+                f"that the bench's protection allows: check "
+                "for an obstruction or an unbalanced load"
             )
 
 
 def _beyond(name: str, what: str, kelvin: float, limit: float) -> str:
     return (
-        f"'{name}' reads {kelvin - ZERO_CELSIUS:.1f} degC, {what} than the {limit - ZERO_CELSIUS:.1f} degC of the "
-        "bench's protection: "
-        "look at the chamber and its setpoint"
+        f"'{name}' reads {kelvin - ZERO_CELSIUS:.1f} degC, {what} than the {limit - ZERO_CELSIUS:.1f} degC that the "
+        f"bench's protection allows: check the chamber and its "
+        "setpoint"
     )

@@ -65,7 +65,7 @@ class Boundary:
         self._make_safe()
         self._writer.note("paused", clock=now())
         if self._operator is not None:
-            self._operator.tell(f"paused in the safe state; go on with: planrunner resume {self._writer.path}")
+            self._operator.tell(f"paused in the safe state; continue with: planrunner resume {self._writer.path}")
         if self._until(lambda: not asked_to_pause(self._writer.folder)):
             self._go_on()
             self._writer.note("continued", clock=now())

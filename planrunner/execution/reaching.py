@@ -207,7 +207,7 @@ class Reaching:
             if self._clock.now() >= deadline:
                 raise InstrumentError(
                     f"{what}, {expected + patience:.0f} s after the command; {expected:.0f} s were expected. "
-                    "Look at its display, cables, interlocks and limits, then resume the run"
+                    "Check its display, cables, interlocks and limits, then resume the run"
                 )
             self.pause(self._patience.poll)
 
@@ -215,6 +215,7 @@ class Reaching:
 def _unsettled(segment: Segment, stability: Stability, wrong: list[str]) -> str:
     why = "; ".join(wrong) or f"the readings do not stay within their limits for {stability.duration:g} s"
     return (
-        f"'{segment.label}' has not settled within {stability.patience:g} s: {why}. Look at the instruments and what acts on them, or "
-        "allow more time or wider limits in the plan, then resume the run"
+        f"'{segment.label}' has not settled within {stability.patience:g} s: {why}. Check the instruments and their "
+        f"surroundings, or allow more time or wider limits in the plan, then resume the "
+        "run"
     )

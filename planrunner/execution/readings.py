@@ -84,7 +84,7 @@ def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[st
 
 def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
     """In words, the limited readings that no instrument has said."""
-    return [f"no instrument says the {name.replace('_', ' ')}" for name in limits if name not in values]
+    return [f"no instrument reports the {name.replace('_', ' ')}" for name in limits if name not in values]
 
 
 def frames_outside(watch: Watch, counts: FrameCounts) -> list[str]:

@@ -12,12 +12,12 @@ from planrunner.plan.units import ZERO_CELSIUS
 class ChamberKeys(Record):
     """What a chamber is, for whoever plans for it."""
 
-    lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature it reaches.", "-55 degC")
-    highest: Quantity = key(QuantityOf("temperature"), "Highest temperature it reaches.", "85 degC")
-    ramp: Quantity = key(QuantityOf("temperature rate", "positive"), "Rate of its setpoint.", "3 K/min")
+    lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature of the chamber.", "-55 degC")
+    highest: Quantity = key(QuantityOf("temperature"), "Highest temperature of the chamber.", "85 degC")
+    ramp: Quantity = key(QuantityOf("temperature rate", "positive"), "Rate of change of the setpoint.", "3 K/min")
     ambient: Quantity = key(
         QuantityOf("temperature"),
-        "Temperature it starts from and is left at.",
+        "Temperature at the start of a run, and to which the chamber returns at its end.",
         "25 degC",
         default=parse_quantity("25 degC"),
     )
@@ -29,7 +29,7 @@ class ChamberKeys(Record):
     )
     tolerance: Quantity = key(
         QuantityOf("temperature", "positive"),
-        "How near the air must be to count as there.",
+        "Largest difference between air temperature and setpoint at which the setpoint counts as reached.",
         "0.5 K",
         default=parse_quantity("0.5 K"),
     )
@@ -55,4 +55,4 @@ class ChamberKeys(Record):
         """Raises `InstrumentError` for a temperature beyond the chamber's range."""
         if not self.lowest.value <= kelvin <= self.highest.value:
             shown, low, high = (value - ZERO_CELSIUS for value in (kelvin, self.lowest.value, self.highest.value))
-            raise InstrumentError(f"{shown:g} degC is beyond the chamber, which reaches {low:g} to {high:g} degC")
+            raise InstrumentError(f"{shown:g} degC is outside the chamber's range of {low:g} to {high:g} degC")

@@ -28,7 +28,7 @@ from planrunner.plan.span import Span
 
 Array = NDArray[np.float64]
 RATE_TOLERANCE = math.log(1.25)
-_TABLE = "look at the table of segments in the bench file and at the plan's labels"
+_TABLE = "check the table of segments in the bench file and the plan's labels"
 
 
 class RecordingPlayer:
@@ -110,7 +110,7 @@ class RecordingPlayer:
 
     def look_over(self, segments: Sequence[Segment], log: Findings, progress: Progress | None = None) -> None:
         """Everything that can be said of the recording before these segments are played back, in one pass over it, into `log`. progress:
-        called with the rows looked at so far."""
+        called with the rows checked so far."""
         name = self.parameters.file
         try:
             scan(self.file, name, self.parameters.sample_rate.value, self._wanted(segments, log), log, progress)
@@ -127,10 +127,10 @@ class RecordingPlayer:
                 parts = zip(segments, self.parted, strict=True)
                 return [Wanted(one.label, span, one.dwell, Mark(name)) for one, span in parts]
             message = (
-                f"{name} holds {len(self.parted)} stretches separated by pauses, and the plan has {len(labels)} "
+                f"{name} holds {len(self.parted)} stretches separated by pauses, but the plan has {len(labels)} "
                 "segments"
             )
-            hint = "look at `pauses` in the bench file and at the plan's segments"
+            hint = "check `pauses` in the bench file and the plan's segments"
             log.error("recording-labels", Mark(name), message, hint)
             return []
         if self.spans is None:

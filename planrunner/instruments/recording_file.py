@@ -41,7 +41,7 @@ Rows = Iterator[tuple[Array, dict[str, Array]]]
 def beneath(root: Path | None, name: str) -> Path:
     """The file `name` beneath the data root. Raises `InstrumentError` for whatever lies, or leads, outside it."""
     if root is None:
-        raise InstrumentError(f"'{name}' is relative to a data folder, and none is given; add --data FOLDER")
+        raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
     rooted = posix.is_absolute() or windows.is_absolute() or windows.drive or windows.root
     if rooted or ".." in posix.parts or ".." in windows.parts:
@@ -55,7 +55,7 @@ def beneath(root: Path | None, name: str) -> Path:
     except (OSError, RuntimeError):
         raise InstrumentError(f"there is no file '{name}' beneath the data root {root}") from None
     if not path.is_relative_to(top):
-        raise InstrumentError(f"'{name}' is a link that leads outside the data root; put the file itself there")
+        raise InstrumentError(f"'{name}' is a link that leads outside the data root; replace the link with the file")
     return path
 
 

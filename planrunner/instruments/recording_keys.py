@@ -41,7 +41,8 @@ class TimeColumn(Record):
     unit: str = key(Choice(TIME_UNITS), "Its unit.", "s", default="s")
     power_on: Quantity | None = key(
         QuantityOf("time"),
-        "When the sensor was switched on, in the column's own time; time then counts from there, else from the first "
+        "Time at which the sensor was switched on, in the time of the column; the time of the recording then starts "
+        "there, by default at the first "
         "row.",
         "0 s",
         default=None,
@@ -53,15 +54,17 @@ class ChannelColumn(Record):
 
     column: str = key(Text(COLUMN, "a column's name"), "Name of the column in the file.", "gyro_y_deg_per_s")
     unit: str = key(UnitText(), "Unit of the channel, that of the numbers in the file unless they are counts.", "deg/s")
-    sign: int = key(Number(-1, 1, integer=True), "-1 where the sensor's axis points the other way.", -1, default=1)
+    sign: int = key(
+        Number(-1, 1, integer=True), "-1 if the sensor's axis points in the opposite direction.", -1, default=1
+    )
     zero: float = key(
         Number(),
-        "What the column reads where the channel is zero in its unit, for a file of raw counts.",
+        "Value of the column at which the channel is zero, for a file of raw counts.",
         59136,
         default=0.0,
     )
     per_unit: float = key(
-        Number(), "By how much the column grows per unit of the channel, for a file of raw counts.", 256, default=1.0
+        Number(), "Change of the column per unit of the channel, for a file of raw counts.", 256, default=1.0
     )
     noise: Quantity | None = key(
         QuantityOf(None, "not negative"),
@@ -86,7 +89,7 @@ class ChannelColumn(Record):
     )
     resolution: Quantity | None = key(QuantityOf(None, "not negative"), "One count.", "0.0005 deg/s", default=None)
     full_scale: Quantity | None = key(
-        QuantityOf(None, "positive"), "Full scale, either sign.", "2000 deg/s", default=None
+        QuantityOf(None, "positive"), "Full scale, for both signs.", "2000 deg/s", default=None
     )
 
     def white(self, sample_rate: float) -> float:
@@ -122,7 +125,7 @@ class ChannelKind:
             log.error(
                 "meaning-range",
                 channel.at("per_unit"),
-                "a column that never grows measures nothing",
+                "a column that never changes measures nothing",
                 "write the counts per unit",
             )
         for name in ("noise", "bias_instability", "resolution", "full_scale"):
@@ -153,7 +156,7 @@ class SegmentColumns(Record):
     end: str = key(Text(COLUMN, "a column's name"), "Column of the ends.", "end_s", default="end_s")
     unit: str = key(Choice(TIME_UNITS), "Unit of both columns.", "s", default="s")
     trim: Quantity = key(
-        QuantityOf("time", "not negative"), "Left out at either end of a stretch.", "2 s", default=_NO_TRIM
+        QuantityOf("time", "not negative"), "Time that is left out at both ends of a stretch.", "2 s", default=_NO_TRIM
     )
 
     @classmethod
@@ -187,8 +190,8 @@ class RecordingParameters(Record):
     )
     pauses: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "In place of a table: longer steps in time part the recording into segments, which are the plan's in its "
-        "order.",
+        "Instead of a table: steps in time longer than this divide the recording into segments, in the order of the "
+        "plan.",
         "10 s",
         default=None,
     )
@@ -211,5 +214,5 @@ def _check_dimension(channel: ChannelColumn, name: str, times: str, log: Finding
         powers["time"] = powers.get("time", 0.0) + 0.5
         own = tuple(sorted((base, power) for base, power in powers.items() if power))
     if value.unit.dimension != own:
-        message = f"'{value.unit.text}' is not of the dimension of {channel.unit}{times}"
+        message = f"'{value.unit.text}' does not have the dimension of {channel.unit}{times}"
         log.error("meaning-dimension", channel.at(name), message, f"write it in {channel.unit}{times}")

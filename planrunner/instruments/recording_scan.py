@@ -121,7 +121,7 @@ def scan(
     progress: Progress | None = None,
 ) -> None:
     """Everything that is wrong with a recording, into `log`. name: of the file, for messages; sample_rate: Hz, as declared; progress:
-    called with the rows looked at so far. Raises `InstrumentError` where the file cannot be read on."""
+    called with the rows checked so far. Raises `InstrumentError` where the file cannot be read on."""
     period = 1 / sample_rate if math.isnan(file.interval) else file.interval
     found = _Pass(period, [_Seen() for _ in wanted])
     try:
@@ -158,7 +158,7 @@ def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings
     )
     if begins or ends:
         where = f"from {one.span.start:.9g} s to {one.span.end:.9g} s"
-        message = f"'{one.label}' is tabled {where}, but {name} holds {found.first:.9g} s to {end:.9g} s"
+        message = f"'{one.label}' is listed {where}, but {name} holds {found.first:.9g} s to {end:.9g} s"
         log.error("recording-beyond", one.mark, message, "correct the table of segments, or its `unit` and `trim`")
         return
     if not seen.rows:
@@ -166,7 +166,7 @@ def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings
         log.error("recording-empty", one.mark, message, "correct the table of segments, or leave the segment out")
         return
     if not seen.complete:
-        message = f"'{one.label}' has no row without a missing number"
+        message = f"'{one.label}' has no complete row"
         log.warning("recording-missing", one.mark, message, "leave the segment or the channel out, or record it again")
     lasts = seen.last - seen.first + found.period
     if one.dwell is not None and one.dwell > lasts + found.period / 2:
@@ -182,7 +182,7 @@ def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -
     total = sum(each.gaps for _, each in holed)
     where = f"{len(holed)} segments; the longest" if len(holed) > 1 else f"'{one.label}'; the longest"
     message = f"{name}: samples are missing at {total} places in {where} lasts {seen.gap:.4g} s, from {seen.at:.9g} s in '{one.label}'"
-    log.warning("recording-gap", one.mark, message, "look at the logger; estimates use what is there")
+    log.warning("recording-gap", one.mark, message, "check the logger; estimates use the existing samples")
 
 
 def _on_missing(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:
@@ -192,7 +192,7 @@ def _on_missing(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings
     counts = ", ".join(f"'{channel}' {count} of {found.rows}" for channel, count in lacking.items())
     used = sum(seen.rows - seen.complete for seen in found.seen)
     message = f"{name}: numbers are missing in {counts} rows; {used} of them are in segments and are left out"
-    log.warning("recording-missing", Mark(name), message, "look at the logger; few missing rows do no harm")
+    log.warning("recording-missing", Mark(name), message, "check the logger; a few missing rows do no harm")
 
 
 def _on_overlaps(wanted: Sequence[Wanted], period: float, log: Findings) -> None:

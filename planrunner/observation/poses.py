@@ -131,7 +131,7 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
         if np.abs(columns @ step).max() < 1e-9 * gravity:
             return unit
     raise ObservationError(
-        "the readings of the poses are not near a sphere of radius g: check the unit of the channels, and whether "
+        "the readings of the poses are not close to a sphere of radius g: check the unit of the channels, and whether "
         "the sensor was still"
     )
 

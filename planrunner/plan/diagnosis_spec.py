@@ -22,13 +22,13 @@ class DiagnosisSpec(Record):
 
     nominal: tuple[str, ...] = key(
         ListOf(Choice(NOMINAL_TERMS)),
-        "What the simulation fits to the recording; what is left out is a candidate like any other effect.",
+        "Terms that the simulation fits to the recording; a term that is left out is a candidate like any other effect.",
         ["accel_bias"],
         default=NOMINAL_TERMS,
     )
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1),
-        "Outputs that are looked at, such as those of one of two sensors in a recording; those of `sensor` without it.",
+        "Outputs to analyse, such as those of one of two sensors in a recording; by default those of `sensor`.",
         ["bno_accel_x", "bno_accel_y", "bno_accel_z"],
         default_factory=tuple,
     )

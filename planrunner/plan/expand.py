@@ -121,7 +121,7 @@ def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
             log.error(
                 "meaning-swept-twice",
                 spec.at(given),
-                f"'{given}' is given here, and for_each sweeps '{name}'",
+                f"'{given}' is given here, but for_each also sweeps '{name}'",
                 "keep one of them",
             )
             return False

@@ -20,13 +20,13 @@ class Tolerated(Record):
     )
     rate_error: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
-        "Measured less commanded rate, on every axis.",
+        "Measured minus commanded rate, on every axis.",
         "0.002 deg/s",
         default=None,
     )
     temperature_error: Quantity | None = key(
         QuantityOf("temperature", "positive"),
-        "Measured less commanded temperature of the chamber.",
+        "Measured minus commanded temperature of the chamber.",
         "0.5 K",
         default=None,
     )
@@ -46,7 +46,7 @@ class Stability(Tolerated):
     """Waiting until readings have settled: each within its limit, for a while at a stretch."""
 
     for_: Quantity = key(
-        QuantityOf("time", "positive"), "How long the readings must stay within their limits.", "30 s", name="for"
+        QuantityOf("time", "positive"), "Time for which the readings must stay within their limits.", "30 s", name="for"
     )
     within: Quantity = key(
         QuantityOf("time", "positive"), "The run stops when they have not settled after this time.", "10 min"
@@ -54,7 +54,7 @@ class Stability(Tolerated):
 
 
 class Watch(Tolerated):
-    """Limits on what is read while the segment records, and what follows when one is passed."""
+    """Limits on the readings while the segment records, and what happens when a limit is exceeded."""
 
     lost_frames: Quantity | None = key(
         QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %", default=None
@@ -67,13 +67,13 @@ class Watch(Tolerated):
     )
     doubts: str = key(
         Choice(("limit", "note")),
-        "What it means that an instrument doubts its own samples (status bits): as a passed limit, or noted only.",
+        "How samples that the instrument marks as doubtful (status bits) are treated: as an exceeded limit, or noted only.",
         "note",
         default="limit",
     )
     retakes: int = key(
         Number(0, 10, integer=True),
-        "How often a segment that passes a limit is taken again before the run stops; its data are kept, with the "
+        "How often a segment that exceeds a limit is recorded again before the run stops; its data are kept, with the "
         "reason.",
         2,
         default=0,

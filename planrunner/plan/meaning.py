@@ -60,7 +60,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
         elif other == name:
             log.error("meaning-estimate-order", at, f"'{name}' uses itself", "name an estimate that precedes it")
         elif name in names and names.index(other) > names.index(name):
-            message = f"'{name}' uses '{other}', which is not estimated before it"
+            message = f"'{name}' uses '{other}', which is not an earlier estimate"
             log.error("meaning-estimate-order", at, message, f"put '{other}' above '{name}'")
 
 
@@ -77,7 +77,7 @@ def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
             unknown.setdefault(estimate, []).append(limit.at("quantity"))
     with log.resting_on(*plan.origin.meant.get("estimates", ())):
         for name, marks in unknown.items():
-            message = f"'{name}' is no estimate of this plan{elsewhere(marks, marks[0])}"
+            message = f"'{name}' is not an estimate of this plan{elsewhere(marks, marks[0])}"
             log.error("meaning-unknown-estimate", marks[0], message, closest(name, names))
 
 
@@ -138,21 +138,26 @@ def _check_limit(limit: Limit, log: Findings) -> None:
         )
     if "within" in given and len(given) > 1:
         hint = "use at_least and at_most for a limit that is not symmetric"
-        log.error("meaning-limit", limit.at("within"), f"'within' cannot stand beside '{given[1]}'", hint)
+        log.error("meaning-limit", limit.at("within"), f"'within' cannot be used together with '{given[1]}'", hint)
     if limit.rule == "simple" and "guard_band" in limit.origin.keys:
         hint = "remove it, or write rule: guarded"
         log.error("meaning-limit", limit.at("guard_band"), "'guard_band' has no meaning for the rule simple", hint)
     if limit.prior is not None and not limit.prior.standard_uncertainty:
         hint = "write for example prior: 0.1 deg/h ± 0.2 deg/h"
-        log.error("meaning-uncertainty", limit.at("prior"), "a prior needs the spread of the quantity over items", hint)
+        log.error(
+            "meaning-uncertainty",
+            limit.at("prior"),
+            "a prior needs the standard deviation of the quantity over the items",
+            hint,
+        )
     if limit.at_least is not None and limit.at_most is not None:
         if limit.at_least.unit.dimension != limit.at_most.unit.dimension:
             low, high = (
                 "a pure number" if bound.unit.text == "1" else f"in {bound.unit.text}"
                 for bound in (limit.at_least, limit.at_most)
             )
-            message = f"at_least is {low}, at_most is {high}: these are of different dimensions"
+            message = f"at_least is {low}, at_most is {high}: these have different dimensions"
             log.error("meaning-dimension", limit.at("at_most"), message, "give both in the unit of the coefficient")
         elif limit.at_least.value >= limit.at_most.value:
-            message = f"at_least ({limit.at_least}) is not below at_most ({limit.at_most}): nothing could pass"
+            message = f"at_least ({limit.at_least}) is not below at_most ({limit.at_most}): no value could pass"
             log.error("meaning-limit", limit.at("at_least"), message, "exchange them")

@@ -66,7 +66,9 @@ class Sensor(Record):
     """The sensor under test, as the plan expects it."""
 
     kind: str = key(
-        Text(NAME, "a sensor kind"), "Kind of sensor that the plan is for; the bench must carry one.", "flexure-gyro"
+        Text(NAME, "a sensor kind"),
+        "Kind of sensor that the plan is for; the bench must have a sensor of this kind.",
+        "flexure-gyro",
     )
     outputs: tuple[str, ...] = key(
         ListOf(Text(NAME, "an output's name"), minimum=1),
@@ -77,7 +79,7 @@ class Sensor(Record):
 
 
 class MountedAxis(Record):
-    """How one input axis stands in a tilted fixture."""
+    """Direction of one input axis in a tilted fixture."""
 
     angle: Quantity = key(
         QuantityOf("angle", uncertain=True),
@@ -103,7 +105,7 @@ class MountedAxis(Record):
 
 
 class EstimateSpec(Record):
-    """One estimate: an estimator on a choice of segments. The estimator's own keys stand beside these."""
+    """One estimate: an estimator on a choice of segments. The estimator has additional keys."""
 
     estimator: str = key(Text(NAME, "an estimator's name"), "Estimator to use.", "flexure_gyro_static")
     segments: tuple[str, ...] | Detection = key(
@@ -111,7 +113,7 @@ class EstimateSpec(Record):
     )
     uses: tuple[str, ...] = key(
         ListOf(Text(NAME, "an estimate's name"), single=True),
-        "Earlier estimates that this one builds on.",
+        "Earlier estimates that this estimate uses.",
         "drift",
         default_factory=tuple,
     )
@@ -140,7 +142,7 @@ class SymmetricKind:
             log.error(
                 "meaning-range",
                 node.mark,
-                f"'{text}' lets nothing pass: the bound must be positive",
+                f"'{text}' permits no value: the bound must be positive",
                 "change the number",
             )
             return None
@@ -159,7 +161,7 @@ class Limit(Record):
             "the name of an estimate, a dot and a coefficient",
             "write for example drift.D_X_F",
         ),
-        "Which coefficient of which estimate.",
+        "The coefficient and its estimate.",
         "drift.D_X_F",
     )
     within: str | None = key(SymmetricKind(), "Symmetric about zero.", "±0.5 deg/h", default=None)
@@ -180,8 +182,8 @@ class Limit(Record):
     )
     prior: Quantity | None = key(
         QuantityOf(None, uncertain=True),
-        "What is known of the quantity over the items that are tested, as mean ± standard deviation: gives the "
-        "rule's global risks.",
+        "Prior distribution of the quantity over the tested items, as mean ± standard deviation; gives the global risks of the "
+        "rule.",
         "0.1 deg/h ± 0.2 deg/h",
         default=None,
     )
@@ -257,20 +259,20 @@ class Plan(Record):
     )
     estimates: dict[str, EstimateSpec] = key(
         MapOf(ESTIMATE, pattern=NAME),
-        "What to learn from the recording, by name.",
+        "Results to compute from the recording, by name.",
         {"drift": {"estimator": "flexure_gyro_static", "segments": "P*"}},
         default_factory=dict,
     )
     limits: tuple[Limit, ...] = key(
         ListOf(RecordOf(Limit)),
-        "Requirements on what was learnt.",
+        "Requirements on the results.",
         [{"quantity": "drift.D_X_F", "within": "±0.5 deg/h"}],
         default_factory=tuple,
     )
     diagnosis: DiagnosisSpec | None = key(
         RecordOf(DiagnosisSpec),
-        "How `planrunner diagnose` looks at a recording of this plan; all segments and a full nominal model without "
-        "it.",
+        "How `planrunner diagnose` analyses a recording of this plan; by default all segments with the full nominal "
+        "model.",
         {"nominal": ["accel_bias", "accel_misalignment"]},
         default=None,
     )

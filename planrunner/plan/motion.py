@@ -53,7 +53,7 @@ def _stated_motion(
         log.error(
             "meaning-motion",
             marks["motion"],
-            f"a motion is one of rate, rock and cycle; this says {what}",
+            f"a motion is one of rate, rock and cycle; this has {what}",
             "keep one of them",
         )
         return None
@@ -132,7 +132,7 @@ def _check_positions(moves: list[Move], positions: Mapping[str, float], motion: 
                 users.setdefault(name, []).append(index)
     for name, found in users.items():
         others = f", as {len(found) - 1} more do" if found[1:] else ""
-        message = f"move {found[0] + 1} ({motion.moves[found[0]].strip()}) names '{name}', which is no position of this cycle{others}"
+        message = f"move {found[0] + 1} ({motion.moves[found[0]].strip()}) names '{name}', which is not a position of this cycle{others}"
         log.error("meaning-cycle-position", motion.at(f"moves[{found[0]}]"), message, closest(name, positions))
 
 
@@ -158,7 +158,7 @@ def _check_cycle(moves: list[Move], net: float, motion: model.Motion, log: Findi
         at = motion.at(f"moves[{len(moves) - 1}]")
         log.error("meaning-cycle-closed", at, message, f"add a move from {moves[-1].end} back to {moves[0].start}")
     elif abs(net) > _ANGLE_TOLERANCE:
-        message = f"every cycle winds the cables up by {math.degrees(net):+g} deg"
+        message = f"each cycle winds up the cables by {math.degrees(net):+g} deg"
         log.error("physics-cable-wrap", motion.at("moves"), message, "let as many degrees go back as forth")
 
 

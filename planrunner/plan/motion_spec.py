@@ -82,7 +82,7 @@ class Motion(Record):
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
-        "Which way positive angles turn, seen against the rotation axis.",
+        "Sense of positive angles, seen against the rotation axis.",
         "clockwise",
         default="counterclockwise",
     )

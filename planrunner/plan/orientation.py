@@ -112,7 +112,7 @@ class OrientationKind:
             if other.text in AXES
             else f"remove '{other.text}'"
         )
-        log.error("form-orientation", other.mark, f"'{other.text}' cannot stand beside '{allowed[-1]}'", hint)
+        log.error("form-orientation", other.mark, f"'{other.text}' cannot be used together with '{allowed[-1]}'", hint)
         return False
 
     def schema(self) -> dict[str, object]:

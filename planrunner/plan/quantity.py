@@ -193,11 +193,11 @@ def _unit(text: str, dimension: str | None) -> Unit:
 def _in_range(value: float, text: str, dimension: str | None) -> float:
     if not math.isfinite(value):
         raise QuantityError(
-            "meaning-not-finite", f"'{text.strip()[:40]}' is too large for any computer", _example(dimension)
+            "meaning-not-finite", f"'{text.strip()[:40]}' is too large to be represented", _example(dimension)
         )
     if value and not _SMALLEST <= abs(value) <= _LARGEST:
         raise QuantityError(
-            "meaning-range", f"'{text.strip()[:40]}' is beyond anything that is measured", _example(dimension)
+            "meaning-range", f"'{text.strip()[:40]}' is outside the range of any measurement", _example(dimension)
         )
     return value
 
@@ -212,7 +212,7 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
         return QuantityError("form-unit-missing", f"'{shown}' has no unit", example)
     if _SIGNED.fullmatch(text):
         return QuantityError(
-            "form-quantity", f"'{shown}' has two values; one is expected here", "both signs belong in for_each"
+            "form-quantity", f"'{shown}' has two values; one value is expected here", "both signs belong in for_each"
         )
     if re.match(r"\s*[-+−]?[0-9]+,[0-9]", text):
         return QuantityError("form-quantity", f"'{shown}' has a decimal comma", f"write a decimal point; {example}")
@@ -255,7 +255,7 @@ def refuse_uncertainty(text: str, elsewhere: str, mark: Mark, log: Findings) -> 
     log.error("form-uncertainty-unused", mark, _UNUSED, _plainly(text, elsewhere))
 
 
-_UNUSED = "no result would use an uncertainty that is stated here"
+_UNUSED = "no result uses an uncertainty that is stated here"
 
 
 def _plainly(text: str, elsewhere: str) -> str:

@@ -21,7 +21,7 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
     meant = attempted | {nearest(name, plan.record) for name in (*given, *attempted) if name not in plan.record}
     for name, item in plan.record.items():
         if item.required and name not in given and name not in meant:
-            hint = f"give --set {name}=… or put it in a file for --info"
+            hint = f"give --set {name}=…, or write it in a file for --info"
             log.error("run-info-missing", item.mark, f"the plan requires '{name}'", hint)
     if log.errors:
         raise InputError(log)
@@ -32,7 +32,7 @@ def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path
     """What is told when a report is issued, after the run; `names` are those that may be told. Raises `InputError`."""
     log = Findings()
     given = _read(settings, file, log)
-    _check(names, "docs/certificates.md lists what a certificate knows", given, log)
+    _check(names, "docs/certificates.md lists the names that a certificate uses", given, log)
     if log.errors:
         raise InputError(log)
     return {name: value for name, (value, _) in given.items()}

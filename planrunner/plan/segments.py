@@ -87,7 +87,7 @@ class State(Record):
             RecordOf(Ramp),
             what="a temperature or {ramp_to: …}",
         ),
-        "Chamber temperature to hold, or a ramp that is recorded while it happens.",
+        "Chamber temperature to hold, or a ramp during which the segment records.",
         "25 degC",
         default=None,
         traits=StateTraits(swept=True, decisive=True, sweep_example="-40, 20, 60 degC"),
@@ -118,7 +118,7 @@ class State(Record):
     )
     sample_rate: Quantity | None = key(
         QuantityOf("frequency", "positive"),
-        "Samples per second; the sensor's own without it.",
+        "Samples per second; by default the sample rate of the sensor.",
         "100 Hz",
         default=None,
         traits=StateTraits(swept=True),
@@ -171,8 +171,8 @@ class SegmentSpec(State):
     )
     prompt: str | None = key(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
-        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state "
-        "meanwhile.",
+        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state during this "
+        "time.",
         "Turn the fixture to face {orientation}, then leave the table",
         default=None,
     )

@@ -19,7 +19,7 @@ _PATTERNS = ListOf(_PATTERN, single=True, minimum=1, maximum=100)
 class Detection(Record):
     """Spans that are found in the data instead of being commanded: for hand-held recordings."""
 
-    detect: str = key(Choice(("still",)), "What to look for: spans in which nothing moves.", "still")
+    detect: str = key(Choice(("still",)), "What to detect: spans in which the sensor does not move.", "still")
     within: tuple[str, ...] = key(_PATTERNS, "Labels of the segments to look in.", "tumble", default=("*",))
     channels: tuple[str, ...] = key(
         ListOf(Text("", "a channel's name"), minimum=1),
@@ -32,7 +32,7 @@ class Detection(Record):
     )
     threshold: Quantity = key(
         QuantityOf("acceleration", "positive"),
-        "Still means every channel's standard deviation stays below this.",
+        "A span is still if the standard deviation of every channel is below this value.",
         "0.05 m/s^2",
     )
     at_least: Quantity = key(QuantityOf("time", "positive"), "Shortest span that counts.", "1 s")

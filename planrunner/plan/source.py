@@ -154,7 +154,7 @@ def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
 
 
 def _not_allowed(char: str, mark: Mark) -> InputError:
-    why = ": it is not seen, and changes how the text around it reads" if MISLEADING.match(char) else ""
+    why = ": it is invisible and changes how the surrounding text appears" if MISLEADING.match(char) else ""
     message = f"the character U+{ord(char):04X} is not allowed in YAML text{why}"
     return InputError.at(mark, "syntax-character", message, "remove it, or save the file as plain text")
 
@@ -278,7 +278,7 @@ class _Builder:
 
     def _alias(self, anchor: str, mark: Mark) -> None:
         if anchor not in self._anchors:
-            message = f"*{anchor[:60]} refers to nothing: there is no &{anchor[:60]} before it"
+            message = f"*{anchor[:60]} has no target: there is no &{anchor[:60]} before it"
             raise InputError.at(
                 mark, "syntax-alias", message, "write the value itself, or quote a text that begins with *"
             )
@@ -314,9 +314,9 @@ class _Builder:
                 )
                 continue
             if key.text == "<<":
-                message = "'<<' merges nothing: YAML 1.2 has no merge keys"
+                message = "'<<' has no effect: YAML 1.2 has no merge keys"
                 self.findings.error(
-                    "syntax-merge", key.mark, message, "use `defaults` or nested `steps` for what segments share"
+                    "syntax-merge", key.mark, message, "use `defaults` or nested `steps` for keys that segments share"
                 )
                 continue
             if key.text in first:

@@ -222,7 +222,7 @@ def unit(text: str) -> Unit:
         offset = registry.Quantity(0.0, parsed).to("kelvin").magnitude
         factor, _ = registry.get_base_units(f"delta_{parsed}")
     if not (1e-30 < float(factor) < 1e30):
-        raise UnknownUnitError(f"'{text[:40]}' is not a unit that anything is measured in")
+        raise UnknownUnitError(f"'{text[:40]}' is not a unit of measurement")
     return Unit(text, float(factor), tuple(sorted(dimension.items())), float(offset))
 
 

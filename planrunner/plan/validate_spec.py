@@ -16,7 +16,7 @@ class MonteCarloSpec(Record):
     )
     draws: int = key(
         Number(20_000, 10_000_000, integer=True),
-        "The most draws that are made where the results do not stabilise before.",
+        "Largest number of draws, if the results do not stabilise earlier.",
         1_000_000,
         default=1_000_000,
     )

@@ -20,8 +20,8 @@ from planrunner.reporting.study_page import StudyPage
 POINTS = 1500  # of a course, as drawn
 ROUNDS = 3  # cycles of the longest that are drawn
 FOOTER = (
-    "Not modulated: the share of a constant horizontal error that acts on as if the sensor stood still. Schuler drive: the free Schuler "
-    "oscillation that the cycle builds up of a constant gyro drift within the dwell, over the one that the same drift makes without "
+    "Not modulated: the share of a constant horizontal error that acts as if the sensor did not turn. Schuler drive: "
+    "the ratio of the free Schuler oscillation that a constant gyro drift builds up within the dwell with this cycle to the one without "
     "rotation; 0 for cycles much shorter than 84.4 min."
 )
 TITLES = {"planned": "as planned", "same order": "same order of stops", "free order": "free order of stops"}
@@ -92,7 +92,7 @@ def _left(context: CycleContext) -> Table:
                 words.number(round(math.degrees(one.cycle.mean_angle), 6)), f"{low} … {high}", f"{one.drive:.2f}",
             )
         )  # fmt: skip
-    return Table("What one cycle leaves of a constant horizontal error", columns, tuple(rows))
+    return Table("Residual of a constant horizontal error after one cycle", columns, tuple(rows))
 
 
 def _moves(context: CycleContext) -> Table:
@@ -108,7 +108,7 @@ def _rounds(context: CycleContext) -> Table:
     ]
     counts = alike(Role.COUNT, "Moves", "Cycles tried", "leave nothing", "of these wind up")
     columns = (TableColumn("Search"), *counts, TableColumn("Tried"))
-    return Table("What was searched", columns, tuple(rows))
+    return Table("Search", columns, tuple(rows))
 
 
 def vector(left: complex) -> str:
@@ -123,16 +123,16 @@ def notes(context: CycleContext) -> list[str]:
     for name, found in context.searches.items():
         title = TITLES[name].capitalize()
         if found.cycle is None:
-            said.append(f"{title}: none of the cycles tried leaves nothing without winding up the cables.")
+            said.append(f"{title}: none of the cycles tried has a zero residual without winding up the cables.")
         said += [
-            f"{title}: with {one.moves} moves there is none; all {one.balanced} that leave nothing wind up the cables."
+            f"{title}: with {one.moves} moves there is none; all {one.balanced} with a zero residual wind up the cables."
             for one in found.rounds
             if one.exhaustive and one.balanced and one.balanced == one.wound
         ]
     driven = [TITLES[name] for name, one in context.cycles.items() if one.drive >= 1]
     if driven:
         said.append(
-            f"The Schuler oscillation is driven as strongly as without rotation, or more: {', '.join(driven)}. Stop for shorter."
+            f"The Schuler oscillation is driven at least as strongly as without rotation: {', '.join(driven)}. Shorten the stops."
         )
     said.append(
         "Seconds times a constant horizontal gyro drift or accelerometer bias, oriented as at the first position, is what a cycle adds in "
@@ -154,7 +154,7 @@ def plots(context: CycleContext) -> list[Plot]:
     sums = {TITLES[name]: _added(one.cycle, ROUNDS * longest) for name, one in context.cycles.items()}
     minutes = tuple(np.round(np.linspace(0, ROUNDS * longest, POINTS) / 60, 4).tolist())
     added = Plot(
-        "What adds up of an error, along its direction at the first position", "time [min]", "integral [s]", minutes, sums,
+        "Accumulated error along its direction at the first position", "time [min]", "integral [s]", minutes, sums,
         lines=True,
     )  # fmt: skip
     return [course, added]

@@ -169,7 +169,7 @@ def _uncertainties(context: DesignContext) -> list[Table]:
     ]
     sets = alike(Role.STANDARD_UNCERTAINTY, *(TITLES[name] for name in shown))
     columns = (TableColumn("Coefficient"), *sets, TableColumn("Unit"))
-    return [Table("Standard uncertainties to expect, with the dwells of the plan", columns, tuple(rows))]
+    return [Table("Expected standard uncertainties, with the dwells of the plan", columns, tuple(rows))]
 
 
 def _ratios(context: DesignContext) -> list[Table]:
@@ -181,7 +181,7 @@ def _ratios(context: DesignContext) -> list[Table]:
         for name in names
     ]
     columns = (TableColumn("Ratio"), *alike(Role.VALUE, *(TITLES[name] for name in context.sets)))
-    return [Table("Residual sums of squares to expect, against the set of this estimate", columns, tuple(rows))]
+    return [Table("Expected residual sums of squares, compared with the set of this estimate", columns, tuple(rows))]
 
 
 def heading(context: DesignContext) -> str:
@@ -203,8 +203,9 @@ def notes(context: DesignContext) -> list[str]:
     p = len(context.terms)
     if context.spins:
         said.append(
-            f"{context.spins} segments of the estimate spin: they stay unchanged and contribute to every set. With "
-            "them, the bound of the worst variance is not known."
+            f"{context.spins} segments of the estimate spin: they stay unchanged and contribute to every set. The "
+            f"bound of the worst variance is then not "
+            "known."
         )
     else:
         said.append(
@@ -215,17 +216,18 @@ def notes(context: DesignContext) -> list[str]:
     share = chosen.of_bound.D
     if share > 0.9999:
         said.append(
-            "The chosen positions reach the bound to within 0.01 %: as many other positions on this bench cannot be "
-            "noticeably better by D."
+            "The chosen positions reach the bound to within 0.01 %: no other set of the same number of positions on "
+            "this bench is noticeably better by "
+            "D."
         )
     if context.dwells:
         said.append(
-            f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the allotted ones; every position "
+            f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the distributed ones; every position "
             "keeps at least a "
             "quarter of an equal share."
         )
     said.append(
-        "Efficiencies suppose the same noise in every position. D at 97 % needs 3 % more recording for the same "
+        "Efficiencies assume equal noise in all positions. A set with a D-efficiency of 97 % needs 3 % more recording time for the same "
         "determinant."
     )
     return said

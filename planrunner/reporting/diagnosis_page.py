@@ -27,9 +27,7 @@ FOOTER = (
     "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only "
     "where “none” is less probable than 5 %; effects that this plan cannot separate are named together."
 )
-WHERE = (
-    "Where: each factor divides the same gap in another way, so shares add up within one factor but not across factors"
-)
+WHERE = "Where: each factor divides the same gap in a different way, so shares add up within one factor but not across factors"
 Data = Mapping[str, Any]
 
 
@@ -79,7 +77,7 @@ def verdict(found: Data) -> str:
     if kind == "none":
         return f"No gap: noise alone explains the recording ({probability(posterior['none'])})."
     if kind == "unknown":
-        return f"A gap by something that the catalogue does not hold ({probability(posterior['unknown'])})."
+        return f"A gap caused by something that the catalogue does not contain ({probability(posterior['unknown'])})."
     names = list(said["class"] or effects) if kind == "indistinguishable" else ["+".join(sorted(effects))]
     residue = said.get("form_residue")
     beside = (
@@ -103,19 +101,19 @@ def _remainder(residue: str | None, named: list[str]) -> str:
         return ""
     if residue in named:
         (first,) = (name for name in named if name != residue)
-        return f" {residue} takes up less than 5 % of it: it is there and weak, or form residue of {first}."
+        return f" {residue} explains less than 5 % of it: it is present but weak, or form residue of {first}."
     if residue == "unknown":
-        return " Less than 5 % of it is something that the catalogue does not hold."
-    return f" What {residue} would add is below 5 % and taken for its form."
+        return " Less than 5 % of it is something that the catalogue does not contain."
+    return f" The contribution of {residue} is below 5 % and counts as form residue."
 
 
 def closure_words(found: Data) -> str:
     """How far the gap shrinks or grows, in one sentence; not resolvable where the data cannot say."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
-        return "There is nothing to close."
+        return "There is no gap to close."
     if not closure["resolvable"] or closure["shrinks_by"] is None:
-        return "How far the gap of withheld segments shrinks is not resolvable with this recording."
+        return "How far the gap of withheld segments shrinks cannot be resolved with this recording."
     text = f"The gap of withheld segments {_change(closure['shrinks_by'])}"
     if closure["interval_90"] is not None:
         text += f" (90 % interval {_interval(*closure['interval_90'])})"
@@ -238,7 +236,7 @@ def _parameters(found: Data) -> Table:
 def _absorbed(found: Data) -> Table:
     rows = tuple((one["effect"], _percent(one["kept_share"])) for one in found["absorbed"])
     title = "Taken up by the fitted nominal parameters"
-    return Table(title, (*alike(Role.LABEL, "Effect"), *alike(Role.SHARE, "share of its energy that is left")), rows)
+    return Table(title, (*alike(Role.LABEL, "Effect"), *alike(Role.SHARE, "remaining share of its energy")), rows)
 
 
 # -- words -----------------------------------------------------------------------------------------------------------

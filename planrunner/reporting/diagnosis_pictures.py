@@ -49,7 +49,7 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
     data: Data = found.get("pictures") or {}
     heat = data.get("heat")
     if heat and heat["segments"] and heat["channels"]:
-        words = "Energy of what simulation leaves, in times of what noise leaves: 1 is noise alone."
+        words = "Energy of the residuals of the simulation, relative to that of noise alone: 1 is noise alone."
         yield "Gap over segments and channels", words, True, heat_svg(heat, "heat")
     yield "Probability of each explanation", "", False, posterior_svg(ranked(found), "posterior")
     alike = data.get("confusability")

@@ -18,8 +18,9 @@ from planrunner.reporting.study_page import StudyPage
 
 TITLES = {"planned": "as planned", "best": "best found"}
 FOOTER = (
-    "Rates are judged on the estimator’s terms and, unless left out, |rate| and rate³, which asymmetry and nonlinearity rest on, with the "
-    "noise that the sensor declares for each recording. Efficiencies are by the criterion, per coefficient."
+    "Rates are evaluated for the estimator’s terms and, unless left out, |rate| and rate³, which determine asymmetry "
+    "and nonlinearity, with the declared noise of the sensor in each "
+    "recording. Efficiencies are by the criterion, per coefficient."
 )
 
 
@@ -128,7 +129,7 @@ def _uncertainties(context: RatesContext) -> list[Table]:
         *alike(Role.STANDARD_UNCERTAINTY, "as planned", "best found"),
         TableColumn("Unit"),
     )
-    return [Table("Standard uncertainties to expect, where they change", columns, tuple(rows))] if rows else []
+    return [Table("Expected standard uncertainties that change", columns, tuple(rows))] if rows else []
 
 
 def notes(context: RatesContext) -> list[str]:
@@ -137,7 +138,7 @@ def notes(context: RatesContext) -> list[str]:
     said = []
     if len(planned.variance) and len(best.variance):
         said.append(
-            "Against the planned rates, the worst variance of a predicted output over the rates becomes "
+            "Compared with the planned rates, the worst variance of a predicted output over the rates becomes "
             f"{best.variance.max() / planned.variance.max():.3g} times as large, the mean "
             f"{best.variance.mean() / planned.variance.mean():.3g} times."
         )
@@ -145,12 +146,14 @@ def notes(context: RatesContext) -> list[str]:
     if stay:
         more = f" and {len(stay) - 6} more" if len(stay) > 6 else ""
         said.append(
-            f"{', '.join(stay[:6])}{more} stay within 1 %: something else than noise rules their uncertainty; the budgets in the "
-            "estimate's report show what."
+            f"{', '.join(stay[:6])}{more} stay within 1 %: their uncertainty is dominated by something other than "
+            f"noise; the budgets in the estimate's report show the "
+            "contributions."
         )
     said.append(
-        "A straight line alone wants every rate at the largest; interior rates are there to see asymmetry and nonlinearity, and the lowest "
-        "for threshold and resolution."
+        "For a straight line alone, all rates would be at the largest; interior rates determine asymmetry and "
+        "nonlinearity, and the lowest rate determines threshold and "
+        "resolution."
     )
     if context.excess > 1e-4:
         said.append(f"The bound is certified to {context.excess:.2g} only.")

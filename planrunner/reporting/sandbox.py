@@ -89,7 +89,7 @@ def lay_out(name: str, given: Mapping[str, Any], folder: Path | None = None, mos
 
 def _reason(error: Exception) -> str:
     if isinstance(error, MemoryError):
-        return "the template needs more memory than a report may take"
+        return "the template needs more memory than a report may use"
     text = " ".join(str(error).split())[:300]
     kind = "" if type(error).__module__.startswith("jinja2") else f"{type(error).__name__}: "
     return f"{kind}{text}" or type(error).__name__

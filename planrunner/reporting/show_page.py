@@ -74,7 +74,7 @@ def show_view(context: ShowContext) -> dict[str, Any]:
         "timeline": Markup(timeline_svg(schedule, "timeline")) if drawn else "",
         "segments": table_view(timeline_table(schedule)),
         "pictures": pictures,
-        "more_pictures": f"{hidden} more orientations are not pictured here." if hidden > 0 else "",
+        "more_pictures": f"{hidden} more orientations are not shown here." if hidden > 0 else "",
         "predictions": [
             {
                 "name": name,
@@ -158,7 +158,7 @@ def totals(schedule: Schedule) -> dict[str, str]:
     rates = [abs(item.rate) for item in segments if item.rate]
     if rates:
         low, high = (words.number(round(float(np.degrees(value)), 9)) for value in (min(rates), max(rates)))
-        facts["rates"] = f"±{high} °/s" if low == high else f"{low} to {high} °/s either way"
+        facts["rates"] = f"±{high} °/s" if low == high else f"{low} to {high} °/s in both directions"
     return facts
 
 

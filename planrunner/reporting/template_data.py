@@ -19,7 +19,7 @@ _PAIRS, _TOLD, _HTML = "pairs", "told", "html"
 
 
 def to_json(given: Mapping[str, Any]) -> str:
-    """The data as JSON text; pictures are drawn. Raises TypeError for what is no plain data."""
+    """The data as JSON text; pictures are drawn. Raises TypeError for what is not plain data."""
     return json.dumps(_plain(given), ensure_ascii=True)
 
 
@@ -39,7 +39,7 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if value is None or isinstance(value, str | int | float):
         return value
-    raise TypeError(f"{type(value).__name__} is no plain data")
+    raise TypeError(f"{type(value).__name__} is not plain data")
 
 
 def _restored(found: dict[str, Any]) -> Any:

@@ -74,7 +74,7 @@ def _watch(name: str, seconds: float) -> None:
     while time.process_time() < until:
         time.sleep(CHECK_EVERY)
     place = _place(sys._current_frames().get(threading.main_thread().ident or 0)) or name
-    _answer({"error": f"{place}: the template takes more than {seconds:g} s of computing; look at its loops"})
+    _answer({"error": f"{place}: the template takes more than {seconds:g} s of computing; check its loops"})
 
 
 def _place(frame: FrameType | None) -> str | None:

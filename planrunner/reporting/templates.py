@@ -66,4 +66,4 @@ def _lay_out_apart(name: str, given: Mapping[str, Any], folder: Path) -> str:
     return page
 
 
-_LOOK = "look at its loops"
+_LOOK = "check its loops"

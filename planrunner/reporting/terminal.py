@@ -87,7 +87,7 @@ def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
         verdict = f"{row['verdict']}: {row['reason']}" if row["reason"] else row["verdict"]
         rows.append([*(_text(row[key]) for key in keys), _text(verdict, VERDICT[row["kind"]])])
         if not math.isnan(limit.consumer_risk):
-            wrong = f"bad ones passed {row['consumer']}, good ones failed {row['producer']}"
+            wrong = f"nonconforming items accepted {row['consumer']}, conforming items rejected {row['producer']}"
             risks.append(f"{limit.quantity}, over all items that the prior describes: {wrong}")
     numeric = ("value", "± U", "k", "P(false)")
     return _Columns("Limits", [(text, text in numeric) for text in titles], rows, "\n".join(risks))

@@ -169,9 +169,9 @@ WARNINGS = (
         "base that "
         "sways); the uncertainties of the alignment are widened by that."
     ),
-    _("%(count)s missing samples were filled on straight lines; the errors of navigation may grow by that."),
+    _("%(count)s missing samples were filled by linear interpolation; the errors of navigation may grow by that."),
     _("Without the gimbal-angle method: the recording has no channel '%(channel)s'."),
-    _("Without the gimbal-angle method: the bench has no table whose rings could be followed."),
+    _("Without the gimbal-angle method: the bench has no table with readable rings."),
     _("Without the gimbal-angle method: the table has %(axes)s axes, `rings` names %(rings)s."),
     _("%(name)s: the highest order that was tried is chosen; raise `highest_order` or add temperatures."),
     _(

@@ -61,7 +61,7 @@ class Stamp:
 _STAMPS = {
     "simulated": Stamp("SIMULATED", "No item was measured: the instruments of this run are simulated.", True),
     "replayed": Stamp(
-        "PLAYED BACK", "The samples are a recording that was played back; they were not taken in this run.", False
+        "PLAYED BACK", "The samples are a recording that was played back; they were not recorded in this run.", False
     ),
 }
 

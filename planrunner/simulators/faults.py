@@ -138,7 +138,7 @@ def read_fault(text: str, roles: Mapping[str, str]) -> Fault:
 
 def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
     if fault.instrument not in roles:
-        message = f"'{fault.instrument}' is no instrument of this bench"
+        message = f"'{fault.instrument}' is not an instrument of this bench"
         log.error("meaning-fault", fault.at("instrument"), message, closest(fault.instrument, roles))
         return
     possible = OF_ROLE[roles[fault.instrument]]

@@ -130,7 +130,7 @@ def obstacles(reader: RunReader, sound: Sound, results: Results, shown: Certific
     mark = Mark(str(reader.path))
     told = {name for name, text in shown.told.items() if text}
     held = any(segment.temperature is not None for segment in sound.schedule.segments)
-    lacks = lacks_of_information(told, "give --set {name}=… or put it in a file for --info")
+    lacks = lacks_of_information(told, "give --set {name}=…, or write it in a file for --info")
     for lack in [*lacks_of_bench(sound.bench, told, held), *lacks]:
         log.error("report-certificate-missing", mark, str(lack), lack.remedy)
     _check_dates(shown, mark, log)
@@ -138,7 +138,7 @@ def obstacles(reader: RunReader, sound: Sound, results: Results, shown: Certific
     _check_estimates(sound, shown, mark, log)
     _check_amendment(reader, shown, mark, log)
     if not reader.sealed or len(reader.acknowledged()) < len(sound.schedule.segments):
-        message = "the run is not finished and sealed, so its results may still change"
+        message = "the run is not finished and sealed, so its results can still change"
         log.error("report-certificate-incomplete", mark, message, "finish it with planrunner resume")
     for name, why in results.failures.items():
         message = f"'{name}' could not be made: {why}"
@@ -163,7 +163,7 @@ def _check_dates(shown: CertificateFacts, mark: Mark, log: Findings) -> None:
         message = f"the item was received on {days['date_received']}, after the calibration began on {first}"
         log.error("report-certificate-date", mark, message, "correct date_received")
     if shown.issued < (last or first):
-        message = f"it would be issued on {shown.issued}, before the calibration ended on {last or first}"
+        message = f"the date of issue is {shown.issued}, before the calibration ended on {last or first}"
         log.error("report-certificate-date", mark, message, "correct date_issued")
 
 
@@ -178,7 +178,7 @@ def _check_who(sound: Sound, shown: CertificateFacts, mark: Mark, log: Findings)
 def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
     for name in ("certified_estimates", "external_estimates"):
         for unknown in sorted(named_in(shown.told, name) - set(sound.plan.estimates)):
-            message = f"{name} names '{unknown[:40]}', which is no estimate of this plan"
+            message = f"{name} names '{unknown[:40]}', which is not an estimate of this plan"
             log.error("report-certificate-estimates", mark, message, closest(unknown, sound.plan.estimates))
     if bool(shown.told.get("external_estimates")) != bool(shown.told.get("external_provider")):
         message = "results from an external provider need both external_estimates and external_provider"
@@ -192,20 +192,20 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
     numbers = [_number_of(one) for one in earlier]
     amends, own = told.get("amends"), told.get("certificate_number")
     if earlier and not amends:
-        message = (
-            f"a certificate of this run was issued already, in analysis {', '.join(str(one.number) for one in earlier)}"
-        )
-        hint = "for another one give amends (its number), amendment_reason and a new certificate_number"
+        message = f"a certificate of this run has already been issued, in analysis {', '.join(str(one.number) for one in earlier)}"
+        hint = "to issue another one, give amends (the number of the earlier one), amendment_reason and a new certificate_number"
         log.error("report-certificate-amendment", mark, message, hint)
     elif amends and not told.get("amendment_reason"):
-        log.error("report-certificate-amendment", mark, "an amendment gives its reason", "give amendment_reason")
+        log.error("report-certificate-amendment", mark, "an amendment needs a reason", "give amendment_reason")
     elif amends and own in (amends, *numbers):
-        message = f"'{str(own)[:40]}' is the number of a certificate that was issued before"
+        message = f"'{str(own)[:40]}' is the number of a certificate that has already been issued"
         log.error("report-certificate-amendment", mark, message, "give a new certificate_number")
     elif amends and amends not in numbers and None not in numbers:
         message = f"no certificate '{amends[:40]}' of this run was issued"
         hint = (
-            f"issued so far: {', '.join(map(str, numbers))}" if numbers else "leave amends out: this is the first one"
+            f"issued so far: {', '.join(map(str, numbers))}"
+            if numbers
+            else "leave amends out: this is the first certificate"
         )
         log.error("report-certificate-amendment", mark, message, hint)
 
@@ -227,7 +227,7 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
     """Whether the run before an adjustment is the certified one itself, or was made on another item."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
-        message = "it is the run that is certified, which cannot be the one before its adjustment"
+        message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
         return [Finding(Mark(str(reader.path)), "report-certificate-before", "error", message, hint)]
     earlier = recorded_information(reader)

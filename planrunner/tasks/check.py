@@ -214,7 +214,7 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
         return
     if sensor.kind != plan.sensor.kind:
         message = (
-            f"the plan is for a sensor of kind '{plan.sensor.kind}', the bench carries one of kind '{sensor.kind}'"
+            f"the plan is for a sensor of kind '{plan.sensor.kind}', but the bench has one of kind '{sensor.kind}'"
         )
         names = benches_for(plan.sensor.kind)
         shipped = f"; shipped are {', '.join(names)}" if names else ""
@@ -350,7 +350,7 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
-    """Warns of a guarded limit that is narrower than the uncertainty to expect: nothing could pass it."""
+    """Warns of a guarded limit that is narrower than the uncertainty to expect: no value could pass it."""
     try:
         low, high = bounds(limit, coefficient)
     except EstimationError:
@@ -359,7 +359,9 @@ def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
     least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
     if limit.rule == "guarded" and 2 * limit.guard_band * least >= high - low:
         shown = f"±{least:.2g} {shown_unit(coefficient.unit)}".rstrip() + f" ({100 * limit.coverage:g} %)"
-        message = f"{limit.quantity} is to be expected with at least {shown}, so nothing can pass this guarded limit"
+        message = (
+            f"the expected uncertainty of {limit.quantity} is at least {shown}, so no item can pass this guarded limit"
+        )
         log.warning(
             "physics-limit", limit.origin.mark, message, "dwell longer, choose better positions, or widen the limit"
         )

@@ -32,7 +32,7 @@ def check_recording(checked: Checked, data_root: Path, progress: Callable[[int],
         try:
             player = RecordingPlayer.connect(entry.parameters, Surroundings(VirtualClock(), models.site, data_root))
         except InstrumentError as error:
-            hint = "look at the bench file, at --data and at the plan's labels"
+            hint = "check the bench file, --data and the plan's labels"
             log.error("recording-unfit", entry.origin.mark, str(error), hint)
             return
         if segments:

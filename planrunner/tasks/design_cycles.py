@@ -67,7 +67,7 @@ def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) ->
     motion, table = segment.motion, checked.models.table
     assert isinstance(motion, Cycle)
     if table is None or checked.models.replays:
-        raise EstimationError("this bench has no table that could turn; choose one with --bench")
+        raise EstimationError("this bench has no table that can turn; choose another bench with --bench")
     axis, site = table.axes[0], checked.models.site
     sign = _sense(checked.plan, segment.label)
     stated = RotationCycle.of(motion, axis.max_acceleration)
@@ -100,14 +100,14 @@ def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) ->
 def _find(segments: Sequence[Segment], label: str | None) -> Segment:
     having = [segment for segment in segments if isinstance(segment.motion, Cycle)]
     if not having:
-        raise EstimationError("no segment of the plan goes through a cycle of turns and stops")
+        raise EstimationError("no segment of the plan has a cycle of turns and stops")
     if label is None:
         return having[0]
     for segment in having:
         if segment.label == label:
             return segment
     shown = ", ".join(segment.label for segment in having[:10])
-    raise EstimationError(f"no segment '{label}' goes through a cycle; these do: {shown}")
+    raise EstimationError(f"no segment '{label}' has a cycle; these do: {shown}")
 
 
 def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:

@@ -115,7 +115,9 @@ class _Designer:
         self.checked, self.options, self.progress = checked, options, progress
         self.plan, self.models, self.schedule = checked.plan, checked.models, checked.schedule
         if self.models.table is None or self.models.replays:
-            raise EstimationError("this bench has no table that could take other positions; choose one with --bench")
+            raise EstimationError(
+                "this bench has no table that can take other positions; choose another bench with --bench"
+            )
         self.axes: tuple[TableAxis, ...] = self.models.table.axes
         self.azimuth = self.models.site.azimuth
         self.places, self.sight = self._find()
@@ -147,7 +149,7 @@ class _Designer:
                 )
             except EstimationError as error:
                 problems.append(f"{name}: {error}")
-        raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
+        raise EstimationError("; ".join(problems) or "the plan has no estimates, so there is nothing to design for")
 
     def study(self) -> Study:
         rows_of = self._rows_of
@@ -183,7 +185,7 @@ class _Designer:
             settings = worst_variance.refine(region, settings, region.rows, self.fixed)
         attitudes = positions.attitudes(self.axes, self._rounded(settings), self.azimuth)
         found["free"] = self._ordered([as_written(attitude, self._decimals) for attitude in attitudes])
-        how.append(f"free: {free.starts} local searches, {free.agreeing} of which ended in the best value")
+        how.append(f"free: {free.starts} local searches, {free.agreeing} of which found the best value")
         best, limits = self._references(region, cardinal_rows, settings, found)
         sets = {name: self._set(name, attitudes, best, limits) for name, attitudes in found.items()}
         dwells, gain = self._dwells(sets[self.options.orientations])
@@ -198,9 +200,8 @@ class _Designer:
         if seen.rank < self.terms:
             blind = ", ".join(rank.unidentifiable(seen.null, self.sight.terms))
             raise EstimationError(
-                f"no positions within this table's reach tell {blind} apart (rank {seen.rank} of {self.terms} over "
-                "all of it): "
-                f"{rank.explain(seen.null, self.sight.terms)}; use a table with more axes or leave terms out"
+                f"no positions within this table's reach separate {blind} (rank {seen.rank} of {self.terms} over "
+                f"the whole reach): {rank.explain(seen.null, self.sight.terms)}; use a table with more axes or leave terms out"
             )
 
     def _require_time(self) -> None:
@@ -209,7 +210,9 @@ class _Designer:
             return
         recorded = [segment for place in self.places for segment in place.segments]
         if any(segment.dwell is None for segment in recorded):
-            raise EstimationError("the positions are recorded as long as a recording lasts: no dwell can be allotted")
+            raise EstimationError(
+                "the dwell of the positions is the length of a recording, so dwell times cannot be distributed"
+            )
         designed = {segment.index for segment in recorded}
         others = sum(segment.dwell or 0.0 for segment in self.schedule.segments if segment.index not in designed)
         self._left(others, "the other segments take")
@@ -271,7 +274,7 @@ class _Designer:
         try:
             return [attitudes[index] for index in positions.quick_order(self.axes, attitudes, self.azimuth)]
         except Unreachable as error:
-            raise EstimationError(f"a position, rounded as it is written, lies beyond the table: {error}") from None
+            raise EstimationError(f"a position, rounded as written, is outside the table's reach: {error}") from None
 
     def _merit(self, rows: Array) -> Merit:
         return merit(rows, self.region_rows, fixed=self.sight.fixed)

@@ -128,8 +128,9 @@ class _Sweep:
 
 
 _ONE_SWEEP = (
-    "one sweep can be designed: copy the plan with a single one over both signs, such as `rate: '±400, ±200, ±100 deg/s'`, "
-    "design that, and put the rates that it finds into the sweeps here"
+    "only one sweep can be designed at a time: copy the plan with a single sweep over both signs, such as `rate: "
+    "'±400, ±200, ±100 deg/s'`, "
+    "design that plan, and write the rates found into the sweeps of this plan"
 )
 
 
@@ -155,7 +156,7 @@ def _sweep(checked: Checked, wanted: str | None) -> _Sweep:
             ((place, moved),) = several.items()
             return _Sweep(name, place, tuple(moved), used)
         if not several:
-            problems.append(f"the segments of '{name}' come from no sweep over rates")
+            problems.append(f"the segments of '{name}' do not come from a sweep over rates")
             continue
         lines = ", ".join(str(line) for line, _ in sorted(several))
         problems.append(f"the segments of '{name}' come from {len(several)} sweeps over rates (lines {lines})")
@@ -164,7 +165,7 @@ def _sweep(checked: Checked, wanted: str | None) -> _Sweep:
         problems.append(f"the plan has no estimate '{wanted}'; it has {', '.join(checked.plan.estimates)}")
     if swept:
         problems.append(_ONE_SWEEP)
-    raise EstimationError("; ".join(problems) or "the plan estimates nothing, so there is nothing to design for")
+    raise EstimationError("; ".join(problems) or "the plan has no estimates, so there is nothing to design for")
 
 
 class _RateDesigner:
@@ -172,7 +173,9 @@ class _RateDesigner:
         assert checked.plan and checked.models and checked.schedule and checked.models.sensor
         self.checked, self.options, self.bench = checked, options, bench
         if checked.models.table is None or checked.models.replays:
-            raise EstimationError("this bench has no table that could turn at other rates; choose one with --bench")
+            raise EstimationError(
+                "this bench has no table that can turn at other rates; choose another bench with --bench"
+            )
         self.sweep = _sweep(checked, options.estimate)
         self.spec = checked.plan.estimates[self.sweep.name]
         self.planned = tuple(sorted({abs(one.rate) for one in self.sweep.moved}, reverse=True))
@@ -182,7 +185,7 @@ class _RateDesigner:
             signs = sorted(math.copysign(1, one.rate) for one in self.sweep.moved if abs(one.rate) == rate)
             if signs != sorted(math.copysign(1, one.rate) for one in self.pattern):
                 raise EstimationError(
-                    "the rates are not run in the same senses and equally often: write them as one sweep with ±"
+                    "the rates differ in their signs or in their number of repeats: write them as one sweep with ±"
                 )
         self.stated = {item.label: item.state for item in expand(checked.plan, Findings())}
         self.axis = self._axis()
@@ -263,7 +266,7 @@ class _RateDesigner:
             least = 0 if stated.at_least is None else math.ceil(stated.at_least.value / period - 1e-9)
             return max(stated.turns or 1, least) * period
         if self.pattern[0].dwell is None:
-            raise EstimationError("the rates are recorded as long as a recording lasts: they cannot be designed")
+            raise EstimationError("the dwell of the rates is the length of a recording, so they cannot be designed")
         return self.pattern[0].dwell
 
     def _overhead(self, rate: float) -> float:
@@ -282,7 +285,7 @@ class _RateDesigner:
             own = sum(self._dwell(rate) + self._overhead(rate) for rate in self.planned)
             part, excess = bundles.shares(added * (own / costs)[:, None, None], self.fixed, self.options.criterion)
         except ValueError as error:
-            raise EstimationError(f"no rates up to the plan's largest will do: {error}") from None
+            raise EstimationError(f"no suitable rates up to the largest of the plan: {error}") from None
         bound = bundles.loss(self.fixed + np.tensordot(part * own / costs, added, 1), self.options.criterion)
         best = tuple(grid[index] for index in chosen)
         least = bundles.loss(self.fixed + added[list(chosen)].sum(axis=0), self.options.criterion)

@@ -166,7 +166,7 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
         return known
     for index, name in enumerate(spec.outputs):
         if known and name not in known:
-            message = f"'{name}' is no output of this plan's sensor"
+            message = f"'{name}' is not an output of this plan's sensor"
             raise InputError.at(spec.at(f"outputs[{index}]"), "gap-unfit", message, closest(name, known))
     return spec.outputs
 
@@ -221,7 +221,7 @@ def _unfit(recorded: Recorded, error: Exception) -> InputError:
 
     hint = error.hint if isinstance(error, ObservationError) else ""
     return InputError.at(
-        Mark(recorded.where), "gap-unfit", str(error), hint or "look at the plan and at the bench file's channels"
+        Mark(recorded.where), "gap-unfit", str(error), hint or "check the plan and the channels in the bench file"
     )
 
 
@@ -255,7 +255,7 @@ def recorded_file(plan: Path, bench: str | None, recording: Path, segments: Path
     except UnservedError as error:
         raise InputError(error.findings) from None
     except InstrumentError as error:
-        hint = "look at the bench file, at --segments and at the plan's labels"
+        hint = "check the bench file, --segments and the plan's labels"
         raise InputError.at(Mark(str(recording)), "recording-unfit", str(error), hint) from None
     return Recorded(
         sound,

@@ -23,8 +23,10 @@ def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
     for run in runs:
         further = recorded_run(run)
         if dict(further.segments[0].units) != dict(first.segments[0].units):
-            message = "its channels are not those of the recording that it is to follow"
-            raise InputError.at(Mark(str(run)), "gap-other-sensor", message, "join runs of one sensor on one bench")
+            message = "its channels differ from those of the recording before it"
+            raise InputError.at(
+                Mark(str(run)), "gap-other-sensor", message, "join only runs of one sensor on one bench"
+            )
         made = further.created
         later = 0.0 if made is None or origin is None else (made - origin).total_seconds()
         end = max(item.statistics.end for item in whole.segments)

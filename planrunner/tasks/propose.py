@@ -145,7 +145,7 @@ class _Options:
     def __init__(self, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame):
         self.models = models
         entries = menu([item.segment for item in recording], models)
-        stated = _stated(plan_text(frame, entries, "All that the bench may be able to do."))
+        stated = _stated(plan_text(frame, entries, "Everything that the bench may be able to do."))
         schedule = build_schedule(stated, models, Findings())
         by_label = {item.label: (item, entry) for item, entry in zip(stated, entries, strict=True)}
         self.segments = schedule.segments
@@ -192,7 +192,7 @@ def _stated(text: str) -> list[StatedSegment]:
     plan, log = parse_plan(text, "<proposal>")
     stated = [] if plan is None or log.errors else expand(plan, log)
     if log.errors:
-        message = f"no plan can be proposed that could be run: {log.errors[0].message}"
+        message = f"no executable plan can be proposed: {log.errors[0].message}"
         hint = "the diagnosis is valid; check title, sensor and bench of the plan that was run, which a proposed plan inherits"
         raise InputError.at(Mark("<proposal>"), "gap-next-unsound", message, hint)
     return stated

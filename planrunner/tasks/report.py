@@ -126,13 +126,13 @@ def _of_the_run(reader: RunReader, planned: int) -> list[str]:
     if held < planned:
         warnings.append(f"{planned - held} of {planned} planned segments were not recorded.")
     if not reader.sealed:
-        warnings.append("The run is not finished and not sealed: its data may still grow.")
+        warnings.append("The run is not finished and not sealed: more data may follow.")
     for item in reader.acknowledged():
         if item.truncated:
             warnings.append(f"Segment {item.label} is shorter than planned: {item.reason or 'cut short'}.")
     for other in reader.rejected():
         reason = other.reason or "no reason given"
-        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded but does not count: {reason}.")
+        warnings.append(f"Segment {other.label}, attempt {other.attempt}, was recorded but is not used: {reason}.")
     return warnings
 
 

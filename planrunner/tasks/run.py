@@ -197,8 +197,8 @@ def _stand_in(reader: RunReader, bench: str) -> Document:
     other = other_than_reached(reader.bench_bytes, data, (str(reader.path / "bench.yaml"), shown))
     if other:
         more = f" and {len(other) - 5} more" if len(other) > 5 else ""
-        message = f"this bench is not the one that the run began on: {', '.join(other[:5])}{more} differ"
-        hint = f"it may differ in {', '.join(REACHED_BY)} of instruments only: copy the folder's bench.yaml, and change these"
+        message = f"this bench differs from the one with which the run began: {', '.join(other[:5])}{more} differ"
+        hint = f"only {', '.join(REACHED_BY)} of the instruments may differ: copy bench.yaml from the run folder, and change these keys"
         raise InputError.at(Mark(shown), "run-other-bench", message, hint)
     return Document(data, shown)
 
@@ -210,10 +210,10 @@ def _require_made_here(reader: RunReader, sound: Sound) -> None:
         if made_here(reader.folder, reader.first):
             return
     except OriginUnknownError as error:
-        why = f"it cannot be known whether this run folder was made on this computer: {error}"
+        why = f"it cannot be determined whether this run folder was made on this computer: {error}"
     reached = ", ".join(f"{name} at {address}" for name, address in addresses(sound.bench).items())
     message = f"{why}; its bench file {f'connects to {reached}' if reached else 'connects to no address'}"
-    hint = "read it, then add --trust-bench; or name your own bench file with --bench"
+    hint = "read it, then add --trust-bench; or give your own bench file with --bench"
     raise InputError.at(Mark(str(reader.path / "bench.yaml")), "run-not-made-here", message, hint)
 
 
@@ -267,7 +267,7 @@ def _chosen(reader: RunReader, labels: Sequence[str]) -> tuple[int, ...]:
     known = {item.label: item.index for item in reader.acknowledged()}
     for label in labels:
         if label not in known:
-            message = f"this run has no recorded segment '{label}' to take again"
+            message = f"this run has no recorded segment '{label}' to record again"
             raise InputError.at(Mark(str(reader.path)), "run-no-segment", message, closest_label(label, known))
     return tuple(sorted({known[label] for label in labels}))
 
@@ -291,7 +291,7 @@ def _unfit(sound: Sound, error: InstrumentError) -> Exception:
         return error
     if isinstance(error, UnservedError):
         return InputError(error.findings)
-    hint = "look at the bench file, at --data and at the plan's labels"
+    hint = "check the bench file, --data and the plan's labels"
     return InputError.at(Mark(sound.file), "recording-unfit", str(error), hint)
 
 
@@ -343,7 +343,7 @@ def stored_results(analysis: StoredAnalysis) -> Results:
     try:
         return Results.from_json(_read_results(analysis), str(analysis.path / RESULTS))
     except (InputError, AttributeError, OverflowError) as error:  # as no version wrote it
-        raise IntegrityError(f"{analysis.path / RESULTS}: no results as planrunner writes them: {error}") from None
+        raise IntegrityError(f"{analysis.path / RESULTS}: not a results file of planrunner: {error}") from None
 
 
 def _read_results(analysis: StoredAnalysis) -> Any:

@@ -65,7 +65,7 @@ def stated(item: Addition) -> dict[str, str]:
 
 
 def _check_virtual(sound: Sound) -> None:
-    hint = "name a virtual bench with --bench; `planrunner bench` lists those that are shipped"
+    hint = "choose a virtual bench with --bench; `planrunner bench` lists the shipped ones"
     if sound.models.replays or not runs_on_virtual_clock(sound.bench):
         what = "plays back recordings" if sound.models.replays else "is a real one"
         raise InputError.at(
@@ -81,7 +81,7 @@ def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
     taken = any(getattr(driver_of(entry), "takes_effects", False) for entry in sound.bench.instruments.values())
     channels = sensor_channels(sound.sensor)
     if not taken or not channels:
-        message = f"the sensor of the bench '{sound.bench.name}' takes no effects"
+        message = f"the sensor of the bench '{sound.bench.name}' does not support added effects"
         hint = "use a bench whose sensor is a virtual_imu with outputs such as gyro_x and accel_x"
         raise InputError.at(Mark(sound.file), "simulate-sensor", message, hint)
     if any(driver_of(entry) is AddedEffects for entry in sound.bench.instruments.values()):
@@ -92,7 +92,9 @@ def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
     for text in effects:
         name, values = parsed(text)
         if name in found:
-            raise InputError.at(OPTION, "effect-twice", f"'{name}' is added twice", "give its parameters together")
+            raise InputError.at(
+                OPTION, "effect-twice", f"'{name}' is added twice", "give all its parameters in one --with"
+            )
         found[name] = addition(name, values, observed, OPTION)
     return tuple(found.values())
 
@@ -106,7 +108,7 @@ def parsed(text: str) -> tuple[str, dict[str, str]]:
         key, value = (key.strip(), value.strip()) if colon else ("", key.strip())
         if not value or key in values:
             hint = "write for example --with 'gyro_warm_up=tau:600 s,a_x:0.01 deg/s'"
-            raise InputError.at(OPTION, "effect-value", f"'{piece.strip()[:60]}' in '{text[:80]}' is no value", hint)
+            raise InputError.at(OPTION, "effect-value", f"'{piece.strip()[:60]}' in '{text[:80]}' is not a value", hint)
         values[key] = value
     return name, values
 

@@ -122,7 +122,7 @@ def test_only_some_estimators_look_for_spans(estimator: str, check: Check) -> No
     more = {"imu_multi_position": ", gyros: [gyro_x, gyro_y, gyro_z]", "repeatability": ", channels: gyro_x"}
     checked = check(POSES, f"estimator: {estimator}, {STILL}}}{more.get(estimator, '')}")
     assert [one.code for one in checked.findings.errors] == ["physics-estimate"]
-    assert "looks for no spans" in checked.findings.errors[0].message
+    assert "does not search for spans" in checked.findings.errors[0].message
 
 
 @pytest.mark.parametrize("channels", ["[gyro_x, gyro_y, gyro_z]", "[accel_x]", "[lsm_x, lsm_y, lsm_z]"])

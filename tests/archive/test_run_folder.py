@@ -175,12 +175,12 @@ def test_a_plan_that_does_not_fit_the_recording(run: Path) -> None:
 
 def test_two_writers_are_refused(tmp_path: Path) -> None:
     with RunWriter.create(tmp_path, "p", b"", b"", {}) as writer:
-        with pytest.raises(InputError, match="another planrunner writes this run"):
+        with pytest.raises(InputError, match="another planrunner process is writing this run"):
             RunWriter.reopen(writer.path)
         imports = "from planrunner.archive.run_folder import RunWriter; from pathlib import Path"
         script = f"{imports}; RunWriter.reopen(Path({str(writer.path)!r}))"
         done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-        assert "another planrunner writes this run" in done.stderr
+        assert "another planrunner process is writing this run" in done.stderr
     RunWriter.reopen(writer.path).close()
 
 

@@ -113,7 +113,7 @@ def test_a_segment_without_samples_is_one_empty_file(tmp_path: Path) -> None:
         (Block(np.array([2.0, 1.0]), {"x": np.zeros(2), "y": np.zeros(2)}), "does not increase"),
         (Block(np.array([0.5]), {"x": np.zeros(1), "y": np.zeros(1)}), "does not increase after 0.9"),
         (Block(np.array([np.nan]), {"x": np.zeros(1), "y": np.zeros(1)}), "does not increase"),
-        (Block(np.array([2.0]), {"x": np.zeros(1)}), "gave the channels x where it had announced x, y"),
+        (Block(np.array([2.0]), {"x": np.zeros(1)}), "gave the channels x but had announced x, y"),
         (Block(np.array([2.0]), {"x": np.zeros(1), "y": np.zeros(2)}), "differ in length"),
     ],
 )

@@ -182,7 +182,7 @@ def test_a_link_aside_is_not_written_through(cut: Path, tmp_path: Path, name: st
     secret = tmp_path / "secret"
     secret.write_bytes(SECRET)
     (cut / name).symlink_to(secret)
-    with pytest.raises(IntegrityError, match="a link that planrunner did not put there"):
+    with pytest.raises(IntegrityError, match="a link that planrunner did not write"):
         go_on(cut)
     assert secret.read_bytes() == SECRET
 
@@ -484,7 +484,7 @@ def test_a_file_that_does_not_belong(runs: tuple[Path, Path], tmp_path: Path, na
             name.startswith("segments/0009") and severity == "warning"
         )
         if severity == "error":
-            with pytest.raises(IntegrityError, match="did not put there"):
+            with pytest.raises(IntegrityError, match="did not write"):
                 RunReader.open(folder)
         else:
             RunReader.open(folder)

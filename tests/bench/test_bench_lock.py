@@ -131,7 +131,7 @@ def test_a_folder_for_locks_that_cannot_be_made_is_told(monkeypatch: pytest.Monk
     monkeypatch.setenv("PLANRUNNER_LOCKS", str(tmp_path / "file" / "locks"))
     assert "cannot be used" in refused()
     monkeypatch.setenv("PLANRUNNER_LOCKS", "locks")
-    assert "write its whole path" in refused()
+    assert "give its absolute path" in refused()
 
 
 def refused() -> str:
@@ -167,7 +167,7 @@ def test_shared_places_are_taken_in_their_order_and_never_passed_over_for_their_
     monkeypatch.delenv("PLANRUNNER_LOCKS")
     places = [tmp_path / name for name in "abc"]
     monkeypatch.setitem(lock.PLACES, sys.platform, tuple(map(str, places)))
-    with pytest.raises(OSError, match="no folder that its users share"):
+    with pytest.raises(OSError, match="no folder that all its users share"):
         lock_folder()
     for place, mode in zip(places, (0o755, 0o1777, 0o1777), strict=True):
         place.mkdir()

@@ -132,12 +132,12 @@ def test_every_finding_comes_in_one_run(tmp_path):
         (
             HEAD + "instruments:" + TABLE + TABLE.replace("table:", "other:"),
             "meaning-role",
-            "second table, beside 'table'",
+            "second table, in addition to 'table'",
         ),
         (
             HEAD + "instruments:" + CARRIER + CARRIER.replace("ship:", "other:"),
             "meaning-role",
-            "second carrier, beside 'ship'",
+            "second carrier, in addition to 'ship'",
         ),
         (
             HEAD + "safe_order: [chamber]\ninstruments:" + TABLE + CHAMBER,
@@ -146,7 +146,7 @@ def test_every_finding_comes_in_one_run(tmp_path):
         ),
         (HEAD + "safe_order: [table, tabel]\ninstruments:" + TABLE, "meaning-safe-order", "did you mean 'table'"),
         (HEAD + "safe_order: [table, table]\ninstruments:" + TABLE, "meaning-safe-order", "named twice"),
-        (HEAD.replace("40 deg", "91 deg") + "instruments:" + TABLE, "meaning-range", "91 deg is no latitude"),
+        (HEAD.replace("40 deg", "91 deg") + "instruments:" + TABLE, "meaning-range", "91 deg is not a latitude"),
         (HEAD + "instruments:" + TABLE.replace("up,", "nroth,"), "form-choice", "did you mean 'north'"),
         (HEAD + "instruments:" + TABLE.replace("100 deg/s", "100 deg"), "meaning-dimension", "angular rate is needed"),
         (HEAD + "instruments:" + TABLE.replace("axes", "axis"), "form-unknown-key", "did you mean 'axes'"),

@@ -132,7 +132,7 @@ def test_a_cycle_that_drives_the_schuler_oscillation(tmp_path: Path) -> None:
     assert (finding.code, finding.severity, finding.mark.line) == ("physics-cycle-schuler", "warning", 12)
     assert "81.5 min" in finding.message  # (8·600 + 8·11) s
     assert "84.4 min" in finding.message
-    assert "stop for shorter" in finding.hint
+    assert "shorten the stops" in finding.hint
 
 
 def test_a_part_of_a_cycle_left_over_is_noted(tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def test_dwell_in_whole_cycles(tmp_path: Path) -> None:
     ("dwell", "motion", "words"),
     [
         ("{turns: 2}", None, "dwells in turns, but does not spin"),
-        ("{cycles: 2}", "    rate: 10 deg/s\n", "dwells in cycles, but does not go through a cycle"),
+        ("{cycles: 2}", "    rate: 10 deg/s\n", "dwells in cycles, but does not have a cycle"),
         ("{cycles: 2, turns: 2}", None, "both turns and cycles"),
         ("{at_least: 2 h}", None, "neither turns nor cycles"),
     ],

@@ -167,7 +167,7 @@ def test_at_the_end_of_the_calendar_a_calibration_is_judged_as_ever() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message", "column"),
     [
-        ("2026-02-30", "'2026-02-30' is no day of the calendar", "date"),
+        ("2026-02-30", "'2026-02-30' is not a calendar date", "date"),
         ("2028-03-01", "the calibration is due on 2027-03-01, before it was made on 2028-03-01", "due"),
     ],
 )

@@ -218,7 +218,7 @@ TABLES: dict[str, tuple[str | None, str]] = {
     "short": (TABLE.replace("R+20,10,20", "R+20,10"), "line 3: '' in column 'end_s' is not a number"),
     "outside": (
         TABLE.replace("R+30,20,30", "R+30,200,299"),
-        "'R+30' is tabled from 200 s to 299 s, but r.csv holds 0 s to 30 s",
+        "'R+30' is listed from 200 s to 299 s, but r.csv holds 0 s to 30 s",
     ),
 }
 

@@ -243,7 +243,7 @@ def test_pure_numbers_are_printed_without_a_unit(tmp_path: Path) -> None:
 def test_a_seed_that_is_no_number_is_said_to_be_none(tmp_path: Path) -> None:
     wrong = planrunner("run", FLAGSHIP, "--seed", "abc", cwd=tmp_path)
     assert wrong.returncode == 2
-    assert "a seed is a whole number: 'abc'" in wrong.stderr
+    assert "the seed must be a whole number: 'abc'" in wrong.stderr
 
 
 def test_there_is_nothing_to_export_where_nothing_was_estimated(tmp_path: Path) -> None:
@@ -255,4 +255,4 @@ def test_there_is_nothing_to_export_where_nothing_was_estimated(tmp_path: Path) 
     assert planrunner("estimate", only_run(tmp_path), cwd=tmp_path).returncode == 0
     nothing = planrunner("export", only_run(tmp_path), cwd=tmp_path)
     assert nothing.returncode == 2
-    assert "error[estimate-missing]: no estimate of this analysis came to a result" in nothing.stderr
+    assert "error[estimate-missing]: no estimate of this analysis has a result" in nothing.stderr

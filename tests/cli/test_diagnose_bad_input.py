@@ -54,9 +54,9 @@ def test_what_is_no_number_is_left_out_and_told(diagnosed: Callable[..., Ended],
 
 
 MISFITS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
-    "wrong sign": (lambda v: -v, "it reads -1 of x"),
-    "deaf": (lambda v: DRAW.normal(0, 0.01, len(v)), "of the angular rate put in it reads"),
-    "wrong unit": (np.radians, "it reads 0.0175 of x"),
+    "wrong sign": (lambda v: -v, "it shows -1 of x"),
+    "deaf": (lambda v: DRAW.normal(0, 0.01, len(v)), "of the angular rate applied, it shows"),
+    "wrong unit": (np.radians, "it shows 0.0175 of x"),
 }
 
 
@@ -85,4 +85,4 @@ def test_exchanged_columns_are_refused(
 def test_noise_far_from_what_is_declared_is_told(diagnosed: Callable[..., Ended]) -> None:
     code, _, err = diagnosed(6, gyro_x_deg_per_s=lambda v: v + DRAW.normal(0, 0.2, len(v)))
     assert code == DONE
-    assert "warning[gap-noise]: 'gyro_x' scatters at rest by 0.2" in err and "declared are 0.01" in err
+    assert "warning[gap-noise]: 'gyro_x' has noise at rest of 0.2" in err and "declared are 0.01" in err

@@ -86,7 +86,7 @@ def test_signals_stop_a_run_that_can_go_on(tmp_path: Path, plan_file: Callable[.
         assert code == 130, said
         assert how in said
         assert "The instruments are in their safe state." in said
-        assert f"Go on with: planrunner resume {run}" in said
+        assert f"Continue with: planrunner resume {run}" in said
         assert not (run / "seal.json").exists()
 
 

@@ -82,7 +82,7 @@ def test_narrow_terminals_and_no_home(tmp_path: Path) -> None:
 def test_a_seed_is_not_negative(tmp_path: Path) -> None:
     done = planrunner("run", FLAGSHIP, *GIVEN, "--seed", "-5", cwd=tmp_path)
     assert done.returncode == 2
-    assert "a seed is not negative: -5" in done.stderr
+    assert "the seed must not be negative: -5" in done.stderr
     assert not (tmp_path / "runs").exists()
 
 

@@ -153,7 +153,7 @@ def test_the_command_compares_prints_and_writes(plan: Path, capsys: pytest.Captu
     assert main(["design", str(plan), "--html", str(page), "--write", str(better)]) == 0
     output = capsys.readouterr().out
     assert "-22.92 s" in output and "-270 … 270" in output and "-180 … 180" in output
-    assert "with 8 moves there is none; all 4 that leave nothing wind up the cables" in output
+    assert "with 8 moves there is none; all 4 with a zero residual wind up the cables" in output
     text = better.read_text(encoding="utf-8")
     assert "[A +90 B, B +90 C, C -90 B, B -90 A, A -90 D, D -90 C, C +90 D, D +90 A]" in text
     assert "# as printed" in text and "# how fast" in text and "D -180 B" not in text
@@ -187,7 +187,7 @@ def test_the_study_as_data(plan: Path, capsys: pytest.CaptureFixture[str]) -> No
         (
             ("label: navigate", "label: turn"),
             ["--segment", "navigate"],
-            "no segment 'navigate' goes through a cycle; these do: turn",
+            "no segment 'navigate' has a cycle; these do: turn",
         ),
         (("C: 180 deg", "C: 185 deg"), [], "does not end at its position"),
         (("    motion:", "    rate: 10 deg/s\n    motion:"), [], "rate"),
@@ -204,7 +204,7 @@ def test_what_cannot_be_designed(
 def test_a_plan_without_a_cycle_has_none_to_design(tmp_path: Path) -> None:
     path = tmp_path / "still.yaml"
     path.write_text(PLAN[: PLAN.index("  - label: navigate")], encoding="utf-8")
-    with pytest.raises(EstimationError, match="no segment of the plan goes through a cycle"):
+    with pytest.raises(EstimationError, match="no segment of the plan has a cycle"):
         design_cycle(path, CycleOptions())
 
 

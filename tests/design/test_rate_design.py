@@ -140,7 +140,7 @@ def test_what_cannot_be_designed(
 
 def test_a_plan_at_rest_has_no_rates(tmp_path: Path) -> None:
     flagship = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
-    with pytest.raises(EstimationError, match="no sweep over rates"):
+    with pytest.raises(EstimationError, match="do not come from a sweep over rates"):
         design_rates(flagship, RateOptions())
 
 

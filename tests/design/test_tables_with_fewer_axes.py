@@ -66,7 +66,7 @@ def test_two_axes_with_limits(tmp_path: Path) -> None:
 
 def test_one_axis_cannot_tell_the_drifts_apart(tmp_path: Path) -> None:
     with pytest.raises(
-        EstimationError, match=r"within this table's reach tell bias, accel_x, accel_y, accel_z apart \(rank 3 of 6"
+        EstimationError, match=r"within this table's reach separate bias, accel_x, accel_y, accel_z \(rank 3 of 6"
     ):
         design_plan(write(tmp_path, ONLY, ONE), Options(restarts=1))
 

@@ -190,7 +190,7 @@ def test_still_detection_refusals() -> None:
     turned = from_samples(
         segment("t"), np.arange(300) / 100, dict.fromkeys(CHANNELS, np.ones(300)), dict.fromkeys(CHANNELS, "deg/s")
     )
-    with pytest.raises(EstimationError, match="judged on accelerations"):
+    with pytest.raises(EstimationError, match="found from accelerations"):
         times(turned)
 
 

@@ -126,7 +126,7 @@ def test_other_refusals() -> None:
     other = from_samples(segment("a"), np.arange(9.0), {"other": np.arange(9.0)}, {"other": "V"})
     with pytest.raises(EstimationError, match="no channel 'gyro'"):
         run(other)
-    with pytest.raises(EstimationError, match="choose `segments` of one rate"):
+    with pytest.raises(EstimationError, match="choose `segments` with one sample rate"):
         run(record(white(300)), record(white(300), np.arange(300) * 0.7, "b", rows=1000))
     with pytest.raises(EstimationError, match="no recorded segments"):
         run()

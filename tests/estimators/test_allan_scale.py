@@ -73,7 +73,7 @@ def test_volts_become_an_acceleration() -> None:
     ("scale", "uses", "words"),
     [
         (parse_quantity("3 K"), {}, "neither a rate nor an acceleration"),
-        (parse_quantity("0 (deg/h)/(pulse/s)"), {}, "nothing can be scaled"),
+        (parse_quantity("0 (deg/h)/(pulse/s)"), {}, "cannot be used as a scale factor"),
         ("drift.SF_Y", {}, "uses: drift"),
         ("drift.SF_Z", {"drift": DRIFT}, "did you mean 'SF_Y'"),
     ],

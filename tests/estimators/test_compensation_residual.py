@@ -130,5 +130,5 @@ def test_refusals() -> None:
     with pytest.raises(EstimationError, match="two or more sets"):
         compare({"drift": drift}, np.ones((3, 2)))
     other = Estimate("scale", "scale_factor", (), np.zeros((0, 0)))
-    with pytest.raises(EstimationError, match="'scale' is no set of the twelve"):
+    with pytest.raises(EstimationError, match="'scale' is not a set of the twelve"):
         compare({"drift": drift, "scale": other}, np.ones((3, 2)))

@@ -265,7 +265,7 @@ def test_short_records_are_compared_without_the_part_that_repeats() -> None:
     [
         ((navigated("turned", 0.1), navigated("other", 0.1)), "none of the estimates used is without rotation"),
         ((navigated("still", 0.1),), "one of the estimates used is without rotation"),
-        ((navigated("still", 0.1), replace(navigated("turned", 0.1), extra={})), "'turned' is no navigation"),
+        ((navigated("still", 0.1), replace(navigated("turned", 0.1), extra={})), "'turned' is not a navigation"),
         ((navigated("still", 0.1), navigated("elsewhere", 0.1)), "`segments` lacks the one that 'elsewhere' navigates"),
         ((navigated("still", 0.0), navigated("turned", 0.1)), "'still' has no position error"),
         ((navigated("still", 0.1), navigated("turned", 0.0)), "'turned' has no position error"),

@@ -154,12 +154,12 @@ def test_groups_that_do_not_differ_say_so() -> None:
 @pytest.mark.parametrize(
     ("names", "keys", "words"),
     [
-        (("r1",), {}, "one estimate cannot show"),
+        (("r1",), {}, "one estimate gives no repeatability"),
         ((), {}, "nothing to compare"),
         (("r1", "r2"), {"channels": ("gyro",)}, "both `channels` and `uses`"),
-        (("r1", "r2"), {"coefficients": ("Q",)}, "no coefficient that all estimates have is named like 'Q'"),
+        (("r1", "r2"), {"coefficients": ("Q",)}, "no coefficient that all estimates have matches 'Q'"),
         (("a1", "a2", "d1"), {"groups": DAYS}, "'d1' belongs to no group"),
-        (("a1", "a2", "b1"), {"groups": DAYS}, "the group 'c' holds nothing"),
+        (("a1", "a2", "b1"), {"groups": DAYS}, "the group 'c' is empty"),
         (("a1", "a2", "b1"), {"groups": {"a": ("a*",), "b": ("*",)}}, "'a1' belongs to a and b"),
         (("a1", "b1", "c1"), {"groups": DAYS}, "with at least two members"),
         (("a1", "a2"), {"groups": {"a": ("a*",)}}, "give at least two groups"),
@@ -183,7 +183,7 @@ def test_bad_recordings() -> None:
     one = from_means(segment("r1"), {"gyro": 1.0}, "deg/h", 0.1)
     other = from_means(segment("r2"), {"gyro": 1.0}, "deg/s", 0.1)
     for recorded, channel, words in (
-        ((one,), "gyro", "one segment cannot show"),
+        ((one,), "gyro", "one segment gives no repeatability"),
         ((one, one), "gyrq", "has no channel 'gyrq'"),
         ((one, other), "gyro", "different units"),
         ((one, from_means(segment("r3"), {"gyro": math.nan}, "deg/h", count=0)), "gyro", "no usable samples"),
@@ -197,7 +197,7 @@ def test_a_plan_without_repeats_is_refused_before_the_run() -> None:
     request = DesignRequest(
         "again", (segment("r1"),), RepeatabilityParameters(channels=("gyro",)), SITE, sensor("gyro")
     )
-    with pytest.raises(EstimationError, match="one segment cannot show"):
+    with pytest.raises(EstimationError, match="one segment gives no repeatability"):
         designed(Repeatability(), request)
 
 

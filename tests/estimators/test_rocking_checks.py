@@ -67,7 +67,7 @@ def also(key: str) -> list[tuple[str, str]]:
         ("phases", WARNING, [("45 deg, 90 deg", "45 deg, 80 deg")], "unequal amounts (0, 45, 80 deg)"),
         ("phases", WARNING, [("45 deg, 90 deg", "60 deg, 120 deg")], "more than 45 deg"),
         ("timing", ERROR, [("{label: static-2}", "{label: static-2, dwell: 9 min}")], "another timing than 'r1/vertical/static-1'"),
-        ("timing", ERROR, [("dynamic-2, motion: *rocking", f"dynamic-2, motion: {OTHERWISE}")], "rocks otherwise"),
+        ("timing", ERROR, [("dynamic-2, motion: *rocking", f"dynamic-2, motion: {OTHERWISE}")], "rocks differently"),
         ("pattern", ERROR, [("      - {label: static-2}\n", "")], "static, dynamic, dynamic, static"),
         ("caging", ERROR, [("      - {label: cage-2, mode: caged, dwell: 10 s}\n", "")], "before 'r1/vertical/dynamic-1' and 5 more"),
         ("caging", WARNING, [('segments: "*"', "segments: [static-*, dynamic-*]")], "cannot be determined"),

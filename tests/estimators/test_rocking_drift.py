@@ -150,9 +150,7 @@ def test_the_recorded_release_goes_before_the_planned_one():
 
 def test_a_played_back_recording_leaves_the_release_open():
     recorded = released_with_the_record()
-    with pytest.raises(
-        EstimationError, match="'vertical/static-1' the element was released is not known: write `released_before`"
-    ):
+    with pytest.raises(EstimationError, match="'vertical/static-1' is not known: write `released_before`"):
         estimate(recorded, "{azimuth: nominal}", Setup(TABLE, replayed=True))
     estimate(recorded, "{azimuth: nominal, released_before: 0 s}", Setup(TABLE, replayed=True))
     estimate(recorded, setup=Setup(TABLE, replayed=True))  # encoders show the azimuth

@@ -140,7 +140,10 @@ def test_a_bench_that_cannot_be_made_safe_is_not_approached(tmp_path: Path) -> N
     person = Person(bench)
     outcome, _ = carry_out(tmp_path, bench, TWO, operator=person)
     assert not person.asked
-    assert "cannot be made safe to approach: table: the brake does not answer" in outcome.failures[0].message
+    assert (
+        "cannot be brought into a state that is safe to approach: table: the brake does not answer"
+        in outcome.failures[0].message
+    )
     assert outcome.unsafe
 
 
@@ -167,7 +170,7 @@ def test_a_run_waits_at_the_boundary_and_goes_on(tmp_path: Path) -> None:
     assert outcome.ok and len(reader.acknowledged()) == 2
     assert len(events(reader, "paused")) == len(events(reader, "continued")) == 1
     assert bench.calls.count("table.safe") == 2  # for the pause, and at the end
-    assert person.told == [f"paused in the safe state; go on with: planrunner resume {writer.path}"]
+    assert person.told == [f"paused in the safe state; continue with: planrunner resume {writer.path}"]
     assert not is_written(writer.folder)
 
 

@@ -61,7 +61,7 @@ def test_retakes_are_bounded(tmp_path: Path, retakes: int, taken: int) -> None:
     bench.table.course = lambda now: Condition({"position_error": 1e-3})
     outcome, reader = carry_out(tmp_path, bench, plan(Watch({"position_error": 1e-4}, retakes=retakes)))
     assert not outcome.finished and len(outcome.failures) == 1
-    assert ("it was taken 3 times" in outcome.failures[0].message) == (retakes == 2)
+    assert ("it was recorded 3 times" in outcome.failures[0].message) == (retakes == 2)
     assert len(reader.rejected()) == taken
     assert bench.calls[-3:] == ["table.safe", "chamber.safe", "sensor.safe"]
 
@@ -120,7 +120,7 @@ def test_a_fault_ends_the_run_whatever_the_plan_says(tmp_path: Path) -> None:
     bench = make_watched_bench()
     bench.table.course = lambda now: Condition(faults=("the interlock is open",) if now > 8 else ())
     outcome, reader = carry_out(tmp_path, bench, plan(Watch(retakes=5)))
-    assert str(outcome.failures[0]) == "segment 'P1', writing samples: 'table' cannot go on: the interlock is open"
+    assert str(outcome.failures[0]) == "segment 'P1', writing samples: 'table' cannot continue: the interlock is open"
     assert len(reader.rejected()) == 1
     assert bench.clock.now() < 11
 
@@ -196,7 +196,7 @@ def test_a_limit_that_cannot_be_set_prevents_the_first_move(tmp_path: Path) -> N
     bench = make_watched_bench()
     bench.calls.fail_at = "table.limit"
     outcome, _ = carry_out(tmp_path, bench, plan(None))
-    assert str(outcome.failures[0]) == "setting the instruments' own limits: the cable is out"
+    assert str(outcome.failures[0]) == "setting the limits in the instruments: the cable is out"
     assert "table.orient 10" not in bench.calls
 
 
@@ -240,7 +240,7 @@ def test_what_drivers_had_to_do_again_is_in_the_journal(tmp_path: Path) -> None:
 def test_a_limit_that_nothing_was_held_against_is_told(tmp_path: Path) -> None:
     outcome, reader = carry_out(tmp_path, make_watched_bench(), plan(Watch({"rate_error": 1.0})))
     assert outcome.ok
-    assert [event["text"] for event in events(reader, "noticed")] == ["no instrument says the rate error"]
+    assert [event["text"] for event in events(reader, "noticed")] == ["no instrument reports the rate error"]
 
 
 def test_blocks_without_rows_only_let_the_bench_be_looked_after(tmp_path: Path) -> None:

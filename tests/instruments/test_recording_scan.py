@@ -76,7 +76,7 @@ def test_segments_beyond_the_data_and_unknown_labels_are_all_named(tmp_path):
         ("error", "recording-beyond", 2),
         ("error", "recording-beyond", 4),
     ]
-    assert "'C' is tabled from 4 s to 10.3 s, but r.csv holds 0 s to 10 s" in found[3][3]
+    assert "'C' is listed from 4 s to 10.3 s, but r.csv holds 0 s to 10 s" in found[3][3]
 
 
 def test_time_stamps_at_the_end_of_each_sample_are_not_beyond(tmp_path):

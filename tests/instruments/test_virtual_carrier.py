@@ -233,7 +233,7 @@ def test_what_a_carrier_reads_is_where_it_is():
     [
         ("{speed: 1 m/s, period: 10 s, speed_up: 5 s}", 45, "remove period or speed_up"),
         ("speed: 1 m/s", 89, "where north turns too fast"),
-        ("speed: 1001 m/s", 45, "1001 m/s is no carrier's speed: 1000 m/s at most"),
+        ("speed: 1001 m/s", 45, "1001 m/s is not a possible speed of a carrier: 1000 m/s at most"),
     ],
 )
 def test_what_cannot_be_carried_is_said(text, latitude, words):

@@ -339,7 +339,7 @@ def test_a_sensor_has_axes():
             "is placed twice",
         ),
         ("gyros: {axes: {x: {towards: {x: 1 arcsec}}}}", "meaning-input-axis", "cannot lean towards x"),
-        ("gyros: {axes: {x: {towards: {y: 30 deg}}}}", "meaning-input-axis", "no small angle"),
+        ("gyros: {axes: {x: {towards: {y: 30 deg}}}}", "meaning-input-axis", "not a small angle"),
         ("gyros: {axes: {x: {bias: 1 ug}}}", "meaning-dimension", "a unit of angular rate is needed"),
         ("gyros: {axes: {x: {resolution: 1 V}}}", "meaning-dimension", "a unit such as arcsec or deg/s is needed"),
         ("gyros: {axes: {x: {scale_factor: 2 (pulse/s)/g}}}", "meaning-dimension", "(pulse/s)/(deg/s) or 1 is needed"),

@@ -90,7 +90,10 @@ def test_reference_channels_say_where_the_bench_is():
 
 @pytest.mark.parametrize(
     ("how", "words"),
-    [({"dwell": None}, "only a recording knows"), ({"dwell": 1.0, "rate": 1000.0}, "the sensor gives 100 Hz at most")],
+    [
+        ({"dwell": None}, "only a recording has this length"),
+        ({"dwell": 1.0, "rate": 1000.0}, "the sensor gives 100 Hz at most"),
+    ],
 )
 def test_what_it_cannot_record_is_said(how, words):
     with pytest.raises(InstrumentError, match=words):

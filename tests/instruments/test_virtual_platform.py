@@ -299,7 +299,7 @@ def test_what_cannot_be_is_told():
         platform.set_mode("north")
     with pytest.raises(InstrumentError, match="gives 50 Hz at most"):
         list(platform.stream(Segment(0, "fast", VERTICAL, "", Rest(), 1.0, sample_rate=100.0)))
-    with pytest.raises(InstrumentError, match="only a recording knows"):
+    with pytest.raises(InstrumentError, match="only a recording has this length"):
         list(platform.stream(Segment(0, "open", VERTICAL, "", Rest(), None)))
     _, two, _ = bench(rings="2")
     with pytest.raises(InstrumentError, match="2 rings, the table has 3"):

@@ -109,7 +109,7 @@ def test_a_spin_about_a_direction_without_an_axis_is_refused():
             Rock(0.2 * DEG, 1.0, (0.0,), 10.0),
             r"rocking needs .* deg/s\^2; the outer axis gives 5 deg/s\^2",
         ),
-        (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are to rock, the table has 3"),
+        (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are planned to rock, the table has 3"),
         (
             Rock(101 * DEG, 0.001, (0.0, 0.0), 10.0),
             "rocking carries the middle axis from -101 to 101 deg; it turns from -100 to 100 deg",
@@ -225,7 +225,7 @@ def test_the_chamber_says_how_long_it_takes_and_is_there_then():
 
 def test_the_chamber_refuses_what_it_cannot_reach_and_goes_home():
     warm, clock = chamber()
-    with pytest.raises(InstrumentError, match="61 degC is beyond the chamber, which reaches -40 to 60 degC"):
+    with pytest.raises(InstrumentError, match="61 degC is outside the chamber's range of -40 to 60 degC"):
         warm.set_temperature(334.15)
     clock.sleep(warm.set_temperature(320.0))
     warm.make_safe()

@@ -152,7 +152,7 @@ def test_an_open_interlock_ends_the_run(planrunner: Planrunner, tmp_path: Path) 
     run = started(planrunner, tmp_path)
     (tmp_path / "table.faults").write_text("the interlock is open", encoding="utf-8")
     _, err = run.communicate(timeout=30)
-    assert run.returncode == 3 and "'table' cannot go on: the interlock is open" in err
+    assert run.returncode == 3 and "'table' cannot continue: the interlock is open" in err
     assert safe(tmp_path) and acknowledged(tmp_path) == 1
 
 
@@ -190,7 +190,9 @@ def test_a_run_that_stands_still_is_taken_the_bench_from(planrunner: Planrunner,
     run.send_signal(signal.SIGSTOP)
     wait(lambda: (the_run(tmp_path) / "watchdog.txt").exists(), seconds=30)
     assert safe(tmp_path) and acknowledged(tmp_path) == 1
-    told = "planrunner gave no sign of life for 5 s and was ended; `planrunner resume` goes on with the run\n  table: safe\n"
+    told = (
+        "planrunner gave no sign of life for 5 s and was ended; `planrunner resume` continues the run\n  table: safe\n"
+    )
     assert told in (the_run(tmp_path) / "watchdog.txt").read_text(encoding="utf-8")
     _, err = run.communicate(timeout=30)
     assert run.returncode == -signal.SIGKILL and told in err
@@ -224,7 +226,7 @@ def test_a_driver_that_hangs_while_it_is_made_safe_keeps_nobody_from_his_turn(
     wait(lambda: (the_run(tmp_path) / "watchdog.txt").exists(), seconds=120)
     report = (the_run(tmp_path) / "watchdog.txt").read_text(encoding="utf-8")
     assert "no sign of life for 5 s" in report and "table: safe" in report
-    assert "chamber: NOT SAFE, it did not return within 30 s" in report
+    assert "chamber: NOT SAFE, the command did not return within 30 s" in report
     assert state(tmp_path, "table")["safe"] and state(tmp_path, "table")["rate"] == 0 and acknowledged(tmp_path) == 1
     run.communicate(timeout=30)
     (tmp_path / "chamber.faults").unlink()
@@ -258,7 +260,7 @@ def test_a_run_that_fails_before_it_moves_anything_makes_safe_what_it_commanded(
     run = planrunner("run", "plan.yaml", "--quiet", "--flushed")
     _, err = run.communicate(timeout=60)
     assert run.returncode == 3 and "it keeps another limit" in err
-    assert "left as they were found: chamber, sensor." in err and "Every other instrument is in its safe state" in err
+    assert "left as found: chamber, sensor." in err and "Every other instrument is in its safe state" in err
     assert state(tmp_path, "table")["safe"] and "safe" not in state(tmp_path, "chamber")
     assert events(tmp_path, "safe")[0]["untouched"] == ["chamber", "sensor"]
 
@@ -381,7 +383,7 @@ def test_a_run_is_paused_and_goes_on(planrunner: Planrunner, tmp_path: Path) -> 
     assert safe(tmp_path) and acknowledged(tmp_path) == 2
     resumed = planrunner("resume", str(the_run(tmp_path)))
     out, _ = resumed.communicate(timeout=30)
-    assert resumed.returncode == 0 and out == "The run goes on.\n"
+    assert resumed.returncode == 0 and out == "The run continues.\n"
     _, err = run.communicate(timeout=30)
     assert run.returncode == 0, err
     assert len(events(tmp_path, "continued")) == 1 and safe(tmp_path)
@@ -421,6 +423,5 @@ def test_a_bench_is_kept_within_its_protection(planrunner: Planrunner, tmp_path:
     out, err = run.communicate(timeout=30)
     assert run.returncode == 2
     assert (
-        "50 degC is beyond the chamber, which reaches -50 to 45 degC" in out + err
-        and "error[physics-rate]" in out + err
+        "50 degC is outside the chamber's range of -50 to 45 degC" in out + err and "error[physics-rate]" in out + err
     )

@@ -60,7 +60,7 @@ def test_the_schema_refuses_what_is_not_a_diagnosis(changes):
         ("none", "No gap: noise alone explains the recording (P = 0.97)."),
         ("effect", "gyro_g_sensitivity explains the gap (P = 0.96)."),
         ("pair", "gyro_g_sensitivity and lever_arm together explain the gap (P = 0.02)."),
-        ("unknown", "A gap by something that the catalogue does not hold (P = 0.97)."),
+        ("unknown", "A gap caused by something that the catalogue does not contain (P = 0.97)."),
         (
             "indistinguishable",
             "One of gyro_g_sensitivity or table_tilt: this plan cannot distinguish them (together P = 0.97).",
@@ -79,7 +79,7 @@ def test_noise_alone_is_not_said_to_be_sure_where_it_is_only_possible():
 def test_an_effect_of_its_form_is_named_beside_it():
     found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
     check(found)
-    assert "What time_latency would add is below 5 % and taken for its form." in verdict(found)
+    assert "The contribution of time_latency is below 5 % and counts as form residue." in verdict(found)
 
 
 def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
@@ -87,8 +87,9 @@ def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
     found = diagnosis(verdict=said, posterior={"none": 0.0, "lever_arm+time_latency": 0.98, "unknown": 0.02})
     check(found)
     assert verdict(found) == (
-        "lever_arm and time_latency together explain the gap (P = 0.98). time_latency takes up less than 5 % of it: it is there and weak, "
-        "or form residue of lever_arm."
+        "lever_arm and time_latency together explain the gap (P = 0.98). time_latency explains less than 5 % of it: "
+        "it is present but weak, or form residue "
+        "of lever_arm."
     )
 
 
@@ -96,7 +97,7 @@ def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
     said = {"kind": "pair", "effects": ["gyro_bias", "gyro_scale_factor"], "class": [], "form_residue": "unknown"}
     found = diagnosis(verdict=said, posterior={"none": 0.0, "unknown": 1.0})
     check(found)
-    rest = " Less than 5 % of it is something that the catalogue does not hold."
+    rest = " Less than 5 % of it is something that the catalogue does not contain."
     assert verdict(found) == "gyro_bias and gyro_scale_factor together explain nearly all of the gap." + rest
     found["verdict"] = said | {
         "kind": "indistinguishable",
@@ -137,8 +138,8 @@ def test_the_closure_with_its_interval_or_not_resolvable():
         assert text in said
         assert "-" not in said
     cannot = {"before": None, "after": None, "shrinks_by": None, "interval_90": None, "resolvable": False}
-    assert "not resolvable" in closure_words(diagnosis(closure=cannot))
-    assert closure_words(diagnosis("none")) == "There is nothing to close."
+    assert "cannot be resolved" in closure_words(diagnosis(closure=cannot))
+    assert closure_words(diagnosis("none")) == "There is no gap to close."
 
 
 @pytest.mark.parametrize(

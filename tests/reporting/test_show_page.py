@@ -30,7 +30,7 @@ def test_totals_by_hand() -> None:
     assert "rates" not in facts
     thermal = totals(example.thermal_schedule())
     assert thermal["temperature"] == "-40 °C to 60 °C"
-    assert thermal["rates"] == "1 to 300 °/s either way"
+    assert thermal["rates"] == "1 to 300 °/s in both directions"
     assert thermal["orientations"] == "1 (x east, y north, z up)"
 
 

@@ -201,7 +201,7 @@ def test_limits_on_unknown_or_other_quantities(plan_file: Write) -> None:
 def test_bench_and_sensor_must_fit(plan_file: Write) -> None:
     other = check_plan(plan_file(("kind: flexure-gyro", "kind: imu")))
     (message,) = [finding.message for finding in other.findings.errors if finding.code == "meaning-sensor-kind"]
-    assert message == "the plan is for a sensor of kind 'imu', the bench carries one of kind 'flexure-gyro'"
+    assert message == "the plan is for a sensor of kind 'imu', but the bench has one of kind 'flexure-gyro'"
     assert "meaning-sensor-output" in codes(check_plan(plan_file(("[torquer_x, torquer_y]", "[torquer_x, torquer_w]"))))
     missing = check_plan(plan_file(("bench: virtual", "bench: virtuel")))
     (finding,) = missing.findings.errors

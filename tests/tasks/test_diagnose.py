@@ -103,7 +103,7 @@ def test_a_recording_that_ends_early_is_refused(tmp_path):
     laboratory(tmp_path)
     table = pq.read_table(tmp_path / "recording.parquet")
     pq.write_table(table.slice(0, table.num_rows - 100), tmp_path / "recording.parquet")
-    assert "error[recording-beyond]: 'Rz-60' is tabled from 710 s to 716 s" in refused(tmp_path)
+    assert "error[recording-beyond]: 'Rz-60' is listed from 710 s to 716 s" in refused(tmp_path)
 
 
 def test_a_missing_column_is_refused(tmp_path):
@@ -143,7 +143,7 @@ def test_missing_numbers_are_left_out_and_remarked(tmp_path):
 def test_a_segment_without_a_complete_row_is_refused(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, accel_z_m_per_s2=set_at(300, 600, np.nan))
-    assert "error[gap-missing-numbers]: 'P2' without one complete row" in refused(tmp_path)
+    assert "error[gap-missing-numbers]: 'P2' without a complete row" in refused(tmp_path)
 
 
 def test_a_jump_of_the_clock_is_remarked(tmp_path):
@@ -197,7 +197,7 @@ def test_a_channel_stuck_in_some_segments_is_remarked(tmp_path):
 def test_means_in_place_of_samples_are_refused(tmp_path):
     laboratory(tmp_path)
     change(tmp_path, gyro_x_deg_per_s=lambda values: np.repeat(values.reshape(12, -1).mean(axis=1), values.size // 12))
-    assert "error[gap-no-noise]: 'gyro_x' has one value a segment and no noise" in refused(tmp_path)
+    assert "error[gap-no-noise]: 'gyro_x' has one value per segment and no noise" in refused(tmp_path)
 
 
 def diagnosed_with(folder: Path, keys: str) -> None:
@@ -220,7 +220,7 @@ def test_the_plan_says_what_is_looked_at(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ("{outputs: [gyro_q]}", "error[gap-unfit]: 'gyro_q' is no output of this plan's sensor"),
+        ("{outputs: [gyro_q]}", "error[gap-unfit]: 'gyro_q' is not an output of this plan's sensor"),
         ("{segments: Q*}", "error[meaning-undefined-label]: no segment is labelled 'Q*'"),
         ("{nominal: [gyro_scale]}", "error[form-choice]: 'gyro_scale' is not known here"),
         (
@@ -229,7 +229,7 @@ def test_the_plan_says_what_is_looked_at(tmp_path):
         ),
         (
             "{segments: {detect: still, window: 0.5 s, threshold: 0.1 m/s^2, at_least: 1 s, channels: [gyro_x]}}",
-            "stillness is judged on accelerations",
+            "still spans are found from accelerations",
         ),
     ],
 )
@@ -293,7 +293,7 @@ def test_a_channel_that_the_plan_does_not_use_may_stand_still(tmp_path):
 def test_too_few_segments_to_hold_any_out_are_remarked(tmp_path):
     laboratory(tmp_path, listed()[:3])
     said = look(tmp_path)
-    assert any("warning[gap-no-held-out]: 3 segments are too few to hold any out with" in text for text in said)
+    assert any("warning[gap-no-held-out]: 3 segments are too few to withhold any with" in text for text in said)
 
 
 def test_a_nominal_model_that_does_not_fit_at_all_is_refused(tmp_path):

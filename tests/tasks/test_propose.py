@@ -42,4 +42,4 @@ def test_a_plan_that_cannot_be_proposed_leaves_the_diagnosis_and_is_said(tmp_pat
     found = diagnose_recorded(replace(recorded, bench="/bench" * 60 + "/bench.yaml"))
     assert found.to_json()["next"] is None
     (said,) = [finding for finding in found.findings if finding.code == "gap-next-unsound"]
-    assert said.severity == "warning" and "no plan can be proposed" in said.message
+    assert said.severity == "warning" and "no executable plan can be proposed" in said.message

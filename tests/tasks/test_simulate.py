@@ -84,7 +84,7 @@ def test_what_is_wrong_is_said(plan: Path, effects: list[str], bench: str | None
 
 
 def test_a_sensor_that_takes_no_effects_is_named() -> None:
-    with pytest.raises(InputError, match="takes no effects"):
+    with pytest.raises(InputError, match="does not support added effects"):
         simulation(shipped("plans") / "flexure_gyro_eight_position.yaml", None, ["table_tilt"])
 
 

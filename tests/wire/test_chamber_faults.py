@@ -78,14 +78,14 @@ def _no_pace(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_wrong_instrument_is_told_when_connecting(driver: Any) -> None:
     with (
         answering(lambda message: b"ACUTRONIC ACT2000\r\n", b"\r") as server,
-        pytest.raises(InstrumentError, match=r"look at the address|did not answer"),
+        pytest.raises(InstrumentError, match=r"check the address|did not answer"),
     ):
         driver.connect(parameters(driver.Parameters, server.address, *RANGE), surroundings())
 
 
 def test_beyond_the_range_nothing_is_sent() -> None:
     with p300() as (answers, chamber):
-        with pytest.raises(InstrumentError, match=r"90 degC is beyond the chamber, which reaches -40 to 85 degC"):
+        with pytest.raises(InstrumentError, match=r"90 degC is outside the chamber's range of -40 to 85 degC"):
             chamber.set_temperature(90 + ZERO_CELSIUS)
         assert answers.heard == ["TYPE?"]
 
@@ -187,7 +187,7 @@ def test_refusals_are_told_with_their_reason() -> None:
     with f4t() as (answers, chamber):
         answers.says[":SOURCE:CLOOP1:SPOINT?"] = "50.0"
         with pytest.raises(
-            InstrumentError, match=r"keeps the set point 50 instead of 60 degC: look at its set point limits"
+            InstrumentError, match=r"keeps the set point 50 instead of 60 degC: check its set point limits"
         ):
             chamber.set_temperature(WARM)
         answers.says[":SOURCE:CLOOP1:PVALUE?"] = "-----"
@@ -195,7 +195,7 @@ def test_refusals_are_told_with_their_reason() -> None:
             chamber.read()
     with f4t() as (answers, chamber):
         answers.says[":UNIT:TEMPERATURE?"] = "F"
-        with pytest.raises(InstrumentError, match=r"stays with the unit 'F' instead of C"):
+        with pytest.raises(InstrumentError, match=r"keeps the unit 'F' instead of C"):
             chamber.set_temperature(WARM)
 
 

@@ -215,7 +215,7 @@ def test_an_axis_that_does_not_come_to_its_position_ends_it(monkeypatch: pytest.
         until(lambda: made._timed.broken)
         assert len(axis.turns()) == 1
         (fault,) = made.watch().faults
-        assert fault.startswith("the cycle could not go on: the axis 'table' is not at its position when the stop")
+        assert fault.startswith("the cycle could not continue: the axis 'table' is not at its position when the stop")
         with pytest.raises(InstrumentError, match="make the stop longer"):
             made.holding()
         made.make_safe()
@@ -233,7 +233,7 @@ def test_nothing_moves_when_the_run_looks_away(monkeypatch: pytest.MonkeyPatch) 
         clock.sleep(1000.0)
         time.sleep(0.05)
         assert len(axis.told) == told
-        assert made.watch().faults == ("the cycle could not go on: the run has not looked at the table for 0.2 s",)
+        assert made.watch().faults == ("the cycle could not continue: the run has not read the table for 0.2 s",)
 
 
 def test_cycles_that_the_axis_cannot_make_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -167,7 +167,7 @@ def test_a_command_that_is_not_taken() -> None:
 def test_an_interlock_that_does_not_close() -> None:
     with bench() as (controller, table, _):
         controller.say[":interlock? 1"] = "Fault"
-        with pytest.raises(InstrumentError, match=r"the interlock of axis 1 does not close: look at doors"):
+        with pytest.raises(InstrumentError, match=r"the interlock of axis 1 does not close: check doors"):
             table.orient(turned(10.0))
         assert not [command for command in controller.heard if command.startswith(":dem")]
 
@@ -329,7 +329,7 @@ def test_what_it_cannot_do_is_foreseen() -> None:
                 Cycle({"A": 0.0, "C": math.pi}, (Move("A", math.pi, "C"), Move("C", -math.pi, "A")), 2.0, 1.0),
                 "'S1': turning needs 114.592 deg/s; the table axis reaches 100 deg/s",
             ),
-            (Rock(0.01, 0.2, (0.0, 0.0), 1.0), "'S1': 2 rings are to rock, the table has 1"),
+            (Rock(0.01, 0.2, (0.0, 0.0), 1.0), "'S1': 2 rings are planned to rock, the table has 1"),
             (Rock(1.0, 1.0, (0.0,), 1.0), "'S1': rocking needs 360 deg/s; the table axis reaches"),
         ):
             with pytest.raises(InstrumentError, match=re.escape(why)):

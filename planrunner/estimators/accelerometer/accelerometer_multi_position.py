@@ -52,14 +52,13 @@ class AccelerometerMultiPositionParameters(Record):
     )
     terms: tuple[str, ...] = key(
         ListOf(Choice(by_orientation.TERMS), minimum=1),
-        "Terms of each axis for the reference 'orientation'; leave out what the attitudes cannot show.",
+        "Terms of each axis for the reference 'orientation'; leave out terms that the attitudes cannot determine.",
         ["bias", "accel_x", "accel_z"],
         default=by_orientation.TERMS,
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the "
-        "positions.",
+        "Basis of the uncertainties: the scatter of the positions about the model, or the noise within the positions.",
         "residual",
         default="residual",
     )
@@ -115,7 +114,7 @@ class AccelerometerMultiPosition(Method[AxesQuantities | MagnitudeQuantities]):
 def _no_spans(detection: Detection | None) -> None:
     if detection is not None:
         raise EstimationError(
-            "spans that are found in the data have no known attitude: write `reference: gravity_magnitude`"
+            "the attitudes of spans found in the data are unknown: write `reference: gravity_magnitude`"
         )
 
 

@@ -76,7 +76,9 @@ def design(request: DesignRequest) -> Design:
         if short or request.parameters.uncertainty == "residual":
             message = too_few(count) if short else no_residual(len(NAMES))
             hint = (
-                f"add segments in other attitudes: {len(NAMES)} are the least, 20 are usual" if short else MORE_SEGMENTS
+                f"add segments in other attitudes: {len(NAMES)} are the minimum, 20 are usual"
+                if short
+                else MORE_SEGMENTS
             )
             return Design((), remarks=(Remark("physics-poses", message, hint, error=True),))
     if len(known) == count:
@@ -276,14 +278,14 @@ def _factors_of(units: Mapping[str, str]) -> Array:
     """units: by channel. Raises `EstimationError` for one that is no acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(f"channel '{name}' is recorded in {text}: an acceleration is needed")
+            raise EstimationError(f"channel '{name}' is recorded in {text}: but an acceleration is needed")
     return np.array([unit(text).factor for text in units.values()])
 
 
 def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
     if set(channels) != set(outputs):
         raise EstimationError(
-            f"stillness is looked for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
+            f"still spans are searched for in {', '.join(channels)}, but the estimate uses {', '.join(outputs)}: "
             "name the same `channels` under `segments`"
         )
 

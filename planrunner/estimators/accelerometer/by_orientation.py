@@ -183,7 +183,7 @@ def _units(observations: Observations) -> list[Unit]:
     units = [unit(text) for text in observations.units]
     for name, own in zip(observations.channels, units, strict=True):
         if own.dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(f"channel '{name}' is recorded in {own.text}, which is no unit of acceleration")
+            raise EstimationError(f"channel '{name}' is recorded in {own.text}, which is not a unit of acceleration")
     return units
 
 

@@ -57,8 +57,9 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
             residuals, jacobian, directions = _linearise(readings, values, gravity)
             return GravityFit(values, residuals, jacobian, directions, rank.look(jacobian * scale).condition)
     raise UnfitDataError(
-        "the readings are not near a sphere of radius g, so no calibration was found: check the units of the "
-        "channels, and that the sensor was still in the spans"
+        "the readings are not close to a sphere of radius g, so no calibration was found: check the units of the "
+        "channels, and whether the sensor was at rest in the "
+        "spans"
     )
 
 

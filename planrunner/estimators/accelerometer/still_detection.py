@@ -75,12 +75,12 @@ def detection_limits(detection: Detection, units: Mapping[str, str], what: str) 
     for channel in detection.channels:
         if channel not in units:
             raise EstimationError(
-                f"{what} has no channel '{channel}' to look for stillness in: {closest(channel, units)}"
+                f"{what} has no channel '{channel}' to search for still spans: {closest(channel, units)}"
             )
         resolved = unit(units[channel])
         if resolved.dimension != DIMENSIONS["acceleration"]:
             raise EstimationError(
-                f"channel '{channel}' is recorded in {resolved.text}: stillness is judged on accelerations"
+                f"channel '{channel}' is recorded in {resolved.text}: still spans are found from accelerations"
             )
         limits.append(detection.threshold.value / resolved.factor)
     return np.array(limits)

@@ -65,19 +65,19 @@ class AllanDeviationParameters(Record):
 
     outputs: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels, each analysed by itself; all that the recording has when left out.",
+        "Channels, each analysed separately; by default all channels of the recording.",
         ["gyro_z"],
         default_factory=tuple,
     )
     deviations: tuple[str, ...] = key(
         ListOf(Choice(KINDS), minimum=1, single=True),
-        "Which deviations to tabulate; the coefficients always come from the overlapping one.",
+        "Deviations to tabulate; the coefficients always come from the overlapping Allan deviation.",
         ["overlapping", "hadamard"],
         default=("overlapping",),
     )
     taus: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("time", "positive"), minimum=1),
-        "Averaging times, each rounded to whole samples; octaves of the sample interval when left out.",
+        "Averaging times, each rounded to whole samples; by default octaves of the sample interval.",
         ["1 s", "10 s", "100 s"],
         default_factory=tuple,
     )
@@ -86,21 +86,20 @@ class AllanDeviationParameters(Record):
     )
     fit_up_to: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Longest averaging time in the fit, where drift takes over.",
+        "Longest averaging time in the fit, above which drift dominates.",
         "1 h",
         default=None,
     )
     scale_factors: dict[str, Quantity | str] = key(
         MapOf(ScaleFactorKind()),
-        "Scale factor of an output that is no rate or acceleration itself: a quantity, or a coefficient of an "
-        "estimate in `uses`. "
-        "The coefficients are then those of what is sensed.",
+        "Scale factor of an output that is not a rate or acceleration: a quantity, or a coefficient of an estimate in "
+        "`uses`. The noise coefficients are then those of the rate or acceleration.",
         {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_Y"},
         default_factory=dict,
     )
     bridge: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Gaps up to this long are filled on a straight line; longer ones split the record.",
+        "Gaps up to this length are filled by linear interpolation; longer gaps split the record.",
         "0 s",
         default=parse_quantity("0 s"),
     )
@@ -118,7 +117,7 @@ class AllanDeviation:
         parameters: AllanDeviationParameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
-        notes = [f"'{label}' moves: what the motion does to the outputs is taken for noise." for label in moving]
+        notes = [f"'{label}' moves: the effect of the motion on the outputs counts as noise." for label in moving]
         _known_scale_factors(parameters, names)
         for name in names:
             output = request.sensor.output(name)
@@ -224,13 +223,18 @@ def _output(request: EstimateRequest, name: str) -> _Result:
 
 
 def _never_changes(name: str) -> str:
-    return f"'{name}' never changes in the chosen segments: is it connected, or coarser than its noise?"
+    return (
+        f"'{name}' never changes in the chosen segments: check whether it is connected, and whether its resolution is "
+        "coarser than its noise"
+    )
 
 
 def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[str]) -> None:
     for name in parameters.scale_factors:
         if name not in names:
-            raise EstimationError(f"`scale_factors` names '{name}', which is no output here: {closest(name, names)}")
+            raise EstimationError(
+                f"`scale_factors` names '{name}', which is not an output here: {closest(name, names)}"
+            )
 
 
 def _influences(results: Sequence[_Result]) -> list[Influence]:
@@ -365,7 +369,7 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
     if phase.gaps or phase.bridged:
         share = 100 * phase.lost / max(1, phase.samples)
         result.notes.append(
-            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} were filled on straight lines, "
+            f"{result.name}: {phase.missing} samples are missing; {phase.bridged} were filled by linear interpolation, "
             f"{phase.gaps} gaps split "
             f"the record into {len(phase.runs)} usable stretches ({share:.2g} % of the samples are in stretches that "
             "are too short). "

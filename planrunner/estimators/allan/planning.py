@@ -38,7 +38,7 @@ def planned_record(request: DesignRequest) -> PlannedRecord | None:
         return None
     if len(hertz) > 1:
         rates = " and ".join(f"{rate:g}" for rate in sorted(hertz)[:2])
-        raise EstimationError(f"the segments are sampled at {rates} Hz: choose `segments` of one rate")
+        raise EstimationError(f"the segments are sampled at {rates} Hz: choose `segments` with one sample rate")
     rate = hertz.pop()
     lengths = [1 + max(1, round((segment.dwell or 0.0) * rate)) for segment in request.segments]
     return PlannedRecord(1 / rate, np.array(lengths, dtype=np.int64))

@@ -26,6 +26,8 @@ _COEFFICIENT = r"[A-Za-z][A-Za-z0-9_-]{0,39}\.[A-Za-z][^ \x00-\x1f]{0,59}"
 class ScaleFactorKind:
     """A quantity, or `estimate.coefficient`."""
 
+    what = "a quantity or a coefficient"
+
     def read(self, node: source.Node, log: Findings) -> Quantity | str | None:
         if isinstance(node, source.Scalar) and re.fullmatch(_COEFFICIENT, node.text):
             return node.text
@@ -67,7 +69,7 @@ def sensed_by(
         freedom, shape = found.degrees_of_freedom, "t"
         said_by = f"estimate {stated}"
     if not (math.isfinite(value) and value != 0):
-        raise EstimationError(f"the scale factor of '{name}' is {value:g}: nothing can be scaled by it")
+        raise EstimationError(f"the scale factor of '{name}' is {value:g}: it cannot be used as a scale factor")
     recorded = _unit(output)
     for power in (1, -1):
         named = named_units(_product(recorded, own, power))

@@ -54,9 +54,7 @@ Array = NDArray[np.float64]
 
 AXES = ("ω_Y", "ω_X")
 _DEG_H = unit("deg/h").factor
-_NO_SET = (
-    "'{}' is no set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
-)
+_NO_SET = "'{}' is not a set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
 _SUMS = "Residual sums of squares, measured and expected"
 _CLAIM = (
     "The method's source claims 4 to 8 for the traditional over the optimal positions. Equal noise in all positions "
@@ -70,7 +68,7 @@ class CompensationResidualParameters(Record):
 
     trials: int = key(
         Number(1000, 1_000_000, integer=True),
-        "Simulated experiments from which the ratio's expected range is taken.",
+        "Simulated experiments that give the expected range of the ratio.",
         20_000,
         default=20_000,
     )
@@ -113,7 +111,7 @@ class CompensationResidual:
     def foresee(self, request: DesignRequest) -> Foresight:
         """The coefficients' names: sums of a few squared residuals scatter as widely as they are large, and the notes give their ratio."""
         first, *others = request.uses
-        why = "the noise of a few verification positions decides it"
+        why = "the noise of a few verification positions determines it"
         named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in named))
 
@@ -198,7 +196,7 @@ def _assemble(
     sums = {name: float(np.sum(values**2)) for name, values in residuals.items()}
     if sums[first] == 0:
         raise UnfitDataError(
-            f"the residuals of '{first}' are exactly zero, so no ratio can be formed: is the recording noiseless?"
+            f"the residuals of '{first}' are exactly zero, so no ratio can be formed: check whether the recording is noiseless"
         )
     coefficients, covariance = [], []
     for name in names:
@@ -219,8 +217,8 @@ def _assemble(
     ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
-        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; this happens by chance in one "
-        "experiment of ten."
+        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; this happens by chance in one of ten "
+        "experiments."
         for pair in outside
     ]
     return Estimate(
@@ -240,9 +238,10 @@ def _assemble(
         ),
         (_residual_plot(labels, residuals),),
         (
-            "What the data show of the uncertainties is half of the central 68 % of simulated experiments with noise "
-            "and declared bias "
-            "instability; what the bench states is added to first order. The expected range of a ratio has all of it.",
+            "The part of the uncertainties that comes from the data is half of the central 68 % interval of "
+            "simulated experiments with noise and declared bias instability; the contributions of the inputs "
+            "declared in the bench file are added to first order. The expected range of a ratio includes "
+            "both.",
             _CLAIM,
             *notes,
         ),

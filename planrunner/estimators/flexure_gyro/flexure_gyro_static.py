@@ -64,8 +64,7 @@ class FlexureGyroStaticParameters(Record):
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the positions about the model, or the noise within the "
-        "positions.",
+        "Basis of the uncertainties: the scatter of the positions about the model, or the noise within the positions.",
         "residual",
         default="residual",
     )

@@ -85,7 +85,7 @@ def framed(responses: Sequence[Response], lower_triangular: bool) -> Framed:
     try:
         own = own_frame(matrix)
     except ValueError as error:
-        raise EstimationError(f"no frame can be laid through the {reference.kind} outputs: {error}") from None
+        raise EstimationError(f"no frame can be defined by the {reference.kind} outputs: {error}") from None
     angle_gradient = np.zeros((3, size))
     p = reference.values.shape[1]
     for i in range(3):
@@ -159,7 +159,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[tuple[str, float, 
         try:
             factor = own.factor / unit(text).factor
         except UnknownUnitError as error:
-            raise EstimationError(f"the coefficient {one.kind}_{name} has no unit that is known: {error}") from None
+            raise EstimationError(f"the coefficient {one.kind}_{name} has an unknown unit: {error}") from None
         full = np.zeros(p)
         full[list(slopes)] = list(slopes.values())
         found.append((f"{one.kind}_{name}", float(value * factor), text, full * factor, words))

@@ -99,7 +99,7 @@ class ModulationResidual:
             return Foresight()
         turned = [name for name, design in designs if design.extra["turned"]]
         still = next((name for name, design in designs if not design.extra["turned"]), "")
-        why = "it compares errors of single navigations, which chance decides"
+        why = "it compares errors of single navigations, which depend on chance"
         rows = [row for name in turned for row in _compared(name, still)]
         rows += [(_AMPLITUDE.format(name), "m", _AMPLITUDE_WORDS.format(name)) for name in turned]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
@@ -146,12 +146,12 @@ def _lacks(request: DesignRequest) -> Remark | None:
     for name, extra in told.items():
         if extra["navigated"] not in labels:
             message = f"`segments` lacks '{extra['navigated']}', which '{name}' navigates"
-            return Remark("physics-modulation", message, "name the segments of every navigation used", error=True)
+            return Remark("physics-modulation", message, "name the segments of every navigation in `uses", error=True)
     still = [name for name, extra in told.items() if not extra["turned"]]
     if len(still) == 1:
         return None
     found = f"{' and '.join(still)} are" if still else "none is"
-    message = f"of the navigations used {found} without rotation, and the comparison needs exactly one"
+    message = f"of the navigations used {found} without rotation, but the comparison needs exactly one"
     return Remark(
         "physics-modulation",
         message,
@@ -172,7 +172,7 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, str], tuple[str, s
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
     """Ratios of CEP rates and suppression, with covariance: the navigation at rest is in all of them."""
     if still.rms == 0.0:
-        raise UnfitDataError(f"'{still.name}' has no position error at all, so that nothing can be compared with it")
+        raise UnfitDataError(f"'{still.name}' has no position error at all, so that no comparison with it is possible")
     coefficients, rows = [], []
     for number, item in enumerate(turned):
         ratio = item.cep_rate / still.cep_rate
@@ -202,7 +202,7 @@ def _periodic(
         try:
             part = periodic_part(time, velocity, item.cycle.period, item.highest, request.site)
         except TooLittleError as error:
-            notes.append(f"The part of '{item.name}' that repeats with its cycle is not told: {error}.")
+            notes.append(f"The part of '{item.name}' that repeats with its cycle cannot be determined: {error}.")
             continue
         found[item.name] = part
         if part.hidden:
@@ -213,7 +213,7 @@ def _periodic(
             )
     notes.append(
         "Ratios compare navigations of one sensor over the same time; their uncertainties include only white noise, "
-        "as bounded by each navigation. What rotation does not modulate (azimuth gyro, alignment) stays in all of "
+        "as bounded by each navigation. Errors that rotation does not modulate (azimuth gyro, alignment) remain in all of "
         "them. Scale factor errors and misalignments, multiplied by the turns, repeat with the cycle as well, in "
         "addition to the prediction from constant errors."
     )

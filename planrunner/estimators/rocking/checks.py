@@ -58,7 +58,7 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
     release, window = parameters.release.value, parameters.window.value
     if release < LEAST_RELEASE - SMALL:
         message = f"{release:g} s after release the element may still be in the levelling dead region (1 arcmin at 1 deg/h lasts 60 s)"
-        found.append(Remark("physics-rocking-release", message, "let it have 60 s or more", "release"))
+        found.append(Remark("physics-rocking-release", message, "allow 60 s or more", "release"))
     if window < LEAST_WINDOW - SMALL:
         message = f"a window of {window:g} s is shorter than the 2 s that the method asks for"
         found.append(Remark("physics-rocking-window", message, "average over 2 s or more", "window"))
@@ -84,7 +84,7 @@ def _encoders(request: DesignRequest) -> list[Remark]:
     parameters: RockingDriftParameters = request.parameters
     found = []
     if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
-        message = f"two adjacent gimbals turn about one axis ({', '.join(parameters.gimbal_axes)}): the element could not be stabilised so"
+        message = f"two adjacent gimbals turn about one axis ({', '.join(parameters.gimbal_axes)}): they cannot stabilise the element"
         hint = "name the three axes, outermost first, such as [x, y, z]"
         found.append(Remark("physics-rocking-encoders", message, hint, "gimbal_axes", error=True))
     table = request.setup.table
@@ -94,7 +94,7 @@ def _encoders(request: DesignRequest) -> list[Remark]:
     missing = [name for name in (*parameters.rings, *parameters.gimbals) if request.sensor.output(name) is None]
     if missing:
         key = "rings" if missing[0] in parameters.rings else "gimbals"
-        message = f"the azimuth is to come from encoders, but the sensor has no output '{missing[0]}'"
+        message = f"the azimuth comes from encoders, but the sensor has no output '{missing[0]}'"
         found.append(Remark("physics-rocking-encoders", message, hint, key, error=True))
     if len(table.axes) != len(parameters.rings):
         message = f"`rings` names {len(parameters.rings)}, the table has {len(table.axes)}"
@@ -114,7 +114,10 @@ def _sampling(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
 def _caging(runs: Sequence[Run]) -> list[Remark]:
     free = [run.label for run in runs if run.caged_before is False]
     if free:
-        message = f"the platform is not caged before '{free[0]}'{_more(free)}: its element goes on from where the run before left it"
+        message = (
+            f"the platform is not caged before '{free[0]}'{_more(free)}: its element continues from its state at the end "
+            "of the run before"
+        )
         return [
             Remark("physics-rocking-caging", message, "put a segment with `mode: caged` before each run", error=True)
         ]
@@ -166,7 +169,7 @@ def _timing(runs: Sequence[Run]) -> list[Remark]:
     motions = [run for run in runs if run.dynamic]
     other = [run for run in motions if run.segment.motion != motions[0].segment.motion]
     if other:
-        message = f"'{other[0].label}' rocks otherwise than '{motions[0].label}': their drifts have different causes"
+        message = f"'{other[0].label}' rocks differently from '{motions[0].label}': their drifts have different causes"
         return [Remark("physics-rocking-timing", message, "use the same rocking in all dynamic runs", error=True)]
     return []
 
@@ -197,7 +200,7 @@ def _dwell(runs: Sequence[Run], dwell: float, parameters: RockingDriftParameters
     if late:
         ends = late[0].rocking_ends
         when = "as long as it records" if not math.isfinite(ends) or ends > dwell else f"until {ends:g} s"
-        message = f"'{late[0].label}' still rocks when its second window begins at {second:g} s: it rocks {when}, fading out included"
+        message = f"'{late[0].label}' still rocks when its second window begins at {second:g} s: it rocks {when}, including the fade-out"
         return [Remark("physics-rocking-end", message, "shorten `for`, or dwell longer", error=True)]
     return []
 
@@ -252,7 +255,9 @@ def _unseen(groups: Sequence[Sequence[Quadruple]]) -> list[Remark]:
     if not missing:
         return []
     axis = missing[0]
-    message = f"{axis} is vertical in every state, so that a drift about it does not show in gravity: there will be no drift_{axis}"
+    message = (
+        f"{axis} is vertical in every state, so that gravity does not show a drift about it: there is no drift_{axis}"
+    )
     return [
         Remark("physics-rocking-axes", message, f"add a state in which {axis} is level, with the base turned by 90 deg")
     ]

@@ -173,15 +173,13 @@ def _encoders(request: EstimateRequest) -> tuple[bool, str]:
     if missing:
         why = f"the recording has no channel '{missing[0]}'"
     elif request.setup.table is None:
-        why = "the bench has no table whose rings could be followed"
+        why = "the bench has no table with readable rings"
     elif len(request.setup.table.axes) != len(parameters.rings):
         why = f"the table has {len(request.setup.table.axes)} axes, `rings` names {len(parameters.rings)}"
     else:
         return True, ""
     if parameters.azimuth == "encoders":
-        raise EstimationError(
-            f"the azimuth is to come from encoders, but {why}: write `azimuth: nominal`, or record them"
-        )
+        raise EstimationError(f"the azimuth comes from encoders, but {why}: write `azimuth: nominal`, or record them")
     return False, f"Without the gimbal-angle method: {why}."
 
 
@@ -223,13 +221,13 @@ def _notes(
     notes.append(leak_note(request, seconds))
     if any(len(state.quadruples) == 1 for state in states):
         notes.append(
-            "With one quadruple in a state the uncertainty rests on how its two static and its two dynamic runs "
-            "differ, with one degree of "
+            "With one quadruple in a state the uncertainty is based on the difference of its two static and its two "
+            "dynamic runs, with one degree of "
             "freedom; `repeat` the quadruples for a narrower interval."
         )
     missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]
     if missing:
-        notes.append(f"No state has {', '.join(missing)} level, so that a drift about it does not show in gravity.")
+        notes.append(f"No state has {', '.join(missing)} level, so that gravity does not show a drift about it.")
     return tuple(notes)
 
 
@@ -267,7 +265,7 @@ def _foreseen(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwe
                 continue
             name, words = _name(axis, by_gimbals)
             if dwell is None:
-                why = "how long the runs last is not planned"
+                why = "the plan does not give the length of the runs"
                 unpredicted.append(Unpredicted(name, UNIT, why, words))
                 continue
             seconds = parameters.second(dwell) - parameters.release.value

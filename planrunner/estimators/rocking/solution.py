@@ -117,7 +117,7 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
         return in_mode
     if setup.replayed:
         raise EstimationError(
-            f"how long before the record of '{run.label}' the element was released is not known: write `released_before`, `0 s` where "
+            f"the time from release to the record of '{run.label}' is not known: write `released_before`, `0 s` where "
             "records begin with the release"
         )
     return run.planned_lead

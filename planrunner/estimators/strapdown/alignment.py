@@ -184,7 +184,7 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
     label = recorded.label
     if not isinstance(recorded.segment.motion, Rest | Cycle):
         raise EstimationError(
-            f"segment '{label}' turns all the time: alignment needs a stop, or a cycle of stops; align before the "
+            f"segment '{label}' turns continuously: alignment needs a stop, or a cycle of stops; align before the "
             "motion begins"
         )
     if recorded.statistics.count == 0:
@@ -192,7 +192,7 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
     if still < SHORTEST:
         what = "its first stop lasts" if seconds >= SHORTEST else "it has samples for"
         raise EstimationError(
-            f"segment '{label}' is too short to align in: {what} {still:.3g} s; at least {SHORTEST:g} s are needed, "
+            f"segment '{label}' is too short for alignment: {what} {still:.3g} s; at least {SHORTEST:g} s are needed, "
             "better 5 to 10 min"
         )
     if abs(site.latitude) > HIGHEST_LATITUDE:
@@ -223,9 +223,9 @@ def _rates(mean: Array, site: Site) -> tuple[Array, Array]:
 def _quiet(label: str, mean: Array, site: Site) -> str:
     shown = math.degrees(_rate_error(mean, site)) * 3600
     return (
-        f"During '{label}' noise is far smaller than what the gyros show against the Earth's rate, {shown:.3g} "
-        "deg/h; the alignment takes "
-        "this for their uncertainty."
+        f"During '{label}' the noise is far smaller than the difference between the gyro readings and the Earth's rate, {shown:.3g} "
+        "deg/h; the alignment uses this difference as their "
+        "uncertainty."
     )
 
 
@@ -244,8 +244,8 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
         found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
         raise UnfitDataError(
-            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, the "
-            "Earth turns with "
+            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the Earth turns "
+            "with "
             f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the "
             "latitude; gyros with "
             "such errors cannot find north"
@@ -272,6 +272,6 @@ def _judged(label: str, found: Alignment, seconds: float) -> tuple[Alignment, tu
         raise UnfitDataError(
             f"segment '{label}': after {seconds:.0f} s north is only known to {math.degrees(heading):.2g} deg "
             "(standard uncertainty): "
-            "align longer, or use gyros with less noise and smaller errors"
+            "align for longer, or use gyros with less noise and smaller errors"
         )
     return replace(found, covariance=covariance), tuple(warnings)

@@ -56,7 +56,7 @@ def design(request: DesignRequest) -> Design:
     try:
         stop, moving = parts(request.segments, labels, parameters.align)
     except EstimationError as error:
-        hint = "give `segments` the stop to align in, then the segment to navigate"
+        hint = "choose in `segments` the stop for the alignment, then the segment to navigate"
         return Design((), remarks=(Remark("physics-navigation-align", str(error), hint, error=True),))
     remarks = (
         *_on_alignment(request, stop),
@@ -84,7 +84,7 @@ def foresee(request: DesignRequest) -> Foresight:
 def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
     found = []
     if not isinstance(stop.motion, Rest | Cycle):
-        message = f"'{stop.label}' turns all the time; alignment needs a stop, or a cycle of stops"
+        message = f"'{stop.label}' turns continuously; alignment needs a stop, or a cycle of stops"
         found.append(Remark("physics-navigation-align", message, "align at rest, before the motion begins", error=True))
     still = stillness(stop, stop.dwell if stop.dwell is not None else math.inf)
     if still < SHORTEST:
@@ -103,7 +103,7 @@ def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) 
     known = stop.attitude is not None and first.attitude is not None
     if known and ends is None and isinstance(stop.motion, Cycle):
         message = (
-            f"'{stop.label}' dwells as long as it was recorded, so where its cycle ends is not known; "
+            f"'{stop.label}' dwells as long as it was recorded, so the end of its cycle is not known; "
             f"'{first.label}' can only "
             "follow it where the two have no pause between them, or where whole cycles were recorded"
         )
@@ -121,7 +121,7 @@ def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) 
         )
     for before, after in pairwise(moving):
         if after.index != before.index + 1 or after.settle or after.soak or after.transition:
-            message = f"time passes without samples between '{before.label}' and '{after.label}'; navigation cannot be carried over that"
+            message = f"time passes without samples between '{before.label}' and '{after.label}'; navigation cannot continue over this gap"
             found.append(Remark("physics-navigation-gap", message, "navigate in one segment", error=True))
     rates = {segment.sample_rate or request.sensor.sample_rate for segment in (stop, *moving)}
     if len(rates) > 1:
@@ -135,9 +135,9 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
     lasting = [segment.dwell for segment in moving if segment.dwell is not None]
     if len(lasting) == len(moving) and sum(lasting) < SCHULER_PERIOD:
         message = (
-            f"the navigation lasts {sum(lasting) / 60:.4g} min, less than a Schuler period of 84.4 min: what it "
-            "gives in nmi/h must not be "
-            "carried on to longer times"
+            f"the navigation lasts {sum(lasting) / 60:.4g} min, less than a Schuler period of 84.4 min: its results "
+            f"in nmi/h must not be extrapolated to longer "
+            "times"
         )
         found.append(Remark("physics-navigation-short", message, "navigate for several hours"))
     for segment in moving:
@@ -145,9 +145,9 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
         rate = segment.sample_rate or request.sensor.sample_rate
         if abs(turning) / rate > _COARSE_TURN:
             message = (
-                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; what "
-                "coning "
-                "and sculling corrections leave is not small then"
+                f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; the "
+                f"residual errors of the coning and sculling corrections are then not "
+                "small"
             )
             found.append(Remark("physics-navigation-rate", message, "sample faster, or turn more slowly", "segments"))
     return found
@@ -162,7 +162,7 @@ def _expected(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) 
         return (), "neither noise nor gyro_uncertainty and accelerometer_uncertainty are known"
     if stop.attitude is None or any(dwell is None for dwell in dwells):
         what = "orientation" if stop.attitude is None else "dwell"
-        return (), f"the plan leaves the {what} of a segment open"
+        return (), f"the plan does not state the {what} of a segment"
     if sum(dwell or 0.0 for dwell in dwells) > _LONGEST:
         return (), f"the navigation lasts more than {_LONGEST / 86400:g} days"
     equations = ErrorEquations.at(request.site)

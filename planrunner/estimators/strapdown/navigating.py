@@ -68,13 +68,13 @@ class StrapdownNavigationParameters(Record):
     )
     align: str = key(
         Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"),
-        "Label of the segment in which to align; what comes before it is warm-up, what comes after is navigated.",
+        "Label of the alignment segment; the segments before it are warm-up, the segments after it are navigated.",
         "align",
         default="align*",
     )
     vertical: str = key(
         Choice(("held", "damped")),
-        "Vertical channel: height and vertical velocity held, or damped by the reference height.",
+        "Vertical channel: height and vertical velocity kept constant, or damped by the reference height.",
         "damped",
         default="held",
     )
@@ -86,13 +86,13 @@ class StrapdownNavigationParameters(Record):
     )
     bridge: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Samples missing for up to this long are filled on straight lines; longer gaps end the navigation with an error.",
+        "Samples missing for up to this long are filled by linear interpolation; longer gaps end the navigation with an error.",
         "0 s",
         default=parse_quantity("0.1 s"),
     )
     gyro_uncertainty: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
-        "Standard uncertainty of each gyro's constant error, for the uncertainty of the alignment and for what to expect.",
+        "Standard uncertainty of each gyro's constant error, for the uncertainty of the alignment and the expected errors.",
         "0.005 deg/h",
         default=None,
     )
@@ -131,12 +131,12 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
     found = [k for k, label in enumerate(labels) if matches(label, pattern)]
     if not found:
         raise EstimationError(
-            f"none of the segments is for alignment: no label is like '{pattern}'; add a stop with such a label before the navigation, or "
+            f"none of the segments is for alignment: no label matches '{pattern}'; add a stop with such a label before the navigation, or "
             "name it with `align`"
         )
     if len(found) > 1:
         raise EstimationError(
-            f"'{labels[found[0]]}' and '{labels[found[1]]}' are both for alignment: name one with `align`"
+            f"'{labels[found[0]]}' and '{labels[found[1]]}' are both for alignment: choose one with `align`"
         )
     if found[0] == len(segments) - 1:
         raise EstimationError(f"nothing comes after '{labels[found[0]]}': add the segment to navigate to `segments`")
@@ -170,7 +170,7 @@ def _told(name: str, text: str, dimension: str) -> float:
                 f"the run information {name} is '{text[:40]}': {error}; write for example 39.98 deg"
             ) from None
     if not abs(value) <= _FARTHEST[name]:
-        raise EstimationError(f"the run information {name} is '{text[:40]}', which is no place on Earth")
+        raise EstimationError(f"the run information {name} is '{text[:40]}', which is not a place on Earth")
     return value
 
 
@@ -205,7 +205,7 @@ def _gap(
         return 0.0
     between = f"{gap:.4g} s lie between '{stop.label}' and '{first.label}'"
     if max(map(reference_speed, (stop, *moving))) > STILL:
-        raise EstimationError(f"{between}, in which the carrier may have turned: record the two without a pause")
+        raise EstimationError(f"{between}, in which the carrier can have turned: record the two without a pause")
     if stop.truncated or not same_attitude(
         end_attitude(stop.segment, request.setup.table, stop.statistics.duration), first.segment.attitude
     ):

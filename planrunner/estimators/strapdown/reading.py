@@ -114,7 +114,7 @@ class IncrementReader:
             at = rows[0, wide[longest]] - steps[wide[longest]]
             raise EstimationError(
                 f"segment '{label}': samples are missing for {steps[wide[longest]]:.4g} s after {at:.3f} s, more than the "
-                f"{self.bridge:g} s that `bridge` allows; what the unit did meanwhile is not known, so navigation ends there"
+                f"{self.bridge:g} s that `bridge` allows; the motion of the unit in this time is not known, so navigation ends there"
             )
         pieces, done = [], 0
         for k, count in zip(wide.tolist(), missing.tolist(), strict=True):

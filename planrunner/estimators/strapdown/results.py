@@ -187,8 +187,8 @@ def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float])
     if found.seconds < SCHULER_PERIOD:
         notes.append(
             f"The navigation lasts {found.seconds / 60:.3g} min, less than a Schuler period of 84.4 min: rates in "
-            "nmi/h are those of the "
-            "beginning of an oscillation and must not be carried on."
+            f"nmi/h describe the beginning of an oscillation and must not be "
+            "extrapolated."
         )
     if found.gap:
         notes.append(
@@ -197,13 +197,15 @@ def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float])
         )
     truncated = [recorded.label for recorded in request.segments if recorded.truncated]
     if truncated:
-        notes.append(f"'{truncated[0]}' was cut short; the figures are those of {found.seconds / HOUR:.3g} h.")
+        notes.append(f"'{truncated[0]}' was cut short; the results are for {found.seconds / HOUR:.3g} h.")
     return tuple(notes)
 
 
 def _warnings(found: Navigated) -> tuple[str, ...]:
     bridged = (
-        (f"{found.bridged} missing samples were filled on straight lines; the errors of navigation may grow by that.",)
+        (
+            f"{found.bridged} missing samples were filled by linear interpolation; the errors of navigation may grow by that.",
+        )
         if found.bridged
         else ()
     )

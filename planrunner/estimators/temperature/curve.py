@@ -220,7 +220,7 @@ def fit_curve(
     orders = range(0 if form == "polynomial" else 1, most + 1)
     if distinct < FEWEST or len(np.unique(fold)) < 2 or not len(orders):
         raise EstimationError(
-            f"{distinct} temperatures are too few to choose an order by: give `order` or add temperatures"
+            f"{distinct} temperatures are too few to choose an order: give `order` or add temperatures"
         )
     errors = held_out(form, orders, reference, temperature, value, sigma, fold)
     simple = replace(fitted(chosen(errors, rule).order), errors=errors)
@@ -234,7 +234,7 @@ def _fitted(made: Curve, temperature: Array, value: Array, sigma: Array, scatter
         return CurveFit(made, fit.coefficients, fit.cofactor, np.inf)
     if not fit.degrees_of_freedom:
         raise EstimationError(
-            f"{len(value)} values for {made.order + 1} coefficients leave no residual to take an uncertainty from: "
+            f"{len(value)} values for {made.order + 1} coefficients leave no residual that could give an uncertainty: "
             "lower `order`, add "
             "temperatures or write `uncertainty: propagated`"
         )

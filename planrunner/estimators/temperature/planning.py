@@ -29,7 +29,7 @@ def _of_estimates(request: DesignRequest) -> list[Remark]:
     given = {name: given_by_temperature(used.expected[0]) for name, used in request.uses.items() if used.expected}
     none = [name for name, own in given.items() if not own]
     if none:
-        message = f"'{none[0]}' gives no coefficients by temperature: its segments have no temperature, or not one for all of them"
+        message = f"'{none[0]}' gives no coefficients over temperature: its segments have no temperature, or not one for all of them"
         hint = "choose segments of one stated temperature for it, or use another estimate"
         return [Remark("physics-temperatures", message, hint, "uses", error=True)]
     if len(given) < len(request.uses):
@@ -46,7 +46,7 @@ def _of_names(request: DesignRequest, held: Mapping[str, Sequence[float]]) -> li
     patterns = request.parameters.coefficients
     for place, pattern in enumerate(patterns):
         if not any(fnmatchcase(name, pattern) for name in held):
-            message = f"no coefficient that is given by temperature is named like '{pattern}'"
+            message = f"no coefficient that is given by temperature matches '{pattern}'"
             return [Remark("meaning-unknown-quantity", message, closest(pattern, held), f"coefficients[{place}]", True)]
     for name, kelvin in held.items():
         if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns):

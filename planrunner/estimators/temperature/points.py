@@ -62,7 +62,7 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
         by_temperature = given_by_temperature(estimate)
         if not by_temperature:
             raise EstimationError(
-                f"'{used}' ({estimate.estimator}) gives no coefficients by temperature: state one temperature for "
+                f"'{used}' ({estimate.estimator}) gives no coefficients over temperature: state one temperature for "
                 "all of its segments, "
                 "or use another estimate"
             )
@@ -70,7 +70,7 @@ def from_estimates(uses: Mapping[str, Estimate], patterns: Sequence[str]) -> lis
             gathered.setdefault(name, []).append((used, data))
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in gathered):
-            raise EstimationError(f"no coefficient is named like '{pattern}': {closest(pattern, gathered)}")
+            raise EstimationError(f"no coefficient matches '{pattern}': {closest(pattern, gathered)}")
     wanted = [name for name in gathered if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
     expected = all(estimate.expected for estimate in uses.values())
     return [replace(_joined(name, gathered[name]), expected=expected) for name in wanted]
@@ -152,7 +152,7 @@ def _planned(recorded: RecordedSegment, channel: str) -> tuple[float, float, flo
     segment, statistics = recorded.segment, recorded.statistics
     if segment.temperature is None or segment.ramp_to is not None:
         raise EstimationError(
-            f"segment '{recorded.label}' holds no planned temperature: name the sensor's own in `temperature_channel`"
+            f"segment '{recorded.label}' has no planned temperature: name the sensor's own in `temperature_channel`"
         )
     if not statistics.count:
         raise EstimationError(f"segment '{recorded.label}' has no usable samples: leave it out of `segments`")
@@ -170,7 +170,9 @@ def _binned(
     except UnknownUnitError as error:
         raise EstimationError(str(error)) from None
     if scale.dimension != DIMENSIONS["temperature"]:
-        raise EstimationError(f"channel '{thermometer}' is recorded in {scale.text}, which is no unit of temperature")
+        raise EstimationError(
+            f"channel '{thermometer}' is recorded in {scale.text}, which is not a unit of temperature"
+        )
     sums: dict[int, Array] = {}  # bin → n, ΣT, ΣT², Σy, Σy², ΣTy about the first sample
     first: tuple[float, float] | None = None
     last = 0.0

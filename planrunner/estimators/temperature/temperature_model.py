@@ -48,19 +48,19 @@ class TemperatureModelParameters(Record):
 
     coefficients: tuple[str, ...] = key(
         ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; all that they give by temperature when left out.",
+        "Coefficients of the estimates in `uses`, with * and ?; by default all that they give over temperature.",
         "gyro_bias_*",
         default_factory=tuple,
     )
     channels: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=1, single=True),
-        "Channels whose own course over temperature is wanted, without another estimate.",
+        "Channels to fit over temperature, without another estimate.",
         ["gyro_x"],
         default_factory=tuple,
     )
     temperature_channel: str | None = key(
         CHANNEL,
-        "The sensor's own thermometer, for channels along a ramp; the planned temperature when left out.",
+        "The sensor's own thermometer, for channels along a ramp; by default the planned temperature.",
         "temperature",
         default=None,
     )
@@ -69,11 +69,11 @@ class TemperatureModelParameters(Record):
     )
     order: int | None = key(
         Number(0, 12, integer=True),
-        "Order of the polynomial, or knots of the spline less one; chosen by held-out error when left out.",
+        "Order of the polynomial, or knots of the spline less one; by default chosen by held-out error.",
         2,
         default=None,
     )
-    highest_order: int = key(Number(1, 12, integer=True), "Highest order that is tried.", 4, default=4)
+    highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
         "Number of contiguous temperature ranges that are held out in turn; 0 holds out each temperature separately.",
@@ -82,8 +82,9 @@ class TemperatureModelParameters(Record):
     )
     rule: str = key(
         Choice(RULES),
-        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; or the "
-        "smallest itself.",
+        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; smallest: "
+        "the curve with the smallest held-out "
+        "error.",
         "smallest_error",
         default="one_standard_error",
     )
@@ -95,13 +96,13 @@ class TemperatureModelParameters(Record):
     )
     bin: Quantity = key(
         QuantityOf("temperature", "positive"),
-        "Along a ramp samples are put together in steps of this; temperatures nearer than this are held out together.",
+        "Along a ramp, samples are averaged in bins of this width; temperatures closer than this are held out together.",
         "2 K",
         default=parse_quantity("1 K"),
     )
     uncertainty: str = key(
         Choice(("residual", "propagated")),
-        "What the uncertainties rest on: the scatter of the values about the curve, or the values' own uncertainties.",
+        "Basis of the uncertainties: the scatter of the values about the curve, or the values' own uncertainties.",
         "propagated",
         default="residual",
     )
@@ -425,25 +426,25 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
             found.append(
                 f"{name}: the uncertainties allow for the choice: they are those of order {fit.fullest.curve.order}, "
                 "the highest tried, "
-                "with the distance to it added. If the order is known from physics, `order` gives narrower intervals."
+                "plus the difference from it. If the order is known from physics, `order` gives narrower intervals."
             )
     low, high = one.points.temperature.min(), one.points.temperature.max()
-    found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond, the curve is a guess.")
+    found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond this range the curve is an extrapolation.")
     if not parameters.channels:
         found.append(
-            "What the values at all temperatures have in common, such as a fixture's angle, is in the estimates "
-            "used, not here."
+            "Influences common to the values at all temperatures, such as a fixture's angle, are included in the estimates used, not "
+            "here."
         )
     if parameters.uncertainty == "residual":
         found.append(
-            f"{name}: the uncertainty rests on the scatter about the curve, with {fit.degrees_of_freedom:.0f} "
+            f"{name}: the uncertainty is based on the scatter about the curve, with {fit.degrees_of_freedom:.0f} "
             "degrees of freedom."
         )
     if fit.correlation > 1:
         found.append(
             f"{name}: consecutive values along the ramps resemble each other; variances are {fit.correlation:.3g} "
             "times those of "
-            "independent ones, and degrees of freedom as many times fewer."
+            "independent ones, and degrees of freedom are smaller by the same factor."
         )
     return found
 

@@ -76,7 +76,8 @@ class FixtureAnglesParameters(Record):
     )
     azimuth: str = key(
         Choice((FITTED, STATED)),
-        "The axes' azimuths in the fixture: fitted, which takes three orientations; or as stated in `mounting`, for which two are enough.",
+        "The axes' azimuths in the fixture: fitted, which needs three orientations; or as stated in `mounting`, for "
+        "which two are sufficient.",
         FITTED,
         default=FITTED,
     )
@@ -85,7 +86,7 @@ class FixtureAnglesParameters(Record):
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the segments about the model, or the noise within the segments.",
+        "Basis of the uncertainties: the scatter of the segments about the model, or the noise within the segments.",
         "residual",
         default="residual",
     )

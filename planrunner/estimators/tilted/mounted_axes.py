@@ -107,8 +107,8 @@ def rotation_axis(segments: Sequence[Segment], along_z: bool = True) -> Array:
         if along_z and off > ALONG:
             raise EstimationError(
                 f"in segment '{segment.label}' the fixture's z axis stands {math.degrees(off):.4g} deg from the "
-                "rotation axis; the angles "
-                "of `mounting` count from z: choose an orientation with z along the rotation axis"
+                "rotation axis; the angles of `mounting` are measured from z: "
+                "choose an orientation with z along the rotation axis"
             )
         found[row] = seen
     return found

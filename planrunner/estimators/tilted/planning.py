@@ -105,7 +105,7 @@ def _series_remarks(request: DesignRequest, series: Sequence[RateSeries]) -> Ite
     if not lacking and request.parameters.uncertainty == "repeats" and min(repeats.values(), default=2) < 2:
         yield Remark(
             "physics-repeats",
-            "at some temperature the rates are run once, so the uncertainty cannot rest on how they repeat",
+            "at some temperature the rates are run once, so the uncertainty cannot be based on their repeatability",
             "add `repeat: 6`, or write `uncertainty: residual`",
             "uncertainty",
             error=True,
@@ -118,8 +118,9 @@ def _earth_remarks(request: DesignRequest, axes: MountedAxes) -> Iterator[Remark
     if slow:
         yield Remark(
             "physics-slow-rate",
-            f"'{slow[0].label}' turns at {math.degrees(abs(slow[0].rate)) * 3600:.3g} deg/h, more slowly than the Earth: its rotation, not "
-            "the table's, decides what the axes feel",
+            f"'{slow[0].label}' turns at {math.degrees(abs(slow[0].rate)) * 3600:.3g} deg/h, more slowly than the "
+            f"Earth: the axes then sense mainly the Earth's rotation, not the "
+            "table's",
             "turn faster than 15 deg/h",
         )
     parts = part_turns(planned, [segment.dwell for segment in planned], [0.0] * len(planned))

@@ -97,7 +97,7 @@ def _one_rotation_axis(segments: Sequence[Segment]) -> None:
         assert isinstance(segment.motion, Spin) and isinstance(spins[0].motion, Spin)
         if segment.motion.about != spins[0].motion.about:
             raise EstimationError(
-                f"'{segment.label}' turns about another direction than '{spins[0].label}': a scale factor comes from one rotation axis"
+                f"'{segment.label}' turns about a different direction from '{spins[0].label}': a scale factor comes from one rotation axis"
             )
 
 

@@ -212,7 +212,7 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
     angles = _angles(situation, acting)
     if not angles.any():
         notes.append(
-            "No uncertainty of the fixture's angles is stated, so the budgets lack what usually dominates them: tan "
+            "No uncertainty of the fixture's angles is stated, so the budgets lack the usually dominant contribution: tan "
             "θ·u(θ)."
         )
     if not np.isfinite(situation.found.coefficient).all():
@@ -225,7 +225,7 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
     declared = [item.quantity.name.removeprefix(word) for item in acting if item.quantity.name.startswith(word)]
     names = ", ".join(declared)
     if basis == "residual":
-        text = "Uncertainties rest on the residuals of the rates about the line, of the means over the repeats"
+        text = "Uncertainties are based on the residuals of the rates about the line, of the means over the repeats"
         if declared:
             text += (
                 f". For {names} the residuals scale noise and declared flicker together, so that the budget lists "
@@ -236,19 +236,19 @@ def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Seq
             return text
         return f"{text}; a drift between the zeros that exceeds their noise (1 %) is also in the budget, as an offset."
     if basis == "within_segment":
-        text = "Uncertainties rest on the noise within the segments; what changes from segment to segment is in them only where stated."
+        text = "Uncertainties are based on the noise within the segments; changes from segment to segment are included only where stated."
         if declared:
             text += f" Flicker of {names} is in the budget as declared, in place of the drift between the zeros: that flicker seen once."
         return text
     count = min(len(group.names) for group in situation.groups)
-    text = f"Uncertainties rest on the scatter of {count} repeats at each temperature"
+    text = f"Uncertainties are based on the scatter of {count} repeats at each temperature"
     if len(situation.groups) == 1:
         return f"{text}."
     apart = int((~scatter.pooled).sum())
     if not apart:
         return f"{text}, pooled over the temperatures."
     return (
-        f"{text}, pooled over the temperatures but where it differs between them (Bartlett's test at 1 %): "
+        f"{text}, pooled over the temperatures except where it differs between them (Bartlett's test at 1 %): "
         f"in {apart} of {len(scatter.pooled)} quantities."
     )
 
@@ -264,7 +264,7 @@ def _earth_words(situation: Situation, how: str) -> str:
         parts = part_turns(situation.segments, situation.seconds, [0.0] * len(situation.segments))
         text = f"The Earth's rotation is corrected for; its part across the rotation axis is up to {most:.3g} deg/h on an axis."
         if parts:
-            text += " Where a recording covers part of a turn, the angle at which it began is taken from spin-up and settling as planned."
+            text += " Where a recording covers part of a turn, its starting angle is computed from the planned spin-up and settling."
         return text
     return (
         f"The Earth's rotation across the rotation axis is {how}: "

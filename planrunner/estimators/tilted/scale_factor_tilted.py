@@ -88,7 +88,7 @@ class ScaleFactorTiltedParameters(Record):
         Choice(("corrected", "averaged", "ignored")),
         "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; "
         "averaged by whole turns, "
-        "which are then required; or ignored. Only where corrected is it kept out of F0.",
+        "which are then required; or ignored. F0 is free of it only with `corrected`.",
         "corrected",
         default="corrected",
     )
@@ -104,7 +104,7 @@ class ScaleFactorTiltedParameters(Record):
     )
     uncertainty: str = key(
         Choice(BASES),
-        "What the uncertainties rest on: the scatter of the repeats, that of the rates about the line, or the noise "
+        "Basis of the uncertainties: the scatter of the repeats, that of the rates about the line, or the noise "
         "within the segments.",
         "repeats",
         default="repeats",
@@ -124,7 +124,7 @@ class ScaleFactorTiltedParameters(Record):
     )
     remounting: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Time to bring the chamber to room temperature, mount and align, for comparing with one mounting an axis.",
+        "Time to bring the chamber to room temperature, mount and align, for the comparison with one mounting per axis.",
         "2 h",
         default=parse_quantity("2 h"),
     )
@@ -365,8 +365,8 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
             where = f" at {group.label}" if group.label else ""
             raise UnfitDataError(
                 f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the "
-                "sensor had power and "
-                "measured (`mode`), and its wiring"
+                f"sensor had power and was measuring (`mode`), and check its "
+                "wiring"
             )
 
 
@@ -379,7 +379,9 @@ def _measured(request: EstimateRequest, recorded: Sequence[RecordedSegment], pla
     observed = observe(recorded, [channel], request.sensor)
     own = unit(observed.units[0])
     if own.dimension != unit("K").dimension:
-        raise EstimationError(f"the channel '{channel}' is in {own.text}, which is no temperature: name another")
+        raise EstimationError(
+            f"the channel '{channel}' is in {own.text}, which is not a unit of temperature: name another channel"
+        )
     return own.to_si(float(observed.mean[:, 0].mean()))
 
 
@@ -394,9 +396,8 @@ def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequen
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):
         raise EstimationError(
-            f"{request.name}: the samples within the segments do not vary (or are too few), so there is no "
-            "within-segment noise to "
-            "take an uncertainty from; write `uncertainty: repeats` or `uncertainty: residual`"
+            f"{request.name}: the samples within the segments do not vary (or are too few), so the within-segment noise cannot give an "
+            "uncertainty; write `uncertainty: repeats` or `uncertainty: residual`"
         )
     sigma = np.column_stack([one.sigma if one.known else np.zeros_like(one.sigma) for one in known])
     return sigma, np.array([one.degrees_of_freedom if one.known else 0.0 for one in known])
@@ -404,9 +405,8 @@ def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequen
 
 def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
     return [
-        f"The zeros of {axes.outputs[axis]} moved further between before and after the rates than noise and the "
-        "declared bias instability "
-        "let them (1 %): their drift is added to the budget as well; look for warming up, or declare a larger bias "
+        f"The zeros of {axes.outputs[axis]} changed more from before to after the rates than noise and the declared "
+        f"bias instability explain (1 %): their drift is added to the budget as well; check for warm-up, or declare a larger bias "
         "instability."
         for axis in sorted(further)
     ]

@@ -64,7 +64,7 @@ def scatter_between_repeats(
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
-            "at some temperature the rates were run once, so nothing shows how they repeat: add `repeat: 6`, or write "
+            "at some temperature the rates were run once, so their repeatability is unknown: add `repeat: 6`, or write "
             "`uncertainty: residual`"
         )
     degrees = np.array([len(one) - 1 for one in repeats])
@@ -127,7 +127,9 @@ def scatter_of_means(
         freedom = np.repeat(noise.degrees_of_freedom, len(QUANTITIES))
         if basis == "residual":
             if len(group.rates) < 3:
-                raise EstimationError("two rates leave no residual to take an uncertainty from: add rates, or repeats")
+                raise EstimationError(
+                    "two rates leave no residual that could give an uncertainty: add rates, or repeats"
+                )
             sigma, slow = _about_the_line(group, found.residuals[k], sigma, flicker)
         rows = gains * np.vstack([sigma, noise.rest[k]])[..., None]
         covariance = np.einsum("nap,nbr,ab->apbr", rows, rows, noise.correlation)

@@ -73,8 +73,13 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         design = np.column_stack([stimulus, np.ones(len(stimulus))])
         rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
         if len(observed) <= rank:
-            message = f"{len(observed)} segments are too few to hold any out with {rank} nominal parameters a channel of {word}"
-            log.warning("gap-no-held-out", mark, message, "add segments in other states: no closure can be given")
+            message = f"{len(observed)} segments are too few to withhold any with {rank} nominal parameters a channel of {word}"
+            log.warning(
+                "gap-no-held-out",
+                mark,
+                message,
+                "add segments in other states: without withheld segments, no closure can be computed",
+            )
         means = _means(observed, observed.values[:, channels])
         fitted = np.linalg.lstsq(design, means, rcond=None)[0]
         left = means - design @ fitted
@@ -84,18 +89,20 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
             put_in = float(stimulus[:, channel.axis].std())
             share = float(left[:, column].std()) / put_in if put_in else 0.0
             if put_in > STIRRED[kind] and share > MISFIT:
-                left_over = f"fitted bias, scale and misalignments leave {share:.0%} of what was put in"
+                left_over = f"fitted bias, scale and misalignments leave {share:.0%} of the applied input"
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
                 log.error("gap-nominal-misfit", mark, message, _LOOK)
             elif told and float(np.abs(fitted[:3, column] - np.eye(3)[channel.axis]).max()) > MISFIT:
                 reads = ", ".join(
                     f"{value:.3g} of {axis}" for axis, value in zip("xyz", fitted[:3, column], strict=True)
                 )
-                message = f"'{channel.name}' does not follow the plan: of the {word} put in it reads {reads}"
+                message = f"'{channel.name}' does not follow the plan: of the {word} applied, it shows {reads}"
                 log.error("gap-nominal-misfit", mark, message, _LOOK)
 
 
-_LOOK = "look at labels, orientations, the sense of rates, and at columns, signs and units in the bench file"
+_LOOK = (
+    "check the labels, orientations and signs of rates in the plan, and the columns, signs and units in the bench file"
+)
 
 
 def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
@@ -111,8 +118,8 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
         smallest = max(declared / OTHER_NOISE, channel.resolution)
         if declared > 0 and (sigma > OTHER_NOISE * max(declared, channel.resolution) or sigma < smallest < declared):
             noise = f"{sigma / channel.factor:.3g} {channel.unit} from sample to sample"
-            message = f"'{channel.name}' scatters at rest by {noise}, declared are {declared / channel.factor:.3g}"
-            hint = "correct the noise in the bench file: the gap is weighed against it; or look at the sensor"
+            message = f"'{channel.name}' has noise at rest of {noise}, declared are {declared / channel.factor:.3g}"
+            hint = "correct the noise in the bench file, because the gap is compared with it; or check the sensor"
             log.warning("gap-noise", mark, message, hint)
 
 
@@ -122,10 +129,15 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
     ratio = float(np.median(_means(observed, observed.values)[:, 0] / expected))
     if abs(ratio - 1) > MISFIT:
         message = f"at rest the accelerometers read {ratio:.3g} times gravity"
-        log.error("gap-nominal-misfit", mark, message, "look at the channels' units and signs in the bench file")
+        log.error("gap-nominal-misfit", mark, message, "check the channels' units and signs in the bench file")
     if len(observed) <= POSE_PARAMETERS:
-        message = f"{len(observed)} poses are too few to hold any out with {POSE_PARAMETERS} nominal parameters"
-        log.warning("gap-no-held-out", mark, message, "add poses in other orientations: no closure can be given")
+        message = f"{len(observed)} poses are too few to withhold any with {POSE_PARAMETERS} nominal parameters"
+        log.warning(
+            "gap-no-held-out",
+            mark,
+            message,
+            "add poses in other orientations: without withheld poses, no closure can be computed",
+        )
 
 
 def _means(observed: Observed, values: Array) -> Array:
@@ -154,11 +166,11 @@ def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findin
     empty = [item.label for item in recording if item.statistics.count == 0]
     if empty:
         hint = "leave the segment out of plan and recording, or record it again"
-        log.error("gap-missing-numbers", mark, f"{_named(empty)} without one complete row", hint)
+        log.error("gap-missing-numbers", mark, f"{_named(empty)} without a complete row", hint)
     elif rejected:
         where = f", most of them in {_named([item.label for item in poor])}" if poor else ""
         message = f"{_count(rejected, 'row')} with a missing number {'is' if rejected == 1 else 'are'} left out{where}"
-        log.warning("gap-missing-numbers", mark, message, "look at the logger; few missing rows do no harm")
+        log.warning("gap-missing-numbers", mark, message, "check the logger; a few missing rows do no harm")
 
 
 def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:
@@ -169,7 +181,7 @@ def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Finding
             short.append(item.label)
     if short:
         message = f"{_named(short)} shorter than planned"
-        log.warning("gap-short-segment", mark, message, "what was recorded is used as it is")
+        log.warning("gap-short-segment", mark, message, "the recorded part is used")
 
 
 def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Mark, log: Findings) -> None:
@@ -185,12 +197,10 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
     if gaps:
         label, gap = max(gaps, key=lambda pair: pair[1])
         message = f"time jumps within {_named([name for name, _ in gaps])}: by {gap:.3g} s in '{label}'"
-        log.warning("gap-clock", mark, message, "samples were lost or the clock was set: look at the logger")
+        log.warning("gap-clock", mark, message, "samples were lost or the clock was set: check the logger")
     if other:
         message = f"{_named(other)} not sampled at the declared {declared:g} Hz"
-        log.warning(
-            "gap-clock", mark, message, "correct `sample_rate` in the bench file, or look at the logger's clock"
-        )
+        log.warning("gap-clock", mark, message, "correct `sample_rate` in the bench file, or check the logger's clock")
 
 
 def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
@@ -205,11 +215,11 @@ def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mar
         standing = [low == high for low, high in zip(lowest, highest, strict=True)]
         if min(lowest) == max(highest):
             message = f"'{name}' stands at {lowest[0]:g} {text} in every segment"
-            log.error("gap-dead-channel", mark, message, "look at the sensor and at the column in the bench file")
+            log.error("gap-dead-channel", mark, message, "check the sensor, and the column in the bench file")
             continue
         if all(standing):
-            message = f"'{name}' has one value a segment and no noise, against which a gap would be weighed"
-            log.error("gap-no-noise", mark, message, "give the samples as they were recorded, not their means")
+            message = f"'{name}' has one value per segment and no noise with which a gap can be compared"
+            log.error("gap-no-noise", mark, message, "give the recorded samples, not their means")
             continue
         reached = [max(-low, high) >= output.full_scale * (1 - 1e-9) for low, high in zip(lowest, highest, strict=True)]
         labels = [item.label for item in known]

@@ -68,7 +68,7 @@ class EspecP300Commands:
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):
             raise InstrumentError(
-                f"{self.parameters.address} answers 'TYPE?' with '{said[:60]}', as no P300 does: look at the address"
+                f"{self.parameters.address} answers 'TYPE?' with '{said[:60]}', which is not a P300's answer: check the address"
             )
         return {"manufacturer": "Espec", "model": "P300 or SCP-220", "type": said}
 

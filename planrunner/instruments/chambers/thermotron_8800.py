@@ -21,7 +21,7 @@ RUNNING = 1
 STOP_CODES = {
     0: "it was started with empty memory",
     2: "its stop key was pressed",
-    3: "its test came to an end",
+    3: "its test ended",
     4: "an external input stopped it",
     5: "it was stopped from a computer",
     6: "a sensor is open",

@@ -64,7 +64,7 @@ class WatlowF4tCommands:
         self.link.write(":UNIT:TEMPERATURE C")
         unit = self.link.query(":UNIT:TEMPERATURE?")
         if unit.upper() != "C":
-            raise InstrumentError(f"the F4T stays with the unit '{unit[:20]}' instead of C: set it at its panel")
+            raise InstrumentError(f"the F4T keeps the unit '{unit[:20]}' instead of C: set it at its panel")
         self.link.write(f"{self.loop}:RSCALE MINUTES")
         self.link.write(f"{self.loop}:RRATE {written(ramp)}")
         self.link.write(f"{self.loop}:RACTION SETPOINT")
@@ -77,7 +77,7 @@ class WatlowF4tCommands:
         kept = number(self.link, f"{self.loop}:SPOINT?")
         if abs(kept - celsius) > 0.1:
             raise InstrumentError(
-                f"the F4T keeps the set point {kept:g} instead of {celsius:g} degC: look at its set point limits"
+                f"the F4T keeps the set point {kept:g} instead of {celsius:g} degC: check its set point limits"
             )
         self.link.write(f":OUTPUT{self.parameters.output}:STATE ON")
 

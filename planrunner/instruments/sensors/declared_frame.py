@@ -55,46 +55,54 @@ LONGEST = 4096
 class FieldOfFrame(Record):
     """A number in a frame."""
 
-    place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte, counted from 0 at the sync.", 2, name="at")
-    type: str = key(Choice(tuple(TYPES)), "Its type: u unsigned, i signed, f floating point, and its bits.", "i16")
-    scale: float = key(Number(), "What it is multiplied by.", 0.02, default=1.0)
-    zero: float = key(Number(), "What is added then.", 25.0, default=0.0)
+    place: int = key(
+        Number(0, LONGEST - 1, integer=True), "Position of its first byte, counted from 0 at the sync.", 2, name="at"
+    )
+    type: str = key(Choice(tuple(TYPES)), "Type: u unsigned, i signed or f floating point, and number of bits.", "i16")
+    scale: float = key(Number(), "Factor by which the raw value is multiplied.", 0.02, default=1.0)
+    zero: float = key(Number(), "Offset that is then added.", 25.0, default=0.0)
     unit: str = key(UnitText(), "Unit of the result.", "deg/s")
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
+    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
 
 
 class CounterOfFrame(Record):
     """The counter of a frame, which runs through all values of its type, or below `modulus`."""
 
-    place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 14, name="at")
+    place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 14, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
-    step: int = key(Number(1, 2**31, integer=True), "Counts from one frame to the next.", 1, default=1)
+    step: int = key(
+        Number(1, 2**31, integer=True), "Increment of the counter from one frame to the next.", 1, default=1
+    )
     modulus: int | None = key(
         Number(2, 2**32, integer=True), "The counter restarts at zero when it reaches this value.", 128, default=None
     )
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
+    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
 
 
 class StatusOfFrame(Record):
     """A status word of a frame; set bits speak against it."""
 
-    place: int = key(Number(0, LONGEST - 1, integer=True), "Its first byte.", 15, name="at")
+    place: int = key(Number(0, LONGEST - 1, integer=True), "Position of its first byte.", 15, name="at")
     type: str = key(Choice(WHOLE), "Its type.", "u8", default="u8")
     bits: dict[str, int] = key(
         MapOf(Number(0, 31, integer=True)),
         "Meaning of a set bit → number of the bit, from 0 for the lowest.",
         {"overload": 4},
     )
-    set_is_good: bool = key(Boolean(), "Whether bits are clear when they speak against the frame.", True, default=False)
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
+    set_is_good: bool = key(
+        Boolean(), "Whether a cleared bit, instead of a set bit, marks the frame as doubtful.", True, default=False
+    )
+    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
 
 
 class ChecksumOfFrame(Record):
     """The checksum at the end of a frame."""
 
-    type: str = key(Choice(tuple(CHECKSUMS)), "How it is computed.", "crc16_modbus")
-    start: int = key(Number(0, LONGEST - 1, integer=True), "The first byte that it covers.", 2, default=0, name="from")
-    little_endian: bool = key(Boolean(), "Whether its low byte comes first.", True, default=False)
+    type: str = key(Choice(tuple(CHECKSUMS)), "Algorithm of the checksum.", "crc16_modbus")
+    start: int = key(
+        Number(0, LONGEST - 1, integer=True), "First byte that the checksum covers.", 2, default=0, name="from"
+    )
+    little_endian: bool = key(Boolean(), "Whether the low byte comes first.", True, default=False)
 
 
 class DeclaredFrameParameters(SerialSensorParameters):
@@ -105,10 +113,10 @@ class DeclaredFrameParameters(SerialSensorParameters):
         "The bytes that every frame begins with.",
         "A5 5A",
     )
-    length: int = key(Number(2, LONGEST, integer=True), "Bytes of a frame, sync and checksum included.", 20)
+    length: int = key(Number(2, LONGEST, integer=True), "Length of a frame in bytes, including sync and checksum.", 20)
     fields: dict[str, FieldOfFrame] = key(
         MapOf(RecordOf(FieldOfFrame), pattern=NAME),
-        "Channel → its place in the frame.",
+        "Channel → its position in the frame.",
         {"gyro_x": {"at": 2, "type": "i16", "scale": 0.02, "unit": "deg/s"}},
     )
     checksum: ChecksumOfFrame | None = key(
@@ -210,5 +218,5 @@ def _check(parameters: DeclaredFrameParameters) -> None:
         hint = "add for example `fields: {gyro_x: {at: 2, type: i16, scale: 0.02, unit: deg/s}}`"
         raise InputError.at(parameters.at("fields"), "form-size", "a frame without fields gives no samples", hint)
     if parameters.checksum is not None and parameters.checksum.start >= parameters.length - check:
-        message = f"the checksum of a frame of {parameters.length} bytes covers nothing"
+        message = f"the checksum of a frame of {parameters.length} bytes covers no bytes"
         raise InputError.at(parameters.checksum.origin.at("from"), "meaning-range", message, "let it begin earlier")

@@ -46,13 +46,15 @@ class FirstFrames:
     def judge(self, port: str, baud: int) -> None:
         """Raises `InstrumentError` for silence, bytes that are no frames, frames without what is announced, and another rate."""
         if self._bytes == 0:
-            raise InstrumentError(f"nothing comes from {port}: is the sensor switched on, and is it on this port?")
+            raise InstrumentError(
+                f"no data arrive from {port}: check that the sensor is switched on and connected to this port"
+            )
         sync = self._decoder.framing.sync.hex(" ").upper()
         if self._framer.good == 0:
             raise InstrumentError(
-                f"{self._bytes} bytes came from {port} at {baud} baud, and among them no frame that begins with "
-                f"{sync} and whose "
-                "checksum fits: look at `baud` and at the sensor's output format"
+                f"{self._bytes} bytes came from {port} at {baud} baud, but no frame that begins with {sync} and has "
+                f"a correct checksum: check `baud` and the sensor's output "
+                "format"
             )
         if self._good == 0:
             wanted = ", ".join(self._decoder.channels())
@@ -64,6 +66,6 @@ class FirstFrames:
         rate = (self._counted - 1) / self.seconds
         if abs(math.log(rate / self._rate)) > TOLERANCE:
             message = (
-                f"about {rate:.4g} good frames a second come from {port} where the bench file says {self._rate:g} Hz"
+                f"about {rate:.4g} good frames per second arrive from {port}, but the bench file says {self._rate:g} Hz"
             )
             raise InstrumentError(f"{message}: correct `sample_rate`, the sensor's setting, or `baud`")

@@ -22,7 +22,7 @@ class GyroKnowledge(Record):
 
     full_scale: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
-        "Largest rate, either sign; `check` compares plans with it.",
+        "Largest rate, for both signs; `check` compares plans with it.",
         "400 deg/s",
         default=None,
     )
@@ -41,7 +41,7 @@ class AccelerometerKnowledge(Record):
     """What is known of the accelerometers before they are tested: of each alike."""
 
     full_scale: Quantity | None = key(
-        QuantityOf("acceleration", "positive"), "Largest specific force, either sign.", "10 g", default=None
+        QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g", default=None
     )
     velocity_random_walk: Quantity | None = key(
         QuantityLike("m/s/sqrt(h)", "not negative"),
@@ -62,7 +62,9 @@ class SerialSensorParameters(Record):
         "Serial port, or a URL that pyserial knows, such as socket://127.0.0.1:4001.",
         "/dev/ttyUSB0",
     )
-    baud: int = key(Number(1200, FASTEST_BAUD, integer=True), "Bits a second on the line.", 921600, default=921600)
+    baud: int = key(
+        Number(1200, FASTEST_BAUD, integer=True), "Bit rate of the line, in bits per second.", 921600, default=921600
+    )
     kind: str = key(Text(KIND, "a sensor kind"), "Kind of sensor, as plans name it.", "imu", default="imu")
     sample_rate: Quantity = key(
         QuantityOf("frequency", "positive"),
@@ -71,7 +73,7 @@ class SerialSensorParameters(Record):
     )
     silence: Quantity = key(
         QuantityOf("time", "positive"),
-        "How long it may take until a good frame comes; more ends the run.",
+        "Longest time without a good frame; the run ends after this time.",
         "1 s",
         default=parse_quantity("1 s"),
     )
@@ -82,10 +84,16 @@ class SerialSensorParameters(Record):
         default=None,
     )
     gyros: GyroKnowledge | None = key(
-        RecordOf(GyroKnowledge), "What is known of the gyros.", {"angle_random_walk": "0.15 deg/sqrt(h)"}, default=None
+        RecordOf(GyroKnowledge),
+        "Declared properties of the gyros.",
+        {"angle_random_walk": "0.15 deg/sqrt(h)"},
+        default=None,
     )
     accelerometers: AccelerometerKnowledge | None = key(
-        RecordOf(AccelerometerKnowledge), "What is known of the accelerometers.", {"full_scale": "10 g"}, default=None
+        RecordOf(AccelerometerKnowledge),
+        "Declared properties of the accelerometers.",
+        {"full_scale": "10 g"},
+        default=None,
     )
 
 

@@ -40,7 +40,7 @@ class Kvh1775Parameters(SerialSensorParameters):
     format: str = key(Choice(("A", "B", "C")), "Output format.", "A", default="A")
     rotation: str = key(
         Choice(("rate", "delta")),
-        "What it sends of the gyros. Deltas are recorded as the mean rate over the frame.",
+        "Gyro data that the sensor sends. Deltas are recorded as the mean rate over the frame.",
         "rate",
         default="rate",
     )
@@ -50,7 +50,7 @@ class Kvh1775Parameters(SerialSensorParameters):
     )
     configure: bool = key(
         Boolean(),
-        "Whether rate, rotation and temperature unit are set when connecting; else it must be set so.",
+        "Whether rate, rotation and temperature unit are set when connecting; otherwise the sensor must already be set in this way.",
         True,
         default=False,
     )

@@ -100,9 +100,9 @@ class SerialSensor:
         rate = self.parameters.sample_rate.value
         for segment in segments:
             if segment.dwell is None:
-                raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
+                raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording has this length")
             if refused := rate_refused(segment.sample_rate, rate, one_rate=True):
-                hint = "leave `sample_rate` out of the plan, or set the sensor otherwise"
+                hint = "leave `sample_rate` out of the plan, or change the setting of the sensor"
                 raise InstrumentError(f"'{segment.label}': {refused}: {hint}")
 
     def stream(self, segment: Segment) -> Iterator[Block]:
@@ -171,23 +171,23 @@ class SerialSensor:
 
     def _silence(self, seconds: float) -> str:
         return (
-            f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: look at its power, "
-            "its cable, "
-            "and whether it was reset to other settings; then resume the run"
+            f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: check its power and "
+            f"its cable, and whether it was reset to other settings; then resume the "
+            "run"
         )
 
     def _check_count(self, seconds: float) -> None:
         if seconds > self._patience():
             raise InstrumentError(
-                f"the frames that came from {self.parameters.port} for {seconds:.1f} s do not count on: the sensor's "
-                "counter is stuck, so the times of the samples are unknown; switch the sensor off and on, then "
+                f"the frames that came from {self.parameters.port} for {seconds:.1f} s have a constant counter: the sensor's counter is "
+                "stuck, so the times of the samples are unknown; switch the sensor off and on, then "
                 "resume the run"
             )
 
     def _check_skew(self, skew: float) -> None:
         if abs(skew) > SKEW_TOLERANCE:
             rate = self.parameters.sample_rate.value
-            message = f"the sensor gives {rate / (1 + skew):.6g} frames a second where the bench file says {rate:g} Hz"
+            message = f"the sensor gives {rate / (1 + skew):.6g} frames per second, but the bench file says {rate:g} Hz"
             raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
 
     def _overhear(self) -> None:

@@ -54,7 +54,7 @@ class Datagram:
             return value
         text = node.text[:20] if isinstance(node, Scalar) else "this"
         known = ", ".join(f"0x{item:X}" for item in DATAGRAMS)
-        log.error("form-choice", node.mark, f"'{text}' is no identifier of a STIM300 datagram", f"one of {known}")
+        log.error("form-choice", node.mark, f"'{text}' is not an identifier of a STIM300 datagram", f"one of {known}")
         return None
 
     def schema(self) -> Schema:
@@ -67,13 +67,13 @@ class Stim300Parameters(SerialSensorParameters):
     datagram: int = key(Datagram(), "Identifier of the datagram that it is set to send.", 0xA7, default=0xA7)
     acceleration_range: str = key(
         Choice(tuple(ACCELERATION_SCALES)),
-        "Range of its accelerometers, which their scale follows from.",
+        "Range of its accelerometers, which determines their scale.",
         "10 g",
         default="10 g",
     )
     gyro_output: str = key(
         Choice(("rate", "increment")),
-        "What it is set to send of the gyros. Increments are recorded as the mean rate over the frame.",
+        "Gyro data that the sensor is set to send. Increments are recorded as the mean rate over the frame.",
         "rate",
         default="rate",
     )

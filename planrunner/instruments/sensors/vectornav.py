@@ -71,7 +71,7 @@ class VectorNavParameters(SerialSensorParameters):
     )
     configure: str | None = key(
         Choice(("port_1", "port_2")),
-        "Set the binary output of this port of the sensor when connecting; without it, it must be set so.",
+        "Set the binary output of this port of the sensor when connecting; without it, the sensor must already be set in this way.",
         "port_1",
         default=None,
     )
@@ -132,12 +132,11 @@ def body_of(reply: bytes) -> str:
     """What stands between `$` and `*` of a line. Raises `InstrumentError` for a wrong checksum and for an error of the sensor's."""
     body, star, check = reply.strip(b"\r\n").removeprefix(b"$").partition(b"*")
     if not star or not body or check.upper() != f"{XOR8.of(body):02X}".encode("ascii"):
-        raise InstrumentError(f"the VN-100 answers what is no whole line: {reply[:60]!r}")
+        raise InstrumentError(f"the VN-100 answers with an incomplete line: {reply[:60]!r}")
     text = body.decode("ascii", "replace")
     if text.startswith("VNERR"):
         raise InstrumentError(
-            f"the VN-100 refuses the command with error {text[6:20]}: look at the fields and the rate that it is to "
-            "send"
+            f"the VN-100 refuses the command with error {text[6:20]}: check the fields and the rate in the bench file"
         )
     return text
 
@@ -155,7 +154,7 @@ def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> s
             end = heard.find(b"\n", begin)
             if 0 <= begin < end:
                 return body_of(heard[begin : end + 1])
-    raise InstrumentError(f"the VN-100 does not answer {body}: look at its port, `baud`, and that it is a VN-100")
+    raise InstrumentError(f"the VN-100 does not answer {body}: check its port and `baud`, and that it is a VN-100")
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------

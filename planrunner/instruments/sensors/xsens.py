@@ -65,8 +65,9 @@ class XsensParameters(SerialSensorParameters):
     )
     configure: bool = key(
         Boolean(),
-        "Whether the outputs, with packet counter and status word, and the rate are set when connecting; else they "
-        "must be set so.",
+        "Whether the outputs, with packet counter and status word, and the rate are set when connecting; otherwise "
+        "the sensor must already be set in this "
+        "way.",
         True,
         default=False,
     )
@@ -135,10 +136,10 @@ def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") ->
                     return found
                 if (code := error_of(found)) is not None:
                     raise InstrumentError(
-                        f"the MTi refuses message {identifier:02X} with error {code:02X}: look at its outputs and rate"
+                        f"the MTi refuses message {identifier:02X} with error {code:02X}: check its outputs and rate"
                     )
     raise InstrumentError(
-        f"the MTi does not answer message {identifier:02X}: look at its port, `baud`, and that it is an MTi"
+        f"the MTi does not answer message {identifier:02X}: check its port and `baud`, and that it is an MTi"
     )
 
 

@@ -110,8 +110,8 @@ class AcutrolCommands:
         for axis in self.axes:
             if self.link.query(f":interlock? {axis}").casefold().startswith("fault"):
                 raise InstrumentError(
-                    f"the interlock of axis {axis} does not close: look at doors, emergency stops and drives, then "
-                    "try again"
+                    f"the interlock of axis {axis} does not close: check doors, emergency stops and drives, then try "
+                    "again"
                 )
         self._modes = dict.fromkeys(self.axes, "off")
 
@@ -156,7 +156,7 @@ class AcutrolCommands:
     def _reported(self) -> list[str]:
         status = _byte(self.link.query(":status:stb?"))
         return [
-            f"{what}: look at the controller's display"
+            f"{what}: check the controller's display"
             for bit, what in (
                 (INTERLOCK, "an interlock is open or a trip has opened it"),
                 (PROCESSOR, "the axis control processor reports a fault"),
@@ -189,7 +189,7 @@ class AcutrolCommands:
 
 def _byte(text: str) -> int:
     if not text.isdecimal() or int(text) > 255:
-        raise InstrumentError(f"the ACUTROL gives '{text[:40]}' as its status byte, which is none")
+        raise InstrumentError(f"the ACUTROL gives '{text[:40]}' as its status byte, which is not a valid status byte")
     return int(text)
 
 

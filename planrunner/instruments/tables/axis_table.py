@@ -309,7 +309,7 @@ class AxisTable:
         joints[0] = self._aim.positions.get(0, joints[0])
         _refuse(cycle_excess(self.axes[0], float(joints[0]), motion))
         self._stand(joints, joints)
-        self._timed.begin("the cycle could not go on", lambda: self._turns(motion, joints, self.clock.now()))
+        self._timed.begin("the cycle could not continue", lambda: self._turns(motion, joints, self.clock.now()))
         return 0.0
 
     def _turns(self, motion: Cycle, home: Array, begun: float) -> None:

@@ -26,11 +26,13 @@ class CommandTemplate:
         try:
             named = [name for _, name, form, conversion in string.Formatter().parse(node.value) if name is not None]
         except ValueError as error:
-            log.error("meaning-command", node.mark, f"'{node.value[:60]}' is no command: {error}", "close every brace")
+            log.error(
+                "meaning-command", node.mark, f"'{node.value[:60]}' is not a command: {error}", "close every brace"
+            )
             return None
         for name in named:
             if name not in self.places:
-                message = f"'{{{name}}}' is nothing that this command is given"
+                message = f"'{{{name}}}' is not a parameter of this command"
                 log.error("meaning-command", node.mark, message, closest(name, self.places))
                 return None
         return node.value

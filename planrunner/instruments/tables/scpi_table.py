@@ -29,7 +29,7 @@ SINE = ("axis", "amplitude", "frequency", "phase")
 class TableCommands(Record):
     """The commands of a table. `{axis}` stands for the axis's number; degrees, deg/s and Hz for the other places."""
 
-    identify: str = key(Text(), "Asks who it is.", "*IDN?", default="*IDN?")
+    identify: str = key(Text(), "Asks for the identification.", "*IDN?", default="*IDN?")
     error: str = key(
         Text(), "Asks for the oldest error; an answer that begins with 0 means none.", "SYST:ERR?", default="SYST:ERR?"
     )

@@ -1,7 +1,7 @@
 """Motions that a table does not make by itself: the computer gives their commands when it is time to, on a thread beside the run.
 
 Times are the bench's clock's. What goes wrong on the thread is kept until somebody asks, and the motion ends there. It ends, too, when
-the run has not looked at the table for long: whoever makes the bench safe in its place shall find nobody who moves it again.
+the run has not read the table for long: whoever makes the bench safe in its place shall find nobody who moves it again.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TimedMotion:
             if self._called_off.wait(min(max(SHORTEST, left / 100), LONGEST)):
                 raise CalledOffError
         if time.monotonic() - self._looked_at > self.patience:
-            raise InstrumentError(f"the run has not looked at the table for {self.patience:g} s")
+            raise InstrumentError(f"the run has not read the table for {self.patience:g} s")
 
     def call_off(self) -> None:
         """No further command is given when this returns; those that were given hold."""

@@ -15,7 +15,7 @@ class WiredAxisSpec(AxisSpec):
 
     number: int | None = key(
         Number(1, 16, integer=True),
-        "Number of the axis at the controller; without it its place in the list.",
+        "Number of the axis at the controller; by default its position in the list.",
         1,
         default=None,
     )
@@ -27,7 +27,7 @@ class WiredAxisSpec(AxisSpec):
     )
     sense: str = key(
         Choice(("counterclockwise", "clockwise")),
-        "Which way the controller counts positive, looking against the axis's direction.",
+        "Positive sense of the controller's angle, looking against the axis's direction.",
         "clockwise",
         default="counterclockwise",
     )
@@ -49,13 +49,13 @@ class WiredTableKeys(TableKeys):
     )
     rate_tolerance: Quantity = key(
         QuantityOf("angular rate", "positive"),
-        "How near to its target a rate must be to count as held.",
+        "Largest difference from the target at which a rate counts as reached.",
         "0.01 deg/s",
         default=parse_quantity("0.02 deg/s"),
     )
     tracking_error: Quantity = key(
         QuantityOf("angle", "positive"),
-        "Following error at which the controller shall stop an axis by itself, where it can.",
+        "Following error at which the controller stops an axis, if it supports this.",
         "0.5 deg",
         default=parse_quantity("1 deg"),
     )

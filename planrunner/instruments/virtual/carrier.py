@@ -35,25 +35,25 @@ class VirtualCarrierParameters(Record):
     )
     track: str = key(
         Choice(("constant-heading", "great-circle")),
-        "What the track keeps: its heading, or its direction.",
+        "Kept constant along the track: the heading, or the direction.",
         "great-circle",
         default="constant-heading",
     )
     period: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Period of a sinusoidal velocity forth and back; without it the speed is constant.",
+        "Period of a sinusoidal velocity back and forth; without it the speed is constant.",
         "120 s",
         default=None,
     )
     start: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Time after the beginning of the run at which it starts to move.",
+        "Time after the beginning of the run at which the carrier starts to move.",
         "20 min",
         default=parse_quantity("0 s"),
     )
     speed_up: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "Time in which it reaches a constant speed, at constant acceleration; 1 min without it.",
+        "Time in which the carrier reaches a constant speed, at constant acceleration; 1 min without it.",
         "1 min",
         default=None,
     )
@@ -84,7 +84,7 @@ class VirtualCarrier:
         if p.period is not None and p.speed_up is not None:
             raise InstrumentError("a sinusoidal velocity needs no time to speed up: remove period or speed_up")
         if p.speed.value > FASTEST:
-            raise InstrumentError(f"{p.speed} is no carrier's speed: {FASTEST:g} m/s at most")
+            raise InstrumentError(f"{p.speed} is not a possible speed of a carrier: {FASTEST:g} m/s at most")
         site = world.site.on_ellipsoid
         if abs(site.latitude) > POLAR:
             limit = f"{math.degrees(POLAR):g} deg"

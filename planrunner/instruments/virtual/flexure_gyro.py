@@ -93,7 +93,9 @@ class VirtualFlexureGyroParameters(Record):
         "1 pulse/s",
         default=parse_quantity("0 pulse/s"),
     )
-    full_scale: Quantity = key(QuantityLike("pulse/s", "positive"), "Largest output, either sign.", "1000000 pulse/s")
+    full_scale: Quantity = key(
+        QuantityLike("pulse/s", "positive"), "Largest output, for both signs.", "1000000 pulse/s"
+    )
     sample_rate: Quantity = key(QuantityOf("frequency", "positive"), "Samples per second.", "100 Hz")
     thermal_lag: Quantity = key(
         QuantityOf("time", "positive"),

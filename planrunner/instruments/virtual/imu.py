@@ -127,7 +127,9 @@ class VirtualImu:
         Raises `InstrumentError` where what is recorded hangs on the segment's motion and none is named.
         """
         if segment is None and (self.parameters.table_angle or self.world.added is not None):
-            raise InstrumentError("a sensor that runs freely knows no table angle and takes no effects: leave them out")
+            raise InstrumentError(
+                "a sensor that runs freely knows no table angle and does not support added effects: leave them out"
+            )
         for axis in self.axes:
             self.flicker[axis.name].begin(sampling.start, draw)
             self.walk[axis.name].begin(sampling.start, draw)

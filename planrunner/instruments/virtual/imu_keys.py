@@ -24,7 +24,7 @@ class ScaleErrors(Record):
 
     scale_factor_error: Quantity | None = key(
         QuantityOf("ratio"),
-        "How far the true scale factor at the reference temperature is above the declared one.",
+        "Relative excess of the true scale factor at the reference temperature over the declared one.",
         "150 ppm",
         default=None,
     )
@@ -104,13 +104,13 @@ class GyroErrors(ScaleErrors):
     )
     resolution: Quantity | None = key(
         QuantityLike("arcsec", "not negative", ("deg/s",)),
-        "Smallest step: an angle is counted, what is left of a sample in the next; a rate is rounded sample by sample.",
+        "Smallest step: an angle is counted, and the remainder of a sample goes to the next sample; a rate is rounded sample by sample.",
         "0.01 arcsec",
         default=None,
     )
     full_scale: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
-        "Largest input, either sign; unlimited without it.",
+        "Largest input, for both signs; unlimited by default.",
         "400 deg/s",
         default=None,
     )
@@ -167,14 +167,14 @@ class AccelerometerErrors(ScaleErrors):
     )
     resolution: Quantity | None = key(
         QuantityLike("m/s", "not negative", ("m/s^2",)),
-        "Smallest step: a velocity is counted, what is left of a sample in the next; an acceleration is rounded "
-        "sample by sample.",
+        "Smallest step: a velocity is counted, and the remainder of a sample goes to the next sample; an acceleration is rounded sample by "
+        "sample.",
         "1e-5 m/s",
         default=None,
     )
     full_scale: Quantity | None = key(
         QuantityOf("acceleration", "positive"),
-        "Largest input, either sign; unlimited without it.",
+        "Largest input, for both signs; unlimited by default.",
         "20 g",
         default=None,
     )
@@ -215,7 +215,7 @@ class Direction(Record):
     )
     towards: dict[str, Quantity] | None = key(
         MapOf(QuantityOf("angle"), names=FRAME),
-        "Misalignments: small angles by which it leans towards the other two axes of the frame.",
+        "Misalignments: small angles by which the axis is tilted towards the other two axes of the frame.",
         {"y": "12 arcsec", "z": "-5 arcsec"},
         default=None,
     )
@@ -277,7 +277,7 @@ def _problem(name: str, axis: Direction) -> tuple[str, str] | None:
         return f"lies along {nominal}, so it cannot lean towards {nominal}", "name the other two axes of the frame"
     large = [towards for towards, angle in lean.items() if abs(angle.value) > 0.2]
     if large:
-        return f"leans {lean[large[0]]} towards {large[0]}, which is no small angle", "use `angle` and `azimuth`"
+        return f"leans {lean[large[0]]} towards {large[0]}, which is not a small angle", "use `angle` and `azimuth`"
     return None
 
 

@@ -45,7 +45,7 @@ class Caging(Record):
     )
     azimuth: Quantity = _each(
         QuantityOf("angle", "not negative"),
-        "Standard deviation of the azimuth, a draw a caging.",
+        "Standard deviation of the azimuth, drawn at each caging.",
         "1 arcmin",
         "0 arcmin",
     )
@@ -55,8 +55,8 @@ class Caging(Record):
         "20 arcsec",
         "0 arcsec",
     )
-    leaving_time: Quantity = _each(QuantityOf("time", "positive"), "Time constant of that.", "12 s", "12 s")
-    duration: Quantity = _each(QuantityOf("time", "not negative"), "How long caging takes.", "20 s", "20 s")
+    leaving_time: Quantity = _each(QuantityOf("time", "positive"), "Time constant of this turn.", "12 s", "12 s")
+    duration: Quantity = _each(QuantityOf("time", "not negative"), "Duration of caging.", "20 s", "20 s")
 
 
 class InstallationAngles(Record):
@@ -106,7 +106,7 @@ class GimbalEncoders(Record):
     error: Quantity = _each(
         QuantityOf("angle", "not negative"), "Amplitude of the periodic error.", "4 arcsec", "0 arcsec"
     )
-    speeds: int = key(Number(1, 1024, integer=True), "Periods of that error in a turn.", 32, default=32)
+    speeds: int = key(Number(1, 1024, integer=True), "Periods of this error per turn.", 32, default=32)
 
 
 class TableEncoders(Record):
@@ -121,9 +121,7 @@ class TableEncoders(Record):
         "15 arcsec",
         "0 arcsec",
     )
-    lag: Quantity = _each(
-        QuantityOf("time", "not negative"), "By how much a reading of a moving ring is late.", "1 ms", "0 s"
-    )
+    lag: Quantity = _each(QuantityOf("time", "not negative"), "Delay of the reading of a moving ring.", "1 ms", "0 s")
     wander: Quantity = _each(
         QuantityLike("arcsec/sqrt(h)", "not negative"),
         "Random walk of a ring against its reading.",
@@ -172,7 +170,7 @@ class VirtualPlatformParameters(Record):
     rings: int = key(Number(1, 3, integer=True), "Rings of the table that carries it.", 3, default=3)
     lever_arm: tuple[Quantity, ...] = key(
         ListOf(QuantityOf("length"), minimum=3, maximum=3),
-        "Where the accelerometers are from the centre of the rings, along the base's x, y and z.",
+        "Position of the accelerometers relative to the centre of the rings, along the base's x, y and z.",
         ["30 mm", "-20 mm", "50 mm"],
         default_factory=tuple,
     )

@@ -36,7 +36,7 @@ class Sampling:
     def of(cls, world: World, segment: Segment, sensor: SensorModel) -> Sampling:
         """Beginning now. Raises `InstrumentError` where the sensor cannot be sampled so."""
         if segment.dwell is None:
-            raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording knows how long that is")
+            raise InstrumentError(f"'{segment.label}' dwells 'recorded'; only a recording has this length")
         rate = segment.sample_rate or sensor.sample_rate
         if refused := sensor.rate_refused(segment.sample_rate):
             raise InstrumentError(f"'{segment.label}': {refused}")

@@ -108,7 +108,7 @@ class Unwrapping:
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the frames that came"
             raise InstrumentError(
-                f"{message}: was the sensor switched off and on? Look at its power, then resume the run"
+                f"{message}: check whether the sensor was switched off and on, check its power, then resume the run"
             )
 
     def _steps(self, raw: Whole) -> Whole:

@@ -24,11 +24,13 @@ class LinkKeys(Record):
     )
     timeout: Quantity = key(
         QuantityOf("time", "positive"),
-        "How long it may take to answer.",
+        "Longest time until the instrument answers.",
         "2 s",
         default=parse_quantity("2 s"),
     )
-    baud: int = key(Number(50, 4_000_000, integer=True), "Bits a second of a serial line.", 9600, default=9600)
+    baud: int = key(
+        Number(50, 4_000_000, integer=True), "Bit rate of a serial line, in bits per second.", 9600, default=9600
+    )
     model_contains: str | None = key(
         Text(r"\S.{0,60}", "some text"),
         "Text that the identification of the instrument must contain, in upper or lower case; by default the text "
@@ -42,7 +44,7 @@ class LinkKeys(Record):
         wanted = self.model_contains or expected
         if wanted.casefold() not in said.casefold():
             raise InstrumentError(
-                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': look at the "
-                "address, or set "
+                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': check the address, or "
+                "set "
                 "model_contains in the bench file if this is the right instrument"
             )

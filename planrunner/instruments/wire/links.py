@@ -114,16 +114,17 @@ class Incoming:
 
     def _byte(self) -> None:
         if len(self.got) >= LONGEST:
-            raise LinkFailure(f"sends without end ({shown(self.got[:40])}…): {_GARBAGE}")
+            raise LinkFailure(f"sends continuously ({shown(self.got[:40])}…): {_GARBAGE}")
         if self.got and time.monotonic() > self.deadline:
             raise LinkFailure(f"stopped in the middle of its answer ({shown(self.got)} so far): {_LOOK}")
         self.got += self.resource.read_bytes(1, break_on_termchar=False)
 
 
-_LOOK = "look at its power, its cable and its address"
-_GARBAGE = "is it the instrument that the bench file names, and are baud rate and terminators right?"
+_LOOK = "check its power, its cable and its address"
+_GARBAGE = "check that it is the instrument in the bench file, and that baud rate and terminators are correct"
 _REFUSED = (
-    "refuses the connection: is the instrument on, are network address and port right, does another program use it?"
+    "refuses the connection: check that the instrument is on, that network address and port are correct, and that no "
+    "other program uses it"
 )
 
 
@@ -292,7 +293,7 @@ class MessageLink:
             text = "\0"
         if not text.isprintable():
             self._give_up()
-            raise LinkFailure(f"answers with {shown(answer)}, which is no text: {_GARBAGE}")
+            raise LinkFailure(f"answers with {shown(answer)}, which is not text: {_GARBAGE}")
         return text
 
 
@@ -351,6 +352,6 @@ def _in_words(error: Exception, settings: LinkSettings, got: bytes) -> str:
     if isinstance(error, errors.VisaIOError) and error.error_code == constants.StatusCode.error_timeout:
         if got:
             return f"stopped in the middle of its answer ({shown(got)} so far): {_LOOK}"
-        return f"did not answer within {settings.timeout:g} s, or hung up: {_LOOK}"
+        return f"did not answer within {settings.timeout:g} s, or closed the line: {_LOOK}"
     text = " ".join(str(error).split()) or type(error).__name__
     return f"cannot be reached ({text}): {_LOOK}"

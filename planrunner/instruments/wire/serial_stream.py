@@ -92,7 +92,7 @@ class SerialStream:
                 name, baudrate=baud, timeout=PAUSE if url else TIMEOUT, **({} if url else {"exclusive": True})
             )
         except (serial.SerialException, OSError, ValueError) as error:
-            message = f"{name} cannot be opened ({error}): is it plugged in, switched on, and used by no other program?"
+            message = f"{name} cannot be opened ({error}): check that it is plugged in and switched on, and that no other program uses it"
             raise InstrumentError(message) from None
         if hasattr(port, "set_buffer_size"):  # Windows
             port.set_buffer_size(rx_size=MOST)
@@ -112,7 +112,9 @@ class SerialStream:
         try:
             self._port.write(data)
         except Exception as error:  # pyserial raises what the operating system does
-            raise InstrumentError(f"{self._name} takes no command ({error}): look at its cable and power") from None
+            raise InstrumentError(
+                f"{self._name} does not accept commands ({error}): check its cable and power"
+            ) from None
 
     def close(self) -> None:
         """End the thread and close the port. May be called twice."""
@@ -135,4 +137,7 @@ class SerialStream:
                         time.sleep(PAUSE)
         except Exception as error:  # unplugged: pyserial raises SerialException, OSError or TypeError
             if not self._closing.is_set():
-                self._failure = f"{self._name} is gone ({error}): was it unplugged or switched off? Put it back, then resume the run"
+                self._failure = (
+                    f"{self._name} is gone ({error}): check whether it was unplugged or switched off; reconnect it, "
+                    "then resume the run"
+                )

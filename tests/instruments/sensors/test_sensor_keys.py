@@ -78,7 +78,7 @@ def test_a_declared_frame_is_decoded_as_declared() -> None:
     [
         (
             "driver: stim300; sample_rate: 500 Hz; datagram: 90",
-            r"bench.yaml:10:15: .*'90' is no identifier of a STIM300",
+            r"bench.yaml:10:15: .*'90' is not an identifier of a STIM300",
         ),
         ("driver: stim300; sample_rate: 500 Hz; acceleration_range: 7 g", "7 g"),
         ("driver: stim300; sample_rate: 500 deg", "bench.yaml:9:18"),
@@ -108,7 +108,7 @@ def test_mistakes_are_told_where_they_stand(keys: str, words: str) -> None:
         (DECLARED.replace("at: 2, type: i24", "at: 1, type: i24"), "'gyro_x' is not between"),
         (DECLARED.replace("at: 7, type: f32", "at: 10, type: f32"), "'v' is not between"),
         (DECLARED.replace("counter: {at: 11", "counter: {at: 13"), "'counter' is not between"),
-        (DECLARED.replace("from: 2", "from: 13"), "covers nothing"),
+        (DECLARED.replace("from: 2", "from: 13"), "covers no bytes"),
     ],
 )
 def test_what_a_sensor_cannot_do_is_told_before_anything_runs(keys: str, words: str) -> None:

@@ -78,7 +78,7 @@ def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
         while rows < 150:
             rows += next(stream).time.size
         unit.silent = True
-        with pytest.raises(InstrumentError, match=r"no good frame for 1\.\d s: look at its power"):
+        with pytest.raises(InstrumentError, match=r"no good frame for 1\.\d s: check its power"):
             list(stream)
         assert "no good frame" in sensor.watch().faults[0]
         unit.silent = False
@@ -98,7 +98,7 @@ def test_a_counter_that_stands_still_ends_the_segment() -> None:
     with SendingUnit(same, 200) as unit:
         keys = "driver: vectornav; sample_rate: 200 Hz; fields: [time_startup, imu]; silence: 0.5 s"
         sensor = VectorNav.connect(parameters_of(keys, unit.port), surroundings())
-        with pytest.raises(InstrumentError, match=r"do not count on: the sensor's counter is stuck"):
+        with pytest.raises(InstrumentError, match=r"have a constant counter: the sensor's counter is stuck"):
             list(sensor.stream(segment(20.0)))
         sensor.close()
 
@@ -106,8 +106,11 @@ def test_a_counter_that_stands_still_ends_the_segment() -> None:
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        (IMPATIENT.replace("500 Hz", "250 Hz"), "good frames a second come from .* where the bench file says 250 Hz"),
-        (IMPATIENT.replace("0x91", "0xA7"), "no frame that begins with A7 .*: look at `baud`"),
+        (
+            IMPATIENT.replace("500 Hz", "250 Hz"),
+            "good frames per second arrive from .*, but the bench file says 250 Hz",
+        ),
+        (IMPATIENT.replace("0x91", "0xA7"), "no frame that begins with A7 .*: check `baud`"),
     ],
 )
 def test_what_does_not_fit_is_told_when_connecting(keys: str, words: str) -> None:
@@ -118,7 +121,7 @@ def test_what_does_not_fit_is_told_when_connecting(keys: str, words: str) -> Non
 def test_a_silent_line_and_a_simulated_clock_are_refused() -> None:
     with SendingUnit(stim_frames, 500) as unit:
         unit.silent = True
-        with pytest.raises(InstrumentError, match=r"nothing comes from .* switched on"):
+        with pytest.raises(InstrumentError, match=r"no data arrive from .* switched on"):
             Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
         with pytest.raises(InstrumentError, match="clock: wall"):
             Stim300.connect(parameters_of(IMPATIENT, unit.port), Surroundings(VirtualClock(), Site(0.7, 9.8)))

@@ -83,7 +83,9 @@ def test_a_counter_that_was_set_anew_is_told(counter: Counter, before: int) -> N
     received = 1 + count.astype(float) * 0.01
     unwrapping = Unwrapping(counter)
     assert unwrapping.resolve(received[:100], raw[:100]).size == 100
-    with pytest.raises(InstrumentError, match="ahead of the frames that came: was the sensor switched off"):
+    with pytest.raises(
+        InstrumentError, match="ahead of the frames that came: check whether the sensor was switched off"
+    ):
         unwrapping.resolve(received[100:], raw[100:])
 
 

@@ -86,7 +86,7 @@ def test_an_unplugged_port_gives_what_it_had_and_is_told() -> None:
     assert collect(stream, 3) == b"abc"
     with pytest.raises(InstrumentError, match=r"COM7 is gone \(device gone\).*unplugged"):
         collect(stream, 1)
-    with pytest.raises(InstrumentError, match="takes no command"):
+    with pytest.raises(InstrumentError, match="does not accept commands"):
         stream.write(b"x")
     stream.close()
 
