@@ -359,7 +359,7 @@ class SegmentData:
         version = (schema.metadata or {}).get(b"planrunner_segment", b"").decode("ascii", "replace")
         if version != str(FORMAT):
             raise IntegrityError(
-                f"{self.path}: segment format {version[:40]!r}; this planrunner reads {FORMAT}: use a newer version of planrunner"
+                f"{self.path}: segment format {version[:40]!r}; this version of planrunner reads {FORMAT}: use a newer version"
             )
 
     def _check_shape(self, part: Part, schema: Any) -> None:

@@ -294,8 +294,7 @@ def _check_chain(found: Examined) -> None:
             if found.scan.heads.get(basis.events) != basis.head:
                 message = (
                     f"{path}: the analysis was made from another journal, or the journal was shortened: the analysis counted "
-                    f"{basis.events} events, the journal "
-                    f"has {found.scan.count}"
+                    f"{basis.events} events, the journal has {found.scan.count}"
                 )
                 found.error("run-analysis-chain", message)
             elif _follows_seal(found, basis) and basis.seal != found.seal_digest:

@@ -64,8 +64,7 @@ class SiteSpec(Record):
     latitude_kind: str | None = key(
         Choice(("astronomic", "geodetic")),
         "Kind of the latitude: astronomic (of the plumb line, as measured with stars or gyros) or geodetic (of the "
-        "ellipsoid, as in satellite positions and maps); without it, the value counts as "
-        "both.",
+        "ellipsoid, as in satellite positions and maps); without it, the value counts as both.",
         "geodetic",
         default=None,
     )
@@ -180,8 +179,7 @@ class Bench(Record):
     clock: str | None = key(
         Choice(("virtual", "wall")),
         "virtual: time is simulated and runs as fast as possible; wall: real time. The default is virtual if the "
-        "sensor plays back a recording, otherwise "
-        "wall.",
+        "sensor plays back a recording, otherwise wall.",
         "virtual",
         default=None,
     )

@@ -44,8 +44,7 @@ class Protection(Record):
     silence: Quantity = key(
         QuantityOf("time", "positive"),
         "Time without a sign of life from planrunner, from 5 s to 1 h, after which the watchdog makes the bench "
-        "safe, and so does every instrument that "
-        "can.",
+        "safe, and so does every instrument that can.",
         "60 s",
         default=parse_quantity("60 s"),
     )

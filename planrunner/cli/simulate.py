@@ -23,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="effect to add; may be repeated. EFFECT alone uses the natural size; EFFECT=VALUE sets its only "
-        "parameter, or all its amplitudes; EFFECT=NAME:VALUE,NAME:VALUE sets these parameters and leaves the others at "
-        "zero",
+        "parameter, or all its amplitudes; EFFECT=NAME:VALUE,NAME:VALUE sets these parameters and leaves the others "
+        "at zero",
     )
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="run information that the plan asks for"

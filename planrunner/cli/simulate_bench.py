@@ -36,8 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         help="readiness file: written with addresses and token as JSON as soon as all instruments listen; --inject, "
-        "--clear and --stop read the token from "
-        "it",
+        "--clear and --stop read the token from it",
     )
     parser.add_argument("--seed", type=_seed, help="seed of the simulation (default: the virtual bench's own)")
     parser.add_argument(

@@ -82,8 +82,8 @@ def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
     count, label = min(short, key=lambda one: one[0])
     others = f", and {len(short) - 1} more are as short" if len(short) > 1 else ""
     message = (
-        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is estimated from the scatter "
-        "of "
+        f"'{label}' holds {count} sample{'s' if count > 1 else ''}{others}: the noise within a segment is estimated "
+        "from the scatter of "
         f"{BATCHES} batches of samples"
     )
     return (Remark("physics-few-samples", message, f"dwell for {BATCHES} samples at least, or sample faster"),)
@@ -126,8 +126,7 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
     else:
         notes.append(
             "Uncertainties are based on the noise within the segments and on the stated inputs; anything else that "
-            "changes from segment to segment is not "
-            "included."
+            "changes from segment to segment is not included."
         )
     notes += _weights(fit, channels or fit.outputs)
     for found in compare(fit):

@@ -115,8 +115,7 @@ def _words(
     if undecided := ", ".join(verdicts["undecided"]):
         notes.append(
             f"This number of draws cannot decide on {undecided}: the ends of their intervals scatter by more than "
-            f"the remainder of δ. Increase "
-            "`draws`."
+            f"the remainder of δ. Increase `draws`."
         )
     warnings = []
     if names := ", ".join(verdicts["no"]):

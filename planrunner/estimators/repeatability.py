@@ -442,10 +442,10 @@ def _notes(one: Repeats, split: Variance) -> list[str]:
     if np.isfinite(one.own).all() and (one.own > 0).all():
         own = math.sqrt(float(np.mean(one.own**2)))
         found.append(
-            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), compared with a scatter "
-            "of "
-            f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, are in the former but not in the "
-            "latter."
+            f"{one.name}: the repeats' own standard uncertainties are {own:.3g} {one.unit} (root mean square), "
+            "compared with a scatter of "
+            f"{math.sqrt(split.within):.3g}; influences common to all repeats, such as a fixture's angle, are in the "
+            "former but not in the latter."
         )
     return found
 

@@ -152,6 +152,5 @@ class Lookout:
 def _beyond(name: str, what: str, kelvin: float, limit: float) -> str:
     return (
         f"'{name}' reads {kelvin - ZERO_CELSIUS:.1f} degC, {what} than the {limit - ZERO_CELSIUS:.1f} degC that the "
-        f"bench's protection allows: check the chamber and its "
-        "setpoint"
+        f"bench's protection allows: check the chamber and its setpoint"
     )

@@ -216,6 +216,5 @@ def _unsettled(segment: Segment, stability: Stability, wrong: list[str]) -> str:
     why = "; ".join(wrong) or f"the readings do not stay within their limits for {stability.duration:g} s"
     return (
         f"'{segment.label}' has not settled within {stability.patience:g} s: {why}. Check the instruments and their "
-        f"surroundings, or allow more time or wider limits in the plan, then resume the "
-        "run"
+        f"surroundings, or allow more time or wider limits in the plan, then resume the run"
     )

@@ -42,8 +42,7 @@ class TimeColumn(Record):
     power_on: Quantity | None = key(
         QuantityOf("time"),
         "Time at which the sensor was switched on, in the time of the column; the time of the recording then starts "
-        "there, by default at the first "
-        "row.",
+        "there, by default at the first row.",
         "0 s",
         default=None,
     )

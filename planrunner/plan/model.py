@@ -182,8 +182,8 @@ class Limit(Record):
     )
     prior: Quantity | None = key(
         QuantityOf(None, uncertain=True),
-        "Prior distribution of the quantity over the tested items, as mean ± standard deviation; gives the global risks of the "
-        "rule.",
+        "Prior distribution of the quantity over the tested items, as mean ± standard deviation; gives the global "
+        "risks of the rule.",
         "0.1 deg/h ± 0.2 deg/h",
         default=None,
     )

@@ -171,8 +171,8 @@ class SegmentSpec(State):
     )
     prompt: str | None = key(
         Text(r"[^\x00-\x1f]{1,200}", "a line of text"),
-        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state during this "
-        "time.",
+        "Ask the operator before the segment (before the first of its steps); the bench is in its safe state during "
+        "this time.",
         "Turn the fixture to face {orientation}, then leave the table",
         default=None,
     )

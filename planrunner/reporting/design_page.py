@@ -204,8 +204,7 @@ def notes(context: DesignContext) -> list[str]:
     if context.spins:
         said.append(
             f"{context.spins} segments of the estimate spin: they stay unchanged and contribute to every set. The "
-            f"bound of the worst variance is then not "
-            "known."
+            f"bound of the worst variance is then not known."
         )
     else:
         said.append(
@@ -217,18 +216,17 @@ def notes(context: DesignContext) -> list[str]:
     if share > 0.9999:
         said.append(
             "The chosen positions reach the bound to within 0.01 %: no other set of the same number of positions on "
-            "this bench is noticeably better by "
-            "D."
+            "this bench is noticeably better by D."
         )
     if context.dwells:
         said.append(
-            f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the distributed ones; every position "
-            "keeps at least a "
+            f"Equal dwells would be {_percent(context.dwell_gain)} as efficient as the distributed ones; every "
+            "position keeps at least a "
             "quarter of an equal share."
         )
     said.append(
-        "Efficiencies assume equal noise in all positions. A set with a D-efficiency of 97 % needs 3 % more recording time for the same "
-        "determinant."
+        "Efficiencies assume equal noise in all positions. A set with a D-efficiency of 97 % needs 3 % more recording "
+        "time for the same determinant."
     )
     return said
 

@@ -147,13 +147,11 @@ def notes(context: RatesContext) -> list[str]:
         more = f" and {len(stay) - 6} more" if len(stay) > 6 else ""
         said.append(
             f"{', '.join(stay[:6])}{more} stay within 1 %: their uncertainty is dominated by something other than "
-            f"noise; the budgets in the estimate's report show the "
-            "contributions."
+            f"noise; the budgets in the estimate's report show the contributions."
         )
     said.append(
         "For a straight line alone, all rates would be at the largest; interior rates determine asymmetry and "
-        "nonlinearity, and the lowest rate determines threshold and "
-        "resolution."
+        "nonlinearity, and the lowest rate determines threshold and resolution."
     )
     if context.excess > 1e-4:
         said.append(f"The bound is certified to {context.excess:.2g} only.")

@@ -85,4 +85,4 @@ def test_exchanged_columns_are_refused(
 def test_noise_far_from_what_is_declared_is_told(diagnosed: Callable[..., Ended]) -> None:
     code, _, err = diagnosed(6, gyro_x_deg_per_s=lambda v: v + DRAW.normal(0, 0.2, len(v)))
     assert code == DONE
-    assert "warning[gap-noise]: 'gyro_x' has noise at rest of 0.2" in err and "declared are 0.01" in err
+    assert "warning[gap-noise]: 'gyro_x' has noise at rest of 0.2" in err and "the declared noise is 0.01" in err

@@ -32,7 +32,7 @@ CLAUSES = {
     "7.8.2.1 k": ["One of a lot of ten, procedure 3"],
     "7.8.2.1 l": ["The results relate only to the item that was calibrated"],
     "7.8.2.1 m": ["4.271 0.048 deg/h 4.30 2", "2.811 0.060 deg/h/g 4.30 2"],
-    "7.8.2.1 n": ["P8 was held for 3 min", "Segment P3 is shorter than planned. cut short", "Segment P5 was taken again",
+    "7.8.2.1 n": ["P8 was held for 3 min", "Segment P3 is shorter than planned. cut short", "Segment P5 was recorded again",
                   "A fault interrupted the run. the table did not answer"],
     "7.8.2.1 o": ["Authorised by N. N., head of laboratory"],
     "7.8.2.1 p": ["traditional (flexure_gyro_static) †", "† Results from an external provider: Another laboratory"],

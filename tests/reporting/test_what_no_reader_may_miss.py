@@ -185,7 +185,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def head(run: Path, number: int, file: str = "report.html") -> str:
     page = (run / "analyses" / str(number) / file).read_text(encoding="utf-8")
-    return page[: page.index("What was run, on what")]
+    return page[: page.index("Run, bench and instruments")]
 
 
 def test_what_a_reader_looks_for_first_stands_first(runs: dict[str, Path]) -> None:

@@ -278,7 +278,7 @@ def _factors_of(units: Mapping[str, str]) -> Array:
     """units: by channel. Raises `EstimationError` for one that is no acceleration."""
     for name, text in units.items():
         if unit(text).dimension != DIMENSIONS["acceleration"]:
-            raise EstimationError(f"channel '{name}' is recorded in {text}: but an acceleration is needed")
+            raise EstimationError(f"channel '{name}' is recorded in {text}, but an acceleration is needed")
     return np.array([unit(text).factor for text in units.values()])
 
 

@@ -58,8 +58,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
             return GravityFit(values, residuals, jacobian, directions, rank.look(jacobian * scale).condition)
     raise UnfitDataError(
         "the readings are not close to a sphere of radius g, so no calibration was found: check the units of the "
-        "channels, and whether the sensor was at rest in the "
-        "spans"
+        "channels, and whether the sensor was at rest in the spans"
     )
 
 

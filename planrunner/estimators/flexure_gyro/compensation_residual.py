@@ -217,8 +217,8 @@ def _assemble(
     ratio_columns = (TableColumn("sets"), *(TableColumn(title, Role.VALUE) for title in titles))
     outside = [str(row[0]) for row in rows if not row[4] <= row[1] <= row[5]]
     notes = [
-        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; this happens by chance in one of ten "
-        "experiments."
+        f"The measured ratio of {pair} is outside its expected range of 5 to 95 %; this happens by chance in one of "
+        "ten experiments."
         for pair in outside
     ]
     return Estimate(
@@ -240,8 +240,7 @@ def _assemble(
         (
             "The part of the uncertainties that comes from the data is half of the central 68 % interval of "
             "simulated experiments with noise and declared bias instability; the contributions of the inputs "
-            "declared in the bench file are added to first order. The expected range of a ratio includes "
-            "both.",
+            "declared in the bench file are added to first order. The expected range of a ratio includes both.",
             _CLAIM,
             *notes,
         ),

@@ -331,7 +331,7 @@ def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> 
     if not alone:
         return []
     axes = " and ".join(name[-1] for name in alone)
-    message = f"only the Earth turns the gyros about {axes}, so that the values of {', '.join(alone)} rests on 15 deg/h"
+    message = f"only the Earth turns the gyros about {axes}, so that the values of {', '.join(alone)} rest on 15 deg/h"
     hint = "add segments with a rate about each axis, in both directions; the predicted uncertainties show the effect of these positions"
     return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
 

@@ -146,7 +146,7 @@ def _lacks(request: DesignRequest) -> Remark | None:
     for name, extra in told.items():
         if extra["navigated"] not in labels:
             message = f"`segments` lacks '{extra['navigated']}', which '{name}' navigates"
-            return Remark("physics-modulation", message, "name the segments of every navigation in `uses", error=True)
+            return Remark("physics-modulation", message, "name the segments of every navigation in `uses`", error=True)
     still = [name for name, extra in told.items() if not extra["turned"]]
     if len(still) == 1:
         return None

@@ -115,8 +115,8 @@ def _caging(runs: Sequence[Run]) -> list[Remark]:
     free = [run.label for run in runs if run.caged_before is False]
     if free:
         message = (
-            f"the platform is not caged before '{free[0]}'{_more(free)}: its element continues from its state at the end "
-            "of the run before"
+            f"the platform is not caged before '{free[0]}'{_more(free)}: its element continues from its state at the "
+            "end of the run before"
         )
         return [
             Remark("physics-rocking-caging", message, "put a segment with `mode: caged` before each run", error=True)

@@ -43,8 +43,8 @@ class RockingDriftParameters(Record):
 
     release: Quantity = key(
         QuantityOf("time", "positive"),
-        "t0, time from the beginning of the record to the first window; the element has left the levelling dead region by "
-        "then.",
+        "t0, time from the beginning of the record to the first window; the element has left the levelling dead "
+        "region by then.",
         "60 s",
         default=parse_quantity("60 s"),
     )
@@ -56,8 +56,8 @@ class RockingDriftParameters(Record):
     )
     second_window: Quantity | None = key(
         QuantityOf("time", "positive"),
-        "t1, time from the beginning of the record to the second window; without it, the second window ends with the shortest "
-        "record.",
+        "t1, time from the beginning of the record to the second window; without it, the second window ends with the "
+        "shortest record.",
         "590 s",
         default=None,
     )
@@ -89,8 +89,8 @@ class RockingDriftParameters(Record):
     )
     azimuth: str = key(
         Choice(("encoders", "nominal")),
-        "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation rotated with the "
-        "Earth.",
+        "Where the element's azimuth at t0 comes from: ring and gimbal encoders, or the planned orientation rotated "
+        "with the Earth.",
         "encoders",
         default="encoders",
     )
@@ -130,8 +130,8 @@ class RockingDriftParameters(Record):
     )
     pairings: int = key(
         Number(1, 100_000, integer=True),
-        "Pairs of a static and a dynamic run that are compared in each state: all pairs, or at most this many drawn at "
-        "random.",
+        "Pairs of a static and a dynamic run that are compared in each state: all pairs, or at most this many drawn "
+        "at random.",
         200,
         default=200,
     )

@@ -224,8 +224,7 @@ def _quiet(label: str, mean: Array, site: Site) -> str:
     shown = math.degrees(_rate_error(mean, site)) * 3600
     return (
         f"During '{label}' the noise is far smaller than the difference between the gyro readings and the Earth's rate, {shown:.3g} "
-        "deg/h; the alignment uses this difference as their "
-        "uncertainty."
+        "deg/h; the alignment uses this difference as their uncertainty."
     )
 
 
@@ -244,8 +243,8 @@ def _check_at_rest(label: str, mean: Array, site: Site) -> None:
         found, earth = _rates(mean, site)
         shown = np.degrees([*found, *earth]) * 3600
         raise UnfitDataError(
-            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the Earth turns "
-            "with "
+            f"segment '{label}': the gyros see {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the "
+            "Earth turns with "
             f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the "
             "latitude; gyros with "
             "such errors cannot find north"

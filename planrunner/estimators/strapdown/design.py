@@ -136,8 +136,7 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
     if len(lasting) == len(moving) and sum(lasting) < SCHULER_PERIOD:
         message = (
             f"the navigation lasts {sum(lasting) / 60:.4g} min, less than a Schuler period of 84.4 min: its results "
-            f"in nmi/h must not be extrapolated to longer "
-            "times"
+            f"in nmi/h must not be extrapolated to longer times"
         )
         found.append(Remark("physics-navigation-short", message, "navigate for several hours"))
     for segment in moving:
@@ -146,8 +145,7 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
         if abs(turning) / rate > _COARSE_TURN:
             message = (
                 f"'{segment.label}' turns {math.degrees(abs(turning)) / rate:.3g} deg from sample to sample; the "
-                f"residual errors of the coning and sculling corrections are then not "
-                "small"
+                f"residual errors of the coning and sculling corrections are then not small"
             )
             found.append(Remark("physics-navigation-rate", message, "sample faster, or turn more slowly", "segments"))
     return found

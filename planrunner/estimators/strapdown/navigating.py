@@ -131,8 +131,8 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
     found = [k for k, label in enumerate(labels) if matches(label, pattern)]
     if not found:
         raise EstimationError(
-            f"none of the segments is for alignment: no label matches '{pattern}'; add a stop with such a label before the navigation, or "
-            "name it with `align`"
+            f"none of the segments is for alignment: no label matches '{pattern}'; add a stop with such a label "
+            "before the navigation, or name it with `align`"
         )
     if len(found) > 1:
         raise EstimationError(

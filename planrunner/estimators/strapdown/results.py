@@ -187,8 +187,7 @@ def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float])
     if found.seconds < SCHULER_PERIOD:
         notes.append(
             f"The navigation lasts {found.seconds / 60:.3g} min, less than a Schuler period of 84.4 min: rates in "
-            f"nmi/h describe the beginning of an oscillation and must not be "
-            "extrapolated."
+            f"nmi/h describe the beginning of an oscillation and must not be extrapolated."
         )
     if found.gap:
         notes.append(

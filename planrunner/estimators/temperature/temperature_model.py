@@ -83,8 +83,7 @@ class TemperatureModelParameters(Record):
     rule: str = key(
         Choice(RULES),
         "one_standard_error: the simplest curve within one standard error of the smallest held-out error; smallest: "
-        "the curve with the smallest held-out "
-        "error.",
+        "the curve with the smallest held-out error.",
         "smallest_error",
         default="one_standard_error",
     )
@@ -432,8 +431,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[str]:
     found.append(f"{name}: known from {low:.4g} to {high:.4g} degC; beyond this range the curve is an extrapolation.")
     if not parameters.channels:
         found.append(
-            "Influences common to the values at all temperatures, such as a fixture's angle, are included in the estimates used, not "
-            "here."
+            "Influences common to the values at all temperatures, such as a fixture's angle, are included in the "
+            "estimates used, not here."
         )
     if parameters.uncertainty == "residual":
         found.append(

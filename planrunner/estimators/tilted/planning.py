@@ -119,8 +119,7 @@ def _earth_remarks(request: DesignRequest, axes: MountedAxes) -> Iterator[Remark
         yield Remark(
             "physics-slow-rate",
             f"'{slow[0].label}' turns at {math.degrees(abs(slow[0].rate)) * 3600:.3g} deg/h, more slowly than the "
-            f"Earth: the axes then sense mainly the Earth's rotation, not the "
-            "table's",
+            f"Earth: the axes then sense mainly the Earth's rotation, not the table's",
             "turn faster than 15 deg/h",
         )
     parts = part_turns(planned, [segment.dwell for segment in planned], [0.0] * len(planned))

@@ -212,8 +212,8 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
     angles = _angles(situation, acting)
     if not angles.any():
         notes.append(
-            "No uncertainty of the fixture's angles is stated, so the budgets lack the usually dominant contribution: tan "
-            "θ·u(θ)."
+            "No uncertainty of the fixture's angles is stated, so the budgets lack the usually dominant contribution: "
+            "tan θ·u(θ)."
         )
     if not np.isfinite(situation.found.coefficient).all():
         notes.append("All rates were run at one temperature, so there is no temperature coefficient.")

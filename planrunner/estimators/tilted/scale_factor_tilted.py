@@ -365,8 +365,7 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
             where = f" at {group.label}" if group.label else ""
             raise UnfitDataError(
                 f"'{name}' has no response to the rate{where}: its mean is the same at all rates; check that the "
-                f"sensor had power and was measuring (`mode`), and check its "
-                "wiring"
+                f"sensor had power and was measuring (`mode`), and check its wiring"
             )
 
 
@@ -406,8 +405,8 @@ def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequen
 def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
     return [
         f"The zeros of {axes.outputs[axis]} changed more from before to after the rates than noise and the declared "
-        f"bias instability explain (1 %): their drift is added to the budget as well; check for warm-up, or declare a larger bias "
-        "instability."
+        "bias instability explain (1 %): their drift is added to the budget as well; check for warm-up, or declare a "
+        "larger bias instability."
         for axis in sorted(further)
     ]
 

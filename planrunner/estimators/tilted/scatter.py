@@ -64,8 +64,8 @@ def scatter_between_repeats(
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(
-            "at some temperature the rates were run once, so their repeatability is unknown: add `repeat: 6`, or write "
-            "`uncertainty: residual`"
+            "at some temperature the rates were run once, so their repeatability is unknown: add `repeat: 6`, or "
+            "write `uncertainty: residual`"
         )
     degrees = np.array([len(one) - 1 for one in repeats])
     variances = np.array([np.nan_to_num(one.var(axis=0, ddof=1)) for one in repeats])

@@ -123,8 +123,7 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
         few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
         hint = (
             "cut long segments into several, in the plan and in the table of segments: changes with time then become "
-            "visible; effects of orientation, rate or temperature need more orientations, rates or "
-            "temperatures"
+            "visible; effects of orientation, rate or temperature need more orientations, rates or temperatures"
         )
         raise ObservationError(few, hint)
     names = plugins.names(EFFECTS) if options.effects is None else options.effects

@@ -73,7 +73,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         design = np.column_stack([stimulus, np.ones(len(stimulus))])
         rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
         if len(observed) <= rank:
-            message = f"{len(observed)} segments are too few to withhold any with {rank} nominal parameters a channel of {word}"
+            message = f"{len(observed)} segments are too few to withhold any with {rank} nominal parameters per channel of {word}"
             log.warning(
                 "gap-no-held-out",
                 mark,
@@ -118,7 +118,9 @@ def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
         smallest = max(declared / OTHER_NOISE, channel.resolution)
         if declared > 0 and (sigma > OTHER_NOISE * max(declared, channel.resolution) or sigma < smallest < declared):
             noise = f"{sigma / channel.factor:.3g} {channel.unit} from sample to sample"
-            message = f"'{channel.name}' has noise at rest of {noise}, declared are {declared / channel.factor:.3g}"
+            message = (
+                f"'{channel.name}' has noise at rest of {noise}, the declared noise is {declared / channel.factor:.3g}"
+            )
             hint = "correct the noise in the bench file, because the gap is compared with it; or check the sensor"
             log.warning("gap-noise", mark, message, hint)
 

@@ -53,8 +53,7 @@ class FirstFrames:
         if self._framer.good == 0:
             raise InstrumentError(
                 f"{self._bytes} bytes came from {port} at {baud} baud, but no frame that begins with {sync} and has "
-                f"a correct checksum: check `baud` and the sensor's output "
-                "format"
+                f"a correct checksum: check `baud` and the sensor's output format"
             )
         if self._good == 0:
             wanted = ", ".join(self._decoder.channels())

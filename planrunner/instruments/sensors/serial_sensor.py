@@ -172,16 +172,14 @@ class SerialSensor:
     def _silence(self, seconds: float) -> str:
         return (
             f"the sensor on {self.parameters.port} has sent no good frame for {seconds:.1f} s: check its power and "
-            f"its cable, and whether it was reset to other settings; then resume the "
-            "run"
+            f"its cable, and whether it was reset to other settings; then resume the run"
         )
 
     def _check_count(self, seconds: float) -> None:
         if seconds > self._patience():
             raise InstrumentError(
                 f"the frames that came from {self.parameters.port} for {seconds:.1f} s have a constant counter: the sensor's counter is "
-                "stuck, so the times of the samples are unknown; switch the sensor off and on, then "
-                "resume the run"
+                "stuck, so the times of the samples are unknown; switch the sensor off and on, then resume the run"
             )
 
     def _check_skew(self, skew: float) -> None:

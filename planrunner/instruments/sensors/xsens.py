@@ -66,8 +66,7 @@ class XsensParameters(SerialSensorParameters):
     configure: bool = key(
         Boolean(),
         "Whether the outputs, with packet counter and status word, and the rate are set when connecting; otherwise "
-        "the sensor must already be set in this "
-        "way.",
+        "the sensor must already be set in this way.",
         True,
         default=False,
     )

@@ -167,8 +167,8 @@ class AccelerometerErrors(ScaleErrors):
     )
     resolution: Quantity | None = key(
         QuantityLike("m/s", "not negative", ("m/s^2",)),
-        "Smallest step: a velocity is counted, and the remainder of a sample goes to the next sample; an acceleration is rounded sample by "
-        "sample.",
+        "Smallest step: a velocity is counted, and the remainder of a sample goes to the next sample; an acceleration "
+        "is rounded sample by sample.",
         "1e-5 m/s",
         default=None,
     )

@@ -44,7 +44,7 @@ class LinkKeys(Record):
         wanted = self.model_contains or expected
         if wanted.casefold() not in said.casefold():
             raise InstrumentError(
-                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': check the address, or "
-                "set "
+                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': check the address, "
+                "or set "
                 "model_contains in the bench file if this is the right instrument"
             )
