@@ -89,7 +89,7 @@ def test_clearing_ends_a_fault_at_once() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("{instrument: tabel, fault: silent}", "no instrument"),
+        ("{instrument: tabel, fault: silent}", "'tabel' is not an instrument"),
         ("{instrument: chamber, fault: over-rate}", "cannot have the fault"),
         ("{instrument: table, fault: sleepy}", "sleepy"),
         ("{instrument: gyro, fault: lose, share: -1 %}", "must be positive"),
