@@ -23,6 +23,8 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Literal
 
+from planrunner.base.file_kind import file_kind
+
 RELATIVE = os.open in os.supports_dir_fd and os.rename in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether this system opens names relative to an open folder."""
 MOST_ENTRIES = 250_000
@@ -271,16 +273,8 @@ def _entry(status: os.stat_result) -> Entry:
 
 
 def _what(status: os.stat_result) -> str:
-    mode = status.st_mode
-    if stat.S_ISLNK(mode) or getattr(status, "st_file_attributes", 0) & _REPARSE_POINT:
-        return "a link"
-    if stat.S_ISDIR(mode):
-        return "a folder"
-    if stat.S_ISREG(mode):
-        return "a file" if status.st_nlink <= 1 else "a file that has a second name (a hard link)"
-    if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
-        return "a pipe"
-    return "a device"
+    kind = "a link" if getattr(status, "st_file_attributes", 0) & _REPARSE_POINT else file_kind(status)
+    return "a file that has a second name (a hard link)" if kind == "a file" and status.st_nlink > 1 else kind
 
 
 def _require(path: Path, status: os.stat_result, limit: int | None) -> None:

@@ -9,9 +9,10 @@ there the first look protects, and the second holds whatever was opened to the s
 from __future__ import annotations
 
 import os
-import stat
 from pathlib import Path
 from typing import BinaryIO, Literal
+
+from planrunner.base.file_kind import file_kind
 
 Refusal = Literal["missing", "folder", "special", "link", "size", "unreadable"]
 
@@ -24,12 +25,6 @@ _READING = (
     | getattr(os, "O_NONBLOCK", 0)
 )
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-_KINDS = (
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
 
 
 class RefusedFileError(Exception):
@@ -88,14 +83,13 @@ _SAVE = "save what it gives in a file, and name that file"
 
 
 def _hold(known: os.stat_result, limit: int | None) -> None:
-    mode = known.st_mode
-    if stat.S_ISDIR(mode):
+    kind = file_kind(known)
+    if kind == "a folder":
         raise RefusedFileError("folder", "this is a folder, not a file", "name a file in it")
-    if stat.S_ISLNK(mode):
+    if kind == "a link":
         raise RefusedFileError("link", "this is a link, not the file itself", "put the file itself there")
-    if not stat.S_ISREG(mode):
-        what = next((word for matches, word in _KINDS if matches(mode)), "something else")
-        raise RefusedFileError("special", f"this is {what}, not a regular file", _SAVE)
+    if kind != "a file":
+        raise RefusedFileError("special", f"this is {kind}, not a regular file", _SAVE)
     if limit is not None and known.st_size > limit:
         raise _too_large(known.st_size, limit)
 

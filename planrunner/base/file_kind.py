@@ -1,0 +1,25 @@
+"""What stands at a name in a file system, as one word, on every system."""
+
+from __future__ import annotations
+
+import os
+import stat
+from typing import Literal
+
+FileKind = Literal["a file", "a folder", "a link", "a pipe", "a socket", "a device", "something else"]
+
+_KINDS: tuple[tuple[int, FileKind], ...] = (
+    (stat.S_IFREG, "a file"),
+    (stat.S_IFDIR, "a folder"),
+    (stat.S_IFLNK, "a link"),
+    (stat.S_IFIFO, "a pipe"),
+    (stat.S_IFSOCK, "a socket"),
+    (stat.S_IFCHR, "a device"),
+    (stat.S_IFBLK, "a device"),
+)
+
+
+def file_kind(status: os.stat_result) -> FileKind:
+    """The kind of what `os.stat` looked at; "a link" only where the link itself was looked at."""
+    kind = stat.S_IFMT(status.st_mode)
+    return next((word for number, word in _KINDS if number == kind), "something else")
