@@ -9,8 +9,8 @@ import numpy as np
 
 from planrunner.error_model.flexure_gyro import output_coefficients
 from planrunner.estimators.flexure_gyro.draws import physical_draws
-from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import fit_outputs
+from planrunner.observation.observations import Observations
 from planrunner.uncertainty.influences import Influence, InputQuantity
 from planrunner.uncertainty.monte_carlo import propagate
 

@@ -9,8 +9,8 @@ import numpy as np
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
-from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.observation.observations import SIGNIFICANCE
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Aspect
 

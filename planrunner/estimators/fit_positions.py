@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planrunner.error_model.terms import ErrorModel
-from planrunner.estimators.flicker import flicker_effects
 from planrunner.estimators.interface import EstimateRequest
-from planrunner.estimators.observation_effects import Array
-from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.estimators.table_effects import table_effects
+from planrunner.observation.flicker import flicker_effects
+from planrunner.observation.observation_effects import Array
+from planrunner.observation.observations import Observations
 from planrunner.plan.schedule import Segment
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
-from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
+from planrunner.observation.observations import Observations
 from planrunner.uncertainty.decision import expanded_uncertainty
 
 Array = NDArray[np.float64]

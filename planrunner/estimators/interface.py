@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.models import SensorModel, TableModel
+from planrunner.observation.refusals import EstimationError as EstimationError
+from planrunner.observation.refusals import UnfitDataError as UnfitDataError
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import MountedAxis
@@ -35,22 +37,6 @@ from planrunner.uncertainty.decision import CoefficientRole as CoefficientRole
 from planrunner.uncertainty.influences import Budget, Influence, Inputs
 
 Array = NDArray[np.float64]
-
-
-class EstimationError(Exception):
-    """The data or the segments cannot give this estimate. The message says why, for a quality engineer.
-
-    hint: what to do, where other segments or another estimator would not help. key: of the estimate, where one is to be mended.
-    """
-
-    def __init__(self, message: str, hint: str = "", key: str = ""):
-        super().__init__(message)
-        self.hint = hint
-        self.key = key
-
-
-class UnfitDataError(EstimationError):
-    """The plan asks for what can be estimated, and what was recorded does not give it: the item or the recording is in question."""
 
 
 @dataclass(frozen=True, slots=True)

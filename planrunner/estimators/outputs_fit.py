@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.estimators.observation_effects import Effect, explained, functionals_of, mixed
-from planrunner.estimators.observations import SIGNIFICANCE, Noise, Observations, within_segment_noise
+from planrunner.observation.observation_effects import Effect, explained, functionals_of, mixed
+from planrunner.observation.observations import SIGNIFICANCE, Noise, Observations, within_segment_noise
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]

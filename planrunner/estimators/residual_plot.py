@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from planrunner.estimators.interface import Plot
-from planrunner.estimators.observations import Observations
 from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.observation.observations import Observations
 
 
 def residual_plot(

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import EstimateRequest
-from planrunner.estimators.observations import dithered
 from planrunner.instruments.models import SensorModel
+from planrunner.observation.observations import dithered
 from planrunner.uncertainty.influences import Aspect, Influence
 
 Array = NDArray[np.float64]

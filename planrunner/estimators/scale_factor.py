@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
-from planrunner.estimators.flicker import drift_span, flicker_effects
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
     Cell,
@@ -30,14 +29,15 @@ from planrunner.estimators.interface import (
     TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.table_effects import rate_effects
+from planrunner.observation.flicker import drift_span, flicker_effects
+from planrunner.observation.observation_effects import Effect
+from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import Setup
-from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.stated_influences import mean_poses, mean_stimulus
 from planrunner.estimators.turned_segments import DIRECTIONS, UP
 from planrunner.instruments.models import TableModel
+from planrunner.observation.observation_effects import Effect
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
 from planrunner.physics.stimulus import Poses

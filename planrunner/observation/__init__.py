@@ -1,1 +1,1 @@
-"""From a recording to what may be fitted: samples, means and temperatures beside the state that was planned for them."""
+"""From a recording to what may be fitted: samples, still spans, means with their covariance, and temperatures, beside the planned state."""

@@ -21,7 +21,8 @@ from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.error_model.observed import Channel, Observed
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.bins import bins_of, seen_along, sizes
-from planrunner.observation.samples import ObservationError, channels_of, rows_of
+from planrunner.observation.refusals import ObservationError
+from planrunner.observation.samples import channels_of, rows_of
 from planrunner.observation.temperature import temperature_of
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest

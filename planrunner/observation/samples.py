@@ -12,6 +12,7 @@ from planrunner.base.findings import closest
 from planrunner.error_model.observed import Channel, Observed
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.bins import SQUARED, Averaged, averaged, bins_of, sizes
+from planrunner.observation.refusals import ObservationError
 from planrunner.observation.temperature import changes, settled, temperature_of
 from planrunner.physics.earth import Site
 from planrunner.physics.sampled_motion import fading, motion_at
@@ -19,14 +20,6 @@ from planrunner.plan.schedule import Rest, Rock, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
-
-
-class ObservationError(Exception):
-    """The recording cannot be diagnosed. The message says why, for a quality engineer; the hint what to do, where that is known."""
-
-    def __init__(self, message: str, hint: str = ""):
-        super().__init__(message)
-        self.hint = hint
 
 
 def observed(

@@ -78,7 +78,7 @@ def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: 
 
 def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
     from planrunner.gap.answer.diagnosis import Options, diagnose
-    from planrunner.observation.samples import ObservationError
+    from planrunner.observation.refusals import ObservationError
 
     spec = recorded.sound.plan.diagnosis
     options = options or (Options() if spec is None else Options(nominal=spec.nominal))
@@ -128,7 +128,8 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
     against a diagnosis."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.observation.poses import poses, unknown_orientations
-    from planrunner.observation.samples import ObservationError, observed
+    from planrunner.observation.refusals import ObservationError
+    from planrunner.observation.samples import observed
 
     sound, used = recorded.sound, _outputs(recorded.sound.plan)
     sensor = replace(sound.sensor, outputs=tuple(o for o in sound.sensor.outputs if not used or o.name in used))
@@ -184,8 +185,8 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
         return tuple(
             recorded.segments[index] for index in select([item.label for item in recorded.segments], spec.segments)
         )
-    from planrunner.estimators.accelerometer.still_detection import still_spans
     from planrunner.estimators.interface import EstimationError
+    from planrunner.observation.still_detection import still_spans
 
     within = select([item.label for item in recorded.segments], spec.segments.within)
     found: list[RecordedSegment] = []
@@ -217,7 +218,7 @@ def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:
 
 
 def _unfit(recorded: Recorded, error: Exception) -> InputError:
-    from planrunner.observation.samples import ObservationError
+    from planrunner.observation.refusals import ObservationError
 
     hint = error.hint if isinstance(error, ObservationError) else ""
     return InputError.at(

@@ -15,9 +15,9 @@ from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPositionParameters,
 )
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, fit_magnitude
-from planrunner.estimators.accelerometer.still_detection import still_spans
 from planrunner.estimators.interface import DesignRequest, EstimateRequest, EstimationError
 from planrunner.estimators.method import designed
+from planrunner.observation.still_detection import still_spans
 from planrunner.physics.earth import Site
 from planrunner.plan.orientation import rotation
 from planrunner.plan.quantity import parse_quantity

@@ -16,8 +16,8 @@ from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude, p
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
-from planrunner.estimators.flicker import mean_covariance, scatter_within
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
+from planrunner.observation.flicker import mean_covariance, scatter_within
 from planrunner.plan.quantity import parse_quantity
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 

@@ -14,8 +14,8 @@ from planrunner.estimators.accelerometer.accelerometer_multi_position import (
     AccelerometerMultiPositionParameters,
 )
 from planrunner.estimators.analysis import combined
-from planrunner.estimators.flicker import mean_covariance
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
+from planrunner.observation.flicker import mean_covariance
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.selection import Detection
 from planrunner.uncertainty.influences import InputQuantity, Inputs

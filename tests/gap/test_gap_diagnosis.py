@@ -14,7 +14,7 @@ from planrunner.gap.answer.diagnosis import Options, diagnose
 from planrunner.gap.answer.posterior import PRIORS
 from planrunner.gap.answer.where import levels
 from planrunner.gap.hypotheses.candidates import FULL, Weighing
-from planrunner.observation.samples import ObservationError
+from planrunner.observation.refusals import ObservationError
 from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, kept, record
 
 Array = np.ndarray

@@ -12,7 +12,8 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
-from planrunner.observation.samples import ObservationError, observed
+from planrunner.observation.refusals import ObservationError
+from planrunner.observation.samples import observed
 from planrunner.observation.temperature import settled, smoothed
 from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin

@@ -17,7 +17,7 @@ from planrunner.gap.hypotheses.candidates import FULL
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.observation.poses import directions_of, poses, unknown_orientations
-from planrunner.observation.samples import ObservationError
+from planrunner.observation.refusals import ObservationError
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rest, Segment, Spin
 

@@ -16,7 +16,6 @@ from planrunner.estimators.accelerometer.by_magnitude import MagnitudeQuantities
 from planrunner.estimators.accelerometer.by_orientation import AxesQuantities
 from planrunner.estimators.basis_judgement import planned_basis
 from planrunner.estimators.expected import Known
-from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
@@ -26,6 +25,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Foresight, Method, Words, by_expectation
 from planrunner.estimators.outputs_fit import BASES
 from planrunner.estimators.planned import planned_blocks
+from planrunner.observation.flicker import drift_span
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.selection import Detection

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
-from planrunner.estimators.accelerometer.still_detection import detection_limits, longest_span, still_spans
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
 from planrunner.estimators.fit_tables import basis_table
-from planrunner.estimators.flicker import flicker_effects
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -35,9 +33,11 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Foresight, Quantities, Words
-from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.observations import Observations, observe, recorded_times
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.observation.flicker import flicker_effects
+from planrunner.observation.observation_effects import Effect
+from planrunner.observation.observations import Observations, observe, recorded_times
+from planrunner.observation.still_detection import detection_limits, longest_span, still_spans
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.plan.selection import Detection
 from planrunner.plan.units import DIMENSIONS, unit

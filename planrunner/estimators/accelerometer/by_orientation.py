@@ -28,14 +28,14 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.method import Quantities, Words
-from planrunner.estimators.observation_effects import functionals_of
-from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.triad import scale_and_misalignments
+from planrunner.observation.observation_effects import functionals_of
+from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import DIMENSIONS, Unit, unit

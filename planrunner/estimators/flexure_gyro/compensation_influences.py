@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from planrunner.error_model import flexure_gyro
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import physical_set
 from planrunner.estimators.interface import Estimate, EstimateRequest
-from planrunner.estimators.observation_effects import functionals_of
 from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.table_effects import table_effects
+from planrunner.observation.observation_effects import functionals_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Aspect, Influence
 

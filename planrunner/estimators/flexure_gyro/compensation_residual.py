@@ -26,7 +26,6 @@ from planrunner.estimators.flexure_gyro.compensation_prediction import (
     weighted_inverse,
 )
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import static_matrix
-from planrunner.estimators.flicker import flicker_effects, mean_covariance
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -44,8 +43,9 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Foresight
-from planrunner.estimators.observation_effects import explained
-from planrunner.estimators.observations import Observations, observe, within_segment_noise
+from planrunner.observation.flicker import flicker_effects, mean_covariance
+from planrunner.observation.observation_effects import explained
+from planrunner.observation.observations import Observations, observe, within_segment_noise
 from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence

@@ -19,7 +19,6 @@ from planrunner.estimators.fit_tables import residual_table
 from planrunner.estimators.flexure_gyro import tables
 from planrunner.estimators.flexure_gyro.draws import physical_draws
 from planrunner.estimators.flexure_gyro.tables import PhysicalSet
-from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -29,13 +28,14 @@ from planrunner.estimators.interface import (
     EstimationError,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.observation_effects import functionals_of
-from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.planned import matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
+from planrunner.observation.flicker import drift_span
+from planrunner.observation.observation_effects import functionals_of
+from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key
 from planrunner.plan.quantity import Quantity

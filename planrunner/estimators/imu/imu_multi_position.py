@@ -22,7 +22,6 @@ from planrunner.estimators.covariances import independent
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
-from planrunner.estimators.flicker import drift_span
 from planrunner.estimators.imu import tables
 from planrunner.estimators.imu.coefficients import PLURAL, Framed, Reported, Response, framed, reported
 from planrunner.estimators.interface import (
@@ -35,11 +34,12 @@ from planrunner.estimators.interface import (
     Remark,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.stated_influences import mean_stimulus, stated_influences
+from planrunner.observation.flicker import drift_span
+from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
 from planrunner.physics.stimulus import StimulusError
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key

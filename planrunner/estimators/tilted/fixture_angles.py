@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
-from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -33,7 +32,6 @@ from planrunner.estimators.interface import (
     TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.observations import Observations, observe
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
@@ -51,6 +49,8 @@ from planrunner.estimators.tilted.fixture_gains import (
 )
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
+from planrunner.observation.flicker import SPAN, flicker_effects
+from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence

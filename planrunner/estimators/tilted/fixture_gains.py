@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
-from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.table_effects import orthogonality_tilts, rate_effects
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, rotation_axis
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates
+from planrunner.observation.observation_effects import Effect
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis
 from planrunner.plan.schedule import Rest, Segment, Spin

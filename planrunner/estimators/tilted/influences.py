@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.observation_effects import Effect
 from planrunner.estimators.table_effects import rate_part
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
@@ -31,6 +30,7 @@ from planrunner.estimators.tilted.fixture_gains import tilt_part
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.turning_rates import mean_rates
 from planrunner.estimators.turned_segments import UP, turned
+from planrunner.observation.observation_effects import Effect
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment

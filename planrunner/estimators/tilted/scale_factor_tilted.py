@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.flicker import SPAN, flicker_effects
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
@@ -26,8 +25,6 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.observation_effects import Effect, explained
-from planrunner.estimators.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.estimators.slope_units import rate_and_output
 from planrunner.estimators.tilted import planning as tilted_planning
 from planrunner.estimators.tilted.evaluation import Conditions, Group, answers_of, evaluate, make_group, worst_of
@@ -58,6 +55,9 @@ from planrunner.estimators.tilted.scatter import (
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
 from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
+from planrunner.observation.flicker import SPAN, flicker_effects
+from planrunner.observation.observation_effects import Effect, explained
+from planrunner.observation.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
-from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.observations import variances_differ
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
     Findings,
@@ -27,6 +25,8 @@ from planrunner.estimators.tilted.evaluation import (
     answers_to_averages,
     slope_weights,
 )
+from planrunner.observation.observation_effects import Effect
+from planrunner.observation.observations import variances_differ
 
 Array = NDArray[np.float64]
 

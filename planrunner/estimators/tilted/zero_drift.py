@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.observations import SIGNIFICANCE
 from planrunner.estimators.tilted.evaluation import Group
+from planrunner.observation.observation_effects import Effect
+from planrunner.observation.observations import SIGNIFICANCE
 
 Array = NDArray[np.float64]
 

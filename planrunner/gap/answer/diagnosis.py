@@ -27,7 +27,7 @@ from planrunner.gap.answer.where import Place, places
 from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.gap.hypotheses.whole import forms, whole
-from planrunner.observation.samples import ObservationError
+from planrunner.observation.refusals import ObservationError
 
 Forms = list[tuple[Weighed, float]]
 EFFECTS = "planrunner.effects"

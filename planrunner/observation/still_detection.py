@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
-from planrunner.estimators.interface import EstimationError
+from planrunner.observation.refusals import EstimationError
 from planrunner.plan.selection import Detection
 from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, unit

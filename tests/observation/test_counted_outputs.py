@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planrunner.estimators.observations import dithered
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.observation.observations import dithered
 
 
 @pytest.mark.parametrize(

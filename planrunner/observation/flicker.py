@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.estimators.observation_effects import Effect
-from planrunner.estimators.observations import Observations
+from planrunner.observation.observation_effects import Effect
+from planrunner.observation.observations import Observations
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.uncertainty.influences import Aspect, Inputs

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
-from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.instruments.models import NoiseModel, SensorModel
+from planrunner.observation.refusals import EstimationError, UnfitDataError
 
 Array = NDArray[np.float64]
 
