@@ -1,1 +1,1 @@
-"""What every room may use: findings, plug-ins, compiled kernels, locks, guarded files and folders, shipped files."""
+"""What every package may use: findings, plug-ins, compiled kernels, locks, guarded files and folders, shipped files."""

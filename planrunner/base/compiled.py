@@ -1,10 +1,9 @@
-"""Functions compiled by numba whose machine code is kept for the next process, in a folder that nobody else can change.
+"""Functions compiled by numba, with a cache of their machine code in a folder that no other user can change.
 
-Only modules that hold kernels import this one, and they are imported only where a kernel is needed, because importing numba takes longer
-than checking a plan. Kept code is executed when it is read: numba's index and data files are pickles. So it is kept only where every
-folder of the path, and everything in it, belongs to the user (or the administrator) and can be written by nobody else; else it is
-compiled anew in each process. On Windows that is the folder which the system keeps for the user's own data, and no other. Nothing is
-ever kept beside the source.
+Only modules with kernels import this one, and they are imported only where a kernel is needed, because importing numba takes longer than
+checking a plan. Reading the cache executes code: numba's index and data files are pickles. The cache is therefore used only if every folder
+of its path, and everything in it, belongs to the user or the administrator and is writable by no one else. Otherwise each process compiles
+the functions again. On Windows only the system's folder for the user's data qualifies. Nothing is ever cached next to the source.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ KEPT = Path("planrunner") / "compiled"
 
 
 def cache_folder(environment: Mapping[str, str], user: int | None = None) -> Path | None:
-    """Where compiled code may be kept, or None where no folder can be made or written.
+    """The folder for compiled code; None if no folder can be made or written.
 
-    environment: of the process, in which `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may name another folder than the user's `~/.cache`, except
-    on Windows. user: this one without it. Raises `UntrustedFolderError` where somebody else could have put code.
+    environment: the variables of the process; except on Windows, `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may replace the user's `~/.cache`.
+    user: user number, by default the current user. Raises `UntrustedFolderError` if another user could have written code there.
     """
     try:
         folder = _base(environment) / KEPT
@@ -48,7 +47,7 @@ def _base(environment: Mapping[str, str]) -> Path:
 
 @functools.cache
 def _cache_folder() -> Path | None:
-    """The same, of this process; the reason why code is not kept is reported once."""
+    """The cache folder of this process. If there is none, the reason is reported once."""
     try:
         return cache_folder(os.environ)
     except UntrustedFolderError as error:
@@ -61,7 +60,7 @@ def _cache_folder() -> Path | None:
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A decorator like `numba.njit(**options)` that keeps the machine code for the next process."""
+    """A decorator like `numba.njit(**options)` that caches the machine code for later processes."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         folder = _cache_folder()
@@ -71,12 +70,12 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any
         config: Any = numba.config
         before = config.CACHE_DIR
         try:
-            # numba settles where a function's code is kept when it is decorated.
+            # numba decides at decoration where a function's code is cached.
             config.CACHE_DIR = str(folder)
             made: Any = numba.njit(cache=True, **options)(function)
         finally:
             config.CACHE_DIR = before
-        if folder not in Path(made.stats.cache_path).parents:  # another setting of numba's has sent it elsewhere
+        if folder not in Path(made.stats.cache_path).parents:  # another setting of numba has chosen a different folder
             made = numba.njit(**options)(function)
         kernel: Callable[..., Any] = made
         return kernel

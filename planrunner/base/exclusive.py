@@ -1,4 +1,4 @@
-"""An exclusive lock on a file, given back by the operating system when the process ends, however it ends."""
+"""An exclusive lock on a file. The operating system releases it when the process ends for any reason."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 
 
 class HeldError(Exception):
-    """Another process, or another lock of this one, holds the file; the message is the note that the holder left."""
+    """Another process, or another lock of this one, holds the file. The message is the note of the holder."""
 
 
 class ExclusiveFile:
-    """A lock on `path`, which is made when absent, held from creation to `release`.
+    """A lock on `path`, held from creation to `release`. The file is created if absent.
 
-    note: who holds it and for what, for whoever finds it held. mode: permissions of a new file. opened: a descriptor of the file, which is
-    closed with the lock, where the caller has opened it. Raises `HeldError` when it is held, `OSError` when the file cannot be opened or is
-    anything but a regular file with one name: in a folder that all may write to, a link would make the lock write into somebody's file,
-    and a pipe would wait for ever.
+    note: who holds the lock and why, shown to others who want it. mode: permissions of a new file. opened: descriptor of the file if the
+    caller has opened it; it is closed with the lock. Raises `HeldError` if the lock is held, and `OSError` if the file cannot be opened or
+    is not a regular file with exactly one name. In a folder that all users may write to, a link would make the lock overwrite another
+    user's file, and opening a pipe could wait for ever.
     """
 
     def __init__(self, path: Path, note: str = "", mode: int = 0o644, *, opened: int | None = None):
@@ -34,7 +34,7 @@ class ExclusiveFile:
                 raise HeldError(held) from None
             if opened is not None or _is_still(self._descriptor, path):
                 break
-            self._close()  # removed or replaced before it was locked: whoever comes next would lock another file
+            self._close()  # removed or replaced before it was locked: the next process would lock a different file
         if self._descriptor is None:
             raise OSError(errno.EAGAIN, "the lock is removed again and again", str(path))
         if note:
@@ -59,7 +59,8 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(
 
 
 def _open(path: Path, mode: int) -> int:
-    """Without creating it first: a system may refuse to create what another user has in a shared folder, but lets it be opened."""
+    """Tries to open without creating: in a shared folder a system may refuse to create an existing file of another user, but allow opening
+    it."""
     with contextlib.suppress(FileNotFoundError):
         _hold(os.lstat(path), path)
         try:
@@ -68,10 +69,10 @@ def _open(path: Path, mode: int) -> int:
             return _held(os.open(path, os.O_RDONLY | NO_LINK), path)
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK, mode)
-    except FileExistsError:  # somebody was quicker
+    except FileExistsError:  # another process was faster
         return _open(path, mode)
     with contextlib.suppress(OSError, AttributeError):
-        os.fchmod(descriptor, mode)  # whatever the process's mask
+        os.fchmod(descriptor, mode)  # independent of the umask
     return descriptor
 
 
@@ -85,7 +86,7 @@ def _held(descriptor: int, path: Path) -> int:
 
 
 def _hold(known: os.stat_result, path: Path) -> None:
-    """Raises `OSError` for what is no regular file with one name."""
+    """Raises `OSError` unless it is a regular file with exactly one name."""
     if stat.S_ISLNK(known.st_mode):
         raise OSError(errno.ELOOP, "it is a symbolic link", str(path))
     if not stat.S_ISREG(known.st_mode) or known.st_nlink > 1:
@@ -100,14 +101,14 @@ def _is_still(descriptor: int, path: Path) -> bool:
 
 
 def _leave_note(descriptor: int, note: str) -> None:
-    with contextlib.suppress(OSError):  # what belongs to another user can be locked, but not written
+    with contextlib.suppress(OSError):  # a file of another user can be locked, but not written
         os.ftruncate(descriptor, NOTE_AT)
         os.lseek(descriptor, NOTE_AT, os.SEEK_SET)
         os.write(descriptor, note.encode())
 
 
 def _read_note(descriptor: int) -> str:
-    """Without what a terminal would obey: another user may have written it."""
+    """Removes terminal control characters, because another user may have written the note."""
     with contextlib.suppress(OSError):
         os.lseek(descriptor, NOTE_AT, os.SEEK_SET)
         text = os.read(descriptor, LONGEST_NOTE).decode("utf-8", "replace").strip()

@@ -1,10 +1,10 @@
 """Findings: what is wrong with a file, where, and what to do about it.
 
-Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all of them in one run. The codes
-are documented in `docs/findings.md`, and a test holds the two together.
+Every check of a plan or bench adds to one `Findings` list, so that a quality engineer sees all of them in one run. The codes are documented
+in `docs/findings.md`; a test checks that none is missing there.
 
-A check that builds on other parts of the file names them with `Findings.resting_on`. What it finds is then a consequence where one of
-these parts holds an error already: the list keeps it, with its cause, and shows the cause alone.
+A check that depends on other parts of the file names them with `Findings.resting_on`. If one of these parts already has an error, the
+findings of the check are consequences: the list keeps them with their cause and shows only the cause.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Severity = Literal["error", "warning", "note"]
 class Mark:
     """A place in a file, or `COMMAND_LINE`. Lines and columns count from 1, as editors show them.
 
-    end: line and column just after what stands there, where that is known. text: all of the file as it was read, for excerpts.
+    end: line and column just after the marked text, if known. text: the whole file as read, for excerpts.
     """
 
     file: str
@@ -36,7 +36,7 @@ class Mark:
     text: str | None = field(default=None, compare=False, repr=False)
 
     def covers(self, other: Mark) -> bool:
-        """Whether another place lies within what stands here."""
+        """Whether another place lies within this one."""
         if self.file != other.file:
             return False
         begin, there = (self.line, self.column), (other.line, other.column)
@@ -49,12 +49,12 @@ class Mark:
 
 
 COMMAND_LINE = Mark("<command line>")
-"""The place of what is wrong with the arguments of a command."""
+"""The place of errors in the arguments of a command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One finding; `str()` gives the line that the terminal shows, without the hint.
+    """One finding. `str()` gives its line on the terminal, without the hint.
 
     cause: the error that this one follows from; such a finding is kept but not shown.
     """
@@ -82,9 +82,9 @@ class Finding:
 
 @dataclass(slots=True)
 class Findings:
-    """A growing list of findings; identical ones are kept once.
+    """A growing list of findings. Identical findings are kept once.
 
-    Iterating gives those to show, in the order of the file: what follows from an error in the list is left out.
+    Iteration gives the findings to show in the order of the file, without those that follow from another error in the list.
     """
 
     items: list[Finding] = field(default_factory=list)
@@ -92,7 +92,7 @@ class Findings:
     _errors: list[Finding] = field(default_factory=list, repr=False, compare=False)
     _cause: Finding | None = field(default=None, repr=False, compare=False)
     raised: int = field(default=0, init=False, repr=False, compare=False)
-    """How many errors were added, repeated ones too: whether a check found any is seen from this, not from the list."""
+    """Number of errors added, including repeated ones. Compare it before and after a check to see if the check found errors."""
 
     def __post_init__(self) -> None:
         given, self.items = self.items, []
@@ -113,9 +113,9 @@ class Findings:
 
     @contextmanager
     def resting_on(self, *parts: Mark) -> Iterator[None]:
-        """What is added inside supposes that these parts are right: it follows from the first error that one of them holds on entry.
+        """Findings added inside assume that these parts are correct. They follow from the first error that one of the parts has on entry.
 
-        A check therefore runs after those of the parts that it builds on. A part may also be the mark of an error that is known.
+        A check therefore runs after the checks of the parts that it depends on. A part may also be the mark of a known error.
         """
         before = self._cause
         self._cause = before or self.error_in(*parts)
@@ -125,7 +125,7 @@ class Findings:
             self._cause = before
 
     def error_in(self, *parts: Mark) -> Finding | None:
-        """The first error within these parts (or what that one follows from); None where there is none."""
+        """The first error within these parts, or the cause of that error; None if there is none."""
         found = next((error for error in self._errors if any(part.covers(error.mark) for part in parts)), None)
         return found if found is None or found.cause is None else found.cause
 
@@ -141,7 +141,7 @@ class Findings:
 
     @property
     def errors(self) -> list[Finding]:
-        """The errors among them, in the order in which they were found, with those that follow from another."""
+        """All errors in the order in which they were found, including those that follow from another."""
         return self._errors
 
     def __iter__(self) -> Iterator[Finding]:
@@ -165,7 +165,7 @@ class InputError(Exception):
 
 
 def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
-    """Where else one finding holds, for its message: ' (also on lines 12 and 13)'; nothing where it holds in one line alone."""
+    """The other lines of a finding, for its message: ' (also on lines 12 and 13)'; empty if it concerns a single line."""
     lines = sorted({mark.line for mark in marks} - {first.line})
     if not lines:
         return ""
@@ -179,12 +179,12 @@ _MOST_LINES = 8
 
 
 MISLEADING = re.compile("[\x80-\x9f\u061c\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]")
-"""Characters that no reader sees and that change how the others read: marks of the reading order, of no width, controls of terminals.
-A name that holds one looks like another name."""
+"""Invisible characters that change how text looks: reading-order marks, zero-width characters, terminal controls. A name with such a
+character looks like another name."""
 
 
 def closest(word: str, known: Iterable[str]) -> str:
-    """A hint naming the closest known word, or all of them when none is close."""
+    """A hint with the closest known word, or with all known words if none is close."""
     names = tuple(sorted(known))
     near = _nearest(word[:80], names)
     if near is not None:
@@ -194,14 +194,14 @@ def closest(word: str, known: Iterable[str]) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that a misspelt one is most likely meant for; None where none is close."""
+    """The known word that a misspelt word most likely means; None if none is close."""
     return _nearest(word[:80], tuple(sorted(known)))
 
 
 @lru_cache(maxsize=1024)
 def _nearest(word: str, names: tuple[str, ...]) -> str | None:
     letters = set(word.lower())
-    # Comparing sequences is slow; a word that shares less than half of its letters cannot be close.
+    # Comparing sequences is slow, and a word that shares fewer than half of its letters cannot be close.
     likely = {name.lower(): name for name in names if 2 * len(letters & set(name.lower())) >= len(letters)}
     match = difflib.get_close_matches(word.lower(), likely, n=1, cutoff=_ALIKE)
     return likely[match[0]] if match else None
@@ -209,4 +209,4 @@ def _nearest(word: str, names: tuple[str, ...]) -> str | None:
 
 _MOST_NAMES = 25
 _ALIKE = 0.66
-"""Likeness above which a word may be a slip of another: 'mim' and 'min' have 0.67, 'vibration' and 'orientation' 0.60."""
+"""Similarity above which a word counts as a misspelling of another: 'mim' and 'min' have 0.67, 'vibration' and 'orientation' 0.60."""

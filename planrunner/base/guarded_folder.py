@@ -1,12 +1,12 @@
-"""A folder opened once: everything in it is reached relative to the open folder, and nothing in it leads elsewhere.
+"""A folder opened once. All access is relative to the open folder, and nothing in it can lead elsewhere.
 
-A run folder may come from a stranger, and may change while it is read. So no link in it is followed, only regular files with one name are
-opened, never a pipe or a device, and nothing larger than what the caller allows. A name is one component: no path leads out of the folder.
+A run folder may come from an untrusted source and may change while it is read. Therefore links in it are not followed. Only regular files
+with exactly one name are opened, no pipes or devices, and nothing larger than the caller allows. A name is a single path component, so no
+path leads out of the folder.
 
-Where the system can open names relative to an open folder (Linux, macOS), this is how it is done: whatever is put at a name meanwhile, the
-file that was opened is the one that was looked at. Elsewhere (Windows) the folder and the name are looked at before a file is opened and
-again after it, and both looks have to show the same file: the strictest that can be done there. A change that lasts only between the two
-looks at the folder stays unseen.
+On Linux and macOS names are opened relative to the open folder, so the file that was checked is the file that is used. Windows cannot do
+this. There the folder and the name are checked before and after a file is opened, and both checks must show the same file. This is the
+strictest method available; a change that lasts only between the two checks remains undetected.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from planrunner.base.file_kind import file_kind
 RELATIVE = os.open in os.supports_dir_fd and os.rename in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether this system opens names relative to an open folder."""
 MOST_ENTRIES = 250_000
-"""Entries of one folder that are looked at, at most."""
+"""Largest number of entries of one folder that are read."""
 
 _READ = os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _WRITE = os.O_RDWR | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _NEVER = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-"""No link is followed, and nothing is waited for, such as the other end of a pipe."""
+"""Links are not followed, and opening never waits, for example for the other end of a pipe."""
 _REPARSE_POINT = 0x400  # FILE_ATTRIBUTE_REPARSE_POINT: links and junctions of Windows
 _LOOKS = 3
 
@@ -41,8 +41,8 @@ Kind = Literal["file", "folder", "other"]
 
 
 class NotOrdinaryError(OSError):
-    """At a name stands something else than a regular file (or folder) with one name and of bearable size. `strerror` says what,
-    `filename` where."""
+    """The entry is not a regular file (or folder) with exactly one name and of acceptable size. `strerror` gives the reason, `filename` the
+    path."""
 
     def __init__(self, path: Path, what: str):
         super().__init__(errno.EPERM, what, str(path))
@@ -50,7 +50,7 @@ class NotOrdinaryError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What stands at a name: its kind and, of a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names."""
+    """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names."""
 
     kind: Kind
     size: int
@@ -58,10 +58,10 @@ class Entry:
 
 
 class GuardedFolder:
-    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`: `NotOrdinaryError` for what
-    is not a plain file or folder, ValueError for a name that is a path.
+    """An open folder. path: its name, for messages. All methods take one name, not a path, and raise `OSError`: `NotOrdinaryError` for an
+    entry that is not a plain file or folder. ValueError for a name that is a path.
 
-    The folder is let go of when the object is, or by `close`.
+    The folder is closed by `close` or when the object is deleted.
     """
 
     def __init__(self, path: Path, descriptor: int | None, identity: tuple[int, int]):
@@ -72,7 +72,7 @@ class GuardedFolder:
 
     @classmethod
     def open(cls, path: Path) -> GuardedFolder:
-        """The folder that a user named: `path` itself may lead through links. Raises `OSError`."""
+        """The folder that a user named. `path` itself may contain links. Raises `OSError`."""
         if not RELATIVE:
             status = os.stat(path)
             if not stat.S_ISDIR(status.st_mode):
@@ -90,7 +90,7 @@ class GuardedFolder:
     # -- looking -----------------------------------------------------------------------------------------------------
 
     def entries(self) -> dict[str, Entry]:
-        """Name → what stands there, in the order of the names."""
+        """Entries by name, in the order of the names."""
         self._check_place()
         found: dict[str, Entry] = {}
         with os.scandir(self.path if self._descriptor is None else self._descriptor) as listed:
@@ -102,7 +102,7 @@ class GuardedFolder:
         return dict(sorted(found.items()))
 
     def entry(self, name: str) -> Entry | None:
-        """What stands at a name; None when nothing does."""
+        """The entry at a name; None if there is none."""
         self._check_place()
         try:
             return _entry(self._status(_plain(name)))
@@ -134,18 +134,18 @@ class GuardedFolder:
         return self.folder(name)
 
     def remove_folder(self, name: str) -> None:
-        """With all that is in it, as far as that goes; links in it are removed, not followed."""
+        """Removes a folder with its contents as far as possible; links in it are removed, not followed."""
         self._check_place()
         shutil.rmtree(self._at(_plain(name)), ignore_errors=True, dir_fd=self._descriptor)
 
     # -- files -------------------------------------------------------------------------------------------------------
 
     def open_file(self, name: str, limit: int) -> BufferedReader:
-        """A file of at most `limit` bytes, to be read."""
+        """A file of at most `limit` bytes, opened for reading."""
         return os.fdopen(self._open(name, _READ, limit), "rb")
 
     def read(self, name: str, limit: int) -> bytes:
-        """What a file of at most `limit` bytes holds."""
+        """The contents of a file of at most `limit` bytes."""
         with self.open_file(name, limit) as file:
             data = file.read(limit + 1)
         if len(data) > limit:
@@ -153,11 +153,11 @@ class GuardedFolder:
         return data
 
     def open_existing(self, name: str) -> FileIO:
-        """A file to be read and written, unbuffered, at its beginning."""
+        """A file opened for reading and writing, unbuffered, at its beginning."""
         return FileIO(self._open(name, _WRITE, None), "r+")
 
     def open_new(self, name: str) -> FileIO:
-        """A new file to be written, unbuffered. What stood at the name before is removed, not followed."""
+        """A new file opened for writing, unbuffered. A previous entry of that name is removed, not followed."""
         self._check_place()
         where = self._at(_plain(name))
         flags = _WRITE | os.O_CREAT | os.O_EXCL | _NEVER
@@ -169,7 +169,8 @@ class GuardedFolder:
         return FileIO(descriptor, "w")
 
     def open_or_make(self, name: str, mode: int = 0o644) -> int:
-        """A descriptor of a file to be read and written, which is made when absent; only to be read where it may not be written."""
+        """A descriptor of a file opened for reading and writing, or only for reading if it may not be written. The file is created if
+        absent."""
         where = self._at(_plain(name))
         with contextlib.suppress(FileNotFoundError):
             try:
@@ -183,7 +184,7 @@ class GuardedFolder:
         return self._open(name, _WRITE, None)
 
     def replace(self, source: str, target: str) -> None:
-        """Rename a file to `target`, in place of what stands there."""
+        """Rename a file to `target`, replacing an existing file."""
         self._check_place()
         os.replace(
             self._at(_plain(source)),
@@ -193,7 +194,7 @@ class GuardedFolder:
         )
 
     def rename(self, source: str, target: str) -> None:
-        """Rename a file or folder. Refused where a file, or a folder that is not empty, stands at `target`."""
+        """Rename a file or folder. Refused if `target` is a file or a folder that is not empty."""
         self._check_place()
         os.rename(
             self._at(_plain(source)),
@@ -209,21 +210,21 @@ class GuardedFolder:
             os.unlink(self._at(_plain(name)), dir_fd=self._descriptor)
 
     def sync(self) -> None:
-        """Wait until the names in the folder are on the disk. Windows keeps them by itself and cannot be asked."""
+        """Wait until the names in the folder are on the disk. Windows writes them itself and offers no call for it."""
         if self._descriptor is not None:
             os.fsync(self._descriptor)
 
     # -- how it is guarded -------------------------------------------------------------------------------------------
 
     def _at(self, name: str) -> str:
-        """A name as the system calls need it: relative to the open folder, or with its path where there is none."""
+        """A name as system calls need it: relative to the open folder, or with the path of the folder if none can be opened."""
         return name if self._descriptor is not None else str(self.path / name)
 
     def _status(self, name: str) -> os.stat_result:
         return os.stat(self._at(name), dir_fd=self._descriptor, follow_symlinks=False)
 
     def _check_place(self) -> None:
-        """Without an open folder: the one at the path has to be the same as before."""
+        """Without an open folder: checks that the folder at the path is still the same."""
         if self._descriptor is None and _identity(os.stat(self.path)) != self._identity:
             raise NotOrdinaryError(self.path, "the folder was exchanged meanwhile")
 
@@ -233,7 +234,7 @@ class GuardedFolder:
         for look in range(_LOOKS):
             self._check_place()
             before = self._status(name)
-            _require(path, before, limit)  # before it is opened: opening a device may set something going
+            _require(path, before, limit)  # checked before opening, because opening a device may start something
             try:
                 descriptor = os.open(self._at(name), flags | _NEVER, dir_fd=self._descriptor)
             except OSError as error:

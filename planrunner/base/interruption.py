@@ -1,9 +1,8 @@
-"""Ending a command by a signal, from its first import to its last line: a short line on standard error and exit code 130, never a
-traceback.
+"""Ending a command by a signal at any time: a short line on standard error and exit code 130, never a traceback.
 
-Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that what is being written is left whole; during a run the executor
-listens itself (`execution.stopping`). While modules are imported, or objects are released, Python may print such an exception and go on
-as if nothing had happened, and libraries may turn it into another: the first is raised again, the second is known by `reason`.
+Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that files being written stay complete. During a run the executor
+handles signals itself (`execution.stopping`). While modules are imported or objects are released, Python may print such an exception and
+continue; it is then raised again. Libraries may replace it by another exception; `reason` then shows what happened.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
 INTERRUPTED = 130
-"""Exit code of a command that a signal ended, whichever it was."""
+"""Exit code of a command that any signal ended."""
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 AGAIN_AFTER = 0.01
-"""Seconds after which an interruption that Python let go of is raised again."""
+"""Seconds after which an interruption that Python ignored is raised again."""
 
 
 class EndedError(KeyboardInterrupt):
-    """A signal ended the command. A kind of its own: after a bare `KeyboardInterrupt` within `exec`, which makes dataclasses, Python ends
-    the process by SIGINT, whatever exit code it was given."""
+    """A signal ended the command. This is a separate class because after a plain `KeyboardInterrupt` within `exec`, which creates
+    dataclasses, Python ends the process by SIGINT and ignores the exit code."""
 
 
 class Interruption:
-    """As a context manager it listens to the signals that end a command, where it is entered in the main thread; signals that are ignored
-    on purpose, as by `nohup`, stay so. reason: what was heard, in words; empty before."""
+    """A context manager that handles the signals that end a command, if entered in the main thread. Signals that are ignored on purpose, as
+    by `nohup`, stay ignored. reason: the signal in words; empty before one arrives."""
 
     def __init__(self) -> None:
         self.reason = ""
@@ -65,15 +64,15 @@ class Interruption:
         self._restore.clear()
 
     def tell(self) -> int:
-        """Say what ended the command; the exit code."""
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody may be there to read it
+        """Print what ended the command and return the exit code."""
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # standard error may be closed
             print(self.reason or "interrupted", file=sys.stderr, flush=True)
         return INTERRUPTED
 
     def _hear(self, number: int, frame: FrameType | None) -> None:
         self._heard = signal.Signals(number)
         self.reason = "interrupted" if number == signal.SIGINT else f"ended by {self._heard.name}"
-        if not self._within_hook:  # where it would be lost again
+        if not self._within_hook:  # where Python would lose it again
             self._raised += 1
             raise EndedError
 
@@ -88,19 +87,20 @@ class Interruption:
             self._within_hook = False
 
     def _interrupt(self, raised: int) -> None:
-        """Until it is raised once more than it was."""
+        """Interrupts until the exception has been raised once more than before."""
         while True:
             time.sleep(AGAIN_AFTER)
             if self._raised > raised or not self._listening:
                 return
             if sys.platform == "win32":
                 _thread.interrupt_main(self._heard)
-            else:  # a wait of the main thread ends at a signal alone
+            else:  # only a signal ends a wait of the main thread
                 signal.pthread_kill(_main_thread(), self._heard)
 
 
 def leave_with(code: int) -> None:
-    """The command is over: a signal that comes while the interpreter ends makes it end at once, with the command's exit code."""
+    """Marks the command as finished: a signal during the interpreter's shutdown ends the process at once, with the exit code of the
+    command."""
     for number in _ending():
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda number, frame: os._exit(code))

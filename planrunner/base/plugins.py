@@ -1,7 +1,7 @@
 """Plug-ins: instruments, estimators and error-model terms, found by name through entry points.
 
-The project's own stand behind the same door as everybody else's. Names are known without importing anything; a plug-in's
-module is imported when its name is used.
+Built-in and third-party plug-ins are found in the same way. Names are known without importing anything; the module of a plug-in is imported
+when its name is used.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class _Selectable(Protocol):
 
 @cache
 def _installed() -> _Selectable:
-    """Those of all that is installed; to find them, the files of every distribution are read."""
+    """The entry points of all installed distributions; finding them reads files of every distribution."""
     return entry_points()
 
 
@@ -39,7 +39,7 @@ def names(group: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=256)
 def load(group: str, name: str) -> Any:
-    """The plug-in itself. Raises `InputError` when it is unknown or cannot be imported."""
+    """The plug-in of a name. Raises `InputError` if it is unknown or cannot be imported."""
     if name not in _table(group):
         raise InputError.at(
             Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group))

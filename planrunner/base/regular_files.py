@@ -1,9 +1,9 @@
-"""Opening a file that somebody else named: a regular file within a bound of size, or a refusal that says why.
+"""Opening files named by the user: a regular file within a size limit, or a refusal with the reason.
 
-Whatever planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe that nobody writes to would hang
-the program for ever, `/dev/zero` would fill the memory, and merely opening a device can move an instrument: so the kind of file is
-looked at before it is opened, and again once it is open. Windows can neither open without waiting nor refuse a link while opening:
-there the first look protects, and the second holds whatever was opened to the same rule.
+Everything that planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe without a writer would block
+the program for ever, `/dev/zero` would fill the memory, and opening a device can move an instrument. The kind of a file is therefore
+checked before it is opened and again afterwards. Windows can neither open without waiting nor refuse a link while opening; there the first
+check protects, and the second applies the same rule to the open file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 class RefusedFileError(Exception):
-    """A file that is not read. kind: why, in a word; str(): why, in a sentence without the file's name; hint: what to do."""
+    """A file that is refused. kind: the reason in a word; str(): the reason as a sentence without the file name; hint: what to do."""
 
     def __init__(self, kind: Refusal, message: str, hint: str):
         super().__init__(message)
@@ -41,8 +41,8 @@ def open_regular(
 ) -> BinaryIO:
     """A regular file, open for reading from its beginning.
 
-    limit: bytes that it may hold, None where the reader bounds itself; folder: descriptor of an open folder that `path` is relative to,
-    where the system can do that (`os.open in os.supports_dir_fd`); links: whether its last name may be a symbolic link. Raises
+    limit: largest size in bytes, None if the reader sets its own limit. folder: descriptor of the open folder that `path` is relative to,
+    where the system supports it (`os.open in os.supports_dir_fd`). links: whether the last component may be a symbolic link. Raises
     `RefusedFileError`, never `OSError`.
     """
     try:
@@ -61,18 +61,18 @@ def open_regular(
 
 
 def read_regular(path: Path | str, limit: int, *, folder: int | None = None, links: bool = True) -> bytes:
-    """What a regular file of at most `limit` bytes holds (see `open_regular`). Raises `RefusedFileError`."""
+    """The contents of a regular file of at most `limit` bytes (see `open_regular`). Raises `RefusedFileError`."""
     with open_regular(path, limit, folder=folder, links=links) as file:
         return read_bounded(file, limit)
 
 
 def read_bounded(file: BinaryIO, limit: int) -> bytes:
-    """The rest of an open file, of at most `limit` bytes, also where it grows meanwhile. Raises `RefusedFileError`."""
+    """The rest of an open file, at most `limit` bytes even if the file grows while it is read. Raises `RefusedFileError`."""
     try:
         data = file.read(limit + 1)
     except OSError as error:
         raise _unreadable(error) from None
-    if data is None:  # a file of the system that would have to be waited for
+    if data is None:  # a system file that would make the read wait
         raise RefusedFileError("special", "this file would have to be waited for", _SAVE)
     if len(data) > limit:
         raise _too_large(len(data), limit)

@@ -1,4 +1,4 @@
-"""Where the files that come with planrunner lie: inside an installed wheel, or at the top of a source tree."""
+"""Location of the files shipped with planrunner: inside an installed wheel, or at the top of a source tree."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from pathlib import Path
 
 @lru_cache(maxsize=8)
 def shipped(folder: str) -> Path:
-    """The folder `plans`, `schemas`, `templates` or `locales` that this installation carries. Raises FileNotFoundError when it
-    has none.
-    """
+    """The folder `plans`, `schemas`, `templates` or `locales` of this installation. Raises FileNotFoundError if it is missing."""
     package = Path(__file__).resolve().parents[1]
     for path in (package / "_shipped" / folder, package.parent / folder):
         if path.is_dir():

@@ -1,13 +1,12 @@
-"""Whether a folder can be changed by nobody but its user and the administrator, along its whole path.
+"""Checks that only the user and the administrator can change a folder, along its whole path.
 
-What planrunner keeps outside the folders that it is given (compiled code, locks) must not be planted by another user of the computer: a
-cache of compiled code is executed when it is read, and a link in place of a lock file makes planrunner write elsewhere. So every folder
-from the root down, and every link on the way, must belong to the user or to the administrator, and must not be writable by others; a
-folder that all may write to passes where its sticky bit keeps each entry to its owner, as that of `/tmp` does. Access control lists
-count, since POSIX shows them in the group's bits.
+planrunner keeps compiled code and locks outside the folders that it is given, and no other user must be able to plant them: cached code is
+executed when it is read, and a link in place of a lock file makes planrunner write elsewhere. Therefore every folder from the root down,
+and every link on the way, must belong to the user or the administrator and must not be writable by others. A folder that all users may
+write to is accepted if it has the sticky bit, as `/tmp` has. Access control lists count too, because POSIX shows them in the group bits.
 
-Windows has no such bits: there only the folders that the system itself keeps for the user, or for all users, are taken
-(`user_data`, `computer_data`), whose access control lists say the same, and no folder beneath them may be a link or a junction.
+Windows has no such bits. There only the system's data folders for the user or for all users are accepted (`user_data`, `computer_data`);
+their access control lists give the same protection. No folder below them may be a link or a junction.
 """
 
 from __future__ import annotations
@@ -26,17 +25,17 @@ OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
 
 
 class UntrustedFolderError(Exception):
-    """Somebody else could change what lies there; the message says where and why."""
+    """Another user could change the contents of a folder. The message gives the place and the reason."""
 
 
 def this_user() -> int:
-    """The user's number; on Windows, which has none, 0."""
+    """The user number; 0 on Windows, which has none."""
     return 0 if sys.platform == "win32" else os.geteuid()
 
 
 def trusted(folder: Path, user: int | None = None) -> Path:
-    """The folder itself, without links, once nobody but `user` (this one without it) and the administrator can change what the path leads
-    to. Raises `UntrustedFolderError`, and `OSError` for a folder that is not there."""
+    """The path of the folder with links resolved, if only `user` (by default the current user) and the administrator can change it. Raises
+    `UntrustedFolderError` otherwise, and `OSError` for a missing folder."""
     user = this_user() if user is None else user
     walked = list(_components(folder))
     for path, known in walked:
@@ -48,8 +47,8 @@ def trusted(folder: Path, user: int | None = None) -> Path:
 
 
 def trusted_within(folder: Path, user: int | None = None) -> None:
-    """Hold everything that lies in a trusted folder to the same rule: folders and files of the user's, no links. Raises
-    `UntrustedFolderError` and `OSError`."""
+    """Apply the same rule to everything in a trusted folder: only folders and files of the user, no links. Raises `UntrustedFolderError`
+    and `OSError`."""
     user = this_user() if user is None else user
     reachable = bool(folder.lstat().st_mode & OTHERS_ENTER)
     for place, folders, files in os.walk(folder, onerror=_raise):
@@ -57,7 +56,7 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
             path = Path(place, name)
             try:
                 known = path.lstat()
-            except FileNotFoundError:  # another process of the user's has just put something in place
+            except FileNotFoundError:  # another process of the user has just put a file in place
                 continue
             if not (stat.S_ISREG(known.st_mode) or stat.S_ISDIR(known.st_mode)) or _is_junction(known):
                 raise UntrustedFolderError(f"{path} is neither a file nor a folder")
@@ -65,7 +64,8 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
-    """Raises `UntrustedFolderError` for something of another user's, or that others may write to. reachable: whether others get there."""
+    """Raises `UntrustedFolderError` for an entry that belongs to another user or that others may write to. reachable: whether others can
+    reach it."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):
@@ -84,12 +84,12 @@ def make_private(folder: Path) -> None:
 
 
 def computer_data() -> Path:
-    """Windows: where the system keeps data for all users, whatever the environment says."""
+    """Windows: the system's data folder for all users, independent of environment variables."""
     return _known_folder(0x23)
 
 
 def user_data() -> Path:
-    """Windows: where the system keeps this user's data on this computer, whatever the environment says."""
+    """Windows: the system's folder for this user's local data, independent of environment variables."""
     return _known_folder(0x1C)
 
 
@@ -104,7 +104,7 @@ def _known_folder(number: int) -> Path:  # pragma: no cover (Windows)
 
 
 def _components(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Every folder from the root to `folder`, links among them included, each with what is known of it; without links behind them."""
+    """Every folder and link on the path from the root to `folder`, each with its status."""
     path = Path(os.path.abspath(folder))
     here, ahead, links = Path(path.anchor), list(path.parts[1:]), 0
     yield here, here.lstat()

@@ -1,13 +1,14 @@
-"""Alignment at rest: coarse from the directions of gravity and of the Earth's rotation, fine from the velocity that ought to be zero.
+"""Alignment at rest: coarse alignment from the directions of gravity and Earth rotation, fine alignment from the velocity, which should be
+zero.
 
 Coarse: the mean specific force points up, its cross product with the mean rate points east (Britting, "Inertial Navigation Systems
-Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude; the velocity that it finds, which is all error, drives a
-Kalman filter over the linear error equations, from which tilt and azimuth come with their covariance (gyrocompassing). Swaying that the
-gyros follow does no harm.
+Analysis", 1971, chapter 9). Fine: the navigator runs from the coarse attitude. Its velocity is pure error and drives a Kalman filter with
+the linear error equations, which gives tilt and azimuth with their covariance (gyrocompassing). Swaying does no harm, because the gyros
+measure it.
 
-While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). Where
-it is turned about the vertical from stop to stop they can be distinguished, and the filter carries them as states, and with them what the
-turns themselves add: gyro errors in proportion to the rate of turn, from scale factor and misalignment.
+While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`). If it
+is turned about the vertical from stop to stop they can be distinguished. The filter then has them as states, together with the gyro errors
+that the turns cause through scale factor and misalignment, in proportion to the rate of turn.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ from planrunner.navigation.error_equations import EAST_VELOCITY, INPUTS, SIZE, T
 
 Array = NDArray[np.float64]
 
-STILLNESS = 1e-3  # m/s; velocity of what stands still, standard uncertainty at each knot
+STILLNESS = 1e-3  # m/s; standard uncertainty of the zero velocity at each knot
 _ALL = SIZE + INPUTS + 3
 _UNCHANGED = np.eye(_ALL)
 _SEEN = slice(EAST_VELOCITY, EAST_VELOCITY + 2)
 _MEASURED = STILLNESS**2 * np.eye(2)
-_AT_ONCE = 512  # knots whose transitions are made together
+_AT_ONCE = 512  # knots whose transitions are computed together
 _PER_TURN = 1e-4  # standard uncertainty of scale factor and misalignment before alignment: 100 ppm, 20 arcsec
-_PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; the filter must not take it for information
+_PRIOR = math.radians(10)  # standard uncertainty of the coarse attitude; so wide that it adds no information
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16) of the errors that remain, as in `error_equations`,
-    then the constant sensor errors and the gyro errors per rate of turn in body axes. constant: (6,), constant errors as estimated, rad/s
-    and m/s². consistency: root mean square of the innovations over what the noise explains, 1 or less where all is well. largest: of the
-    innovations, m/s."""
+    """rotation: body axes as columns in East-North-Up, (3, 3). covariance: (16, 16), of the remaining errors: the states of
+    `error_equations`, the constant sensor errors, and the gyro errors per rate of turn in body axes. constant: (6,), constant errors as
+    estimated, rad/s and m/s². consistency: root mean square of the innovations divided by the value expected from the noise; 1 or less is
+    normal. largest: the largest innovation, m/s."""
 
     rotation: Array
     covariance: Array
@@ -64,8 +65,8 @@ class FineAlignment:
     """The filter: takes velocities knot by knot and gives the attitude at the end."""
 
     def __init__(self, equations: ErrorEquations, density: Array, seconds: float, constant: Array | None = None):
-        """density: (6, 6), variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s], navigation axes.
-        seconds: from knot to knot. constant: (6,), standard uncertainty of the constant errors before alignment; none: not estimated."""
+        """density: (6, 6), variance per second of the integrated gyros [rad²/s] and accelerometers [(m/s)²/s], navigation axes. seconds:
+        between knots. constant: (6,), standard uncertainty of the constant errors before alignment; None if they are not estimated."""
         self._transition = np.eye(_ALL)
         self._transition[:SIZE, :SIZE], self._response = equations.step(seconds)
         self._added = np.zeros((_ALL, _ALL))
@@ -85,7 +86,7 @@ class FineAlignment:
                 self._update(found, transition)
 
     def _transitions(self, rotations: Array, turns: Array) -> Array:
-        """How the errors go on over the time before each knot, (m, 16, 16)."""
+        """Transition matrices of the errors over the time before each knot, (m, 16, 16)."""
         found = np.repeat(self._transition[None], len(rotations), axis=0)
         by_gyros = self._response[:, :3] @ rotations
         found[:, :SIZE, SIZE : SIZE + 3] = by_gyros
@@ -110,7 +111,7 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def finish(self, rotation: Array) -> Alignment:
-        """The aligned attitude. rotation: the navigator's, (3, 3), within a knot's time after the last."""
+        """The aligned attitude. rotation: the attitude of the navigator, (3, 3), less than one knot interval after the last knot."""
         consistency = math.sqrt(self._squares / self._count) if self._count else math.nan
         aligned = attitude.small_rotation(self._state[TILT]) @ rotation
         return Alignment(

@@ -54,7 +54,7 @@ def small_rotation(vector: Array) -> Array:
 
 
 def turned_about_up(before: Array, after: Array) -> Array:
-    """Angle [rad] by which attitudes (…, 3, 3) are turned about the vertical against others, right-handed."""
+    """Angle [rad] of the rotation about the vertical between attitudes (…, 3, 3), right-handed."""
     change = after @ np.swapaxes(before, -1, -2)
     return np.asarray(np.arctan2(change[..., 1, 0] - change[..., 0, 1], change[..., 0, 0] + change[..., 1, 1]))
 

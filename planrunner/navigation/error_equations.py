@@ -1,4 +1,4 @@
-"""How small errors of an inertial navigator at rest grow: the linear error equations with Schuler and 24-hour oscillations.
+"""Growth of small errors of an inertial navigator at rest: the linear error equations with Schuler and 24-hour oscillations.
 
 State, SI: position errors east and north, velocity errors east and north, and the tilt (φ_E, φ_N, φ_U) by which the computed attitude is
 turned from the true one, C_computed = (1 − φ×)·C. Inputs in navigation axes: gyro errors ε and accelerometer errors ∇. The φ-angle form of
@@ -74,7 +74,7 @@ class ErrorEquations:
         return np.asarray((covariance + covariance.T) / 2)
 
     def covariances(self, start: Array, density: Array, seconds: float, count: int) -> Iterator[Array]:
-        """Covariance (7, 7) after 1, 2 … `count` times `seconds`, from `start` on."""
+        """Covariance (7, 7) after 1, 2 … `count` intervals of `seconds`, beginning with `start`."""
         transition, added = self.step(seconds)[0], self.noise(density, seconds)
         covariance = start
         for _ in range(count):
@@ -92,7 +92,7 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """The tilt (3, 6) that constant input errors leave after alignment at rest: the tilt at which nothing moves any more.
+        """The tilt (3, 6) after alignment at rest, per constant input error: the tilt of the stationary solution.
 
         φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L), the limit of gyrocompassing."""
         g, rate_n, rate_u = self.dynamics[3, 4], -self.dynamics[4, 6], self.dynamics[4, 5]
@@ -103,7 +103,7 @@ class ErrorEquations:
 
 
 def exponential(matrix: Array) -> Array:
-    """The matrix exponential by scaling and squaring of its series; for the small, mildly scaled matrices of this module."""
+    """The matrix exponential by scaling and squaring of its series. It is meant for the small, well-scaled matrices of this module."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, math.ceil(math.log2(norm)) + 1) if norm > 0 else 0
     scaled = matrix / 2.0**halvings

@@ -10,10 +10,10 @@ Weston, "Strapdown Inertial Navigation Technology", 2nd ed., chapters 3 and 11):
     attitude          q  ← q(−ω_in·dt) ∘ q ∘ q(φ)
     position          trapezoid of v, with radii and latitude of the middle of the interval
 
-The Earth's and the transport rate are those of the middle of the interval, so that errors of a step are of third order in dt. What is
-carried from sample to sample is the state vector alone: how samples are cut into blocks changes no bit of the result.
+Earth rate and transport rate are taken at the middle of the interval, so the error of a step is of third order in dt. Only the state vector
+is carried from sample to sample, so the result does not depend on how samples are divided into blocks.
 
-Everything is written in scalars: small arrays would cost more than the arithmetic. The compiler puts the pieces into one loop.
+All arithmetic is on scalars, because small arrays would cost more than the arithmetic. The compiler inlines the functions into one loop.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from planrunner.navigation.wgs84 import (
     SOMIGLIANA,
 )
 
-# Where things stand in the state vector.
+# Indices into the state vector.
 ATTITUDE, VELOCITY, LATITUDE, LONGITUDE, HEIGHT, LOOP, LAST_ANGLE, LAST_VELOCITY, STEPS = 0, 4, 7, 8, 9, 10, 11, 14, 17
 STATE = 18
 KNOT = 10  # numbers kept at a knot: attitude, velocity, latitude, longitude, height
@@ -76,8 +76,8 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped-def]
-    """What the Earth is like `north` metres north of a latitude: 1/(radius + height) in the meridian and in the prime vertical, secant
-    and tangent of the latitude, gravity, and the Earth's rate north and up."""
+    """Properties of the Earth `north` metres north of a latitude: 1/(radius + height) in the meridian and in the prime vertical, secant and
+    tangent of the latitude, gravity, and the Earth's rate north and up."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     w = 1.0 - ECCENTRICITY_SQUARED * sine * sine
     w *= math.sqrt(w)
@@ -121,7 +121,7 @@ def _product(p, q):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
-    """The attitude after the body's rotation vector and a rotation vector (e, n, u) of the navigation axes; of unit norm again."""
+    """The attitude after the body's rotation vector and a rotation vector (e, n, u) of the navigation axes; normalised."""
     bx, by, bz = body
     s, c = _half_angle(bx * bx + by * by + bz * bz)
     turned = _product(q, (c, s * bx, s * by, s * bz))
@@ -133,12 +133,12 @@ def _new_attitude(q, body, e, n, u):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _new_velocity(v, d, place, dt, held):  # type: ignore[no-untyped-def]
-    """Velocity after an interval, and the rate of the navigation axes in its middle. d: velocity increment in navigation axes at the
-    beginning; place: as `_earth_at` gives it."""
+    """Velocity after an interval, and the rate of the navigation axes at its middle. d: velocity increment in navigation axes at the
+    beginning; place: result of `_earth_at`."""
     ve, vn, vu = v
     de, dn, du = d
     to_north, to_east, _, tangent, gravity, earth_n, earth_u = place
-    # half of the change leads to the middle, whose transport rate and Coriolis acceleration then give all of it
+    # half of the change gives the middle, where transport rate and Coriolis acceleration are computed
     e, n, u = -vn * to_north, earth_n + ve * to_east, earth_u + ve * to_east * tangent
     me = ve + 0.5 * (de - 0.5 * dt * (n * du - u * dn) + dt * ((u + earth_u) * vn - (n + earth_n) * vu))
     mn = vn + 0.5 * (dn - 0.5 * dt * (u * de - e * du) + dt * (e * vu - (u + earth_u) * ve))
@@ -156,8 +156,8 @@ def advance(state, increments, interval, aiding, earth, gains, held, every, knot
 
     increments: (6, n), angle [rad] and velocity [m/s] about and along body x, y, z. interval: (n,), s. aiding: (n,) reference height [m]
     for the damped vertical channel, or (1,) for a constant one. earth: (rotation rate [rad/s], factor on normal gravity). gains: (3,) of
-    the third-order loop [1/s, 1/s², 1/s³], zeros for a free vertical channel. held: height and vertical velocity keep their values.
-    every: a knot is kept after each so many steps counted since the state was made. knots: (m, 10), written in order.
+    the third-order loop [1/s, 1/s², 1/s³], zeros for a free vertical channel. held: height and vertical velocity keep their values. every:
+    number of steps between knots, counted since the state was made. knots: (m, 10), written in order.
     """
     q = (state[0], state[1], state[2], state[3])
     ve, vn, vu = state[4], state[5], state[6]

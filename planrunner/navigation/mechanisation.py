@@ -1,4 +1,4 @@
-"""A strapdown navigator: its state, and how blocks of increments carry it on. The arithmetic is in `kernel`."""
+"""A strapdown navigator: its state and its update with blocks of increments. The arithmetic is in `kernel`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ LOOP_TIME = 100.0  # s; time constant of the damped vertical channel
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """What the navigator said at m moments. attitude: (m, 4), quaternions; velocity: (m, 3), m/s, east, north, up; latitude,
-    longitude: (m,), rad; height: (m,), m."""
+    """Output of the navigator at m moments. attitude: (m, 4), quaternions; velocity: (m, 3), m/s, east, north, up; latitude, longitude:
+    (m,), rad; height: (m,), m."""
 
     attitude: Array
     velocity: Array
@@ -30,13 +30,13 @@ class Knots:
 
 def loop_gains(time: float = LOOP_TIME) -> Array:
     """Gains of the third-order vertical loop with all three poles at 1/time (Widnall and Sinha, J. Guidance and Control 3, 1980), where
-    2·g/R makes up for the instability of the free channel."""
+    2·g/R compensates for the instability of the free channel."""
     g = float(normal_gravity(0.0))
     return np.array([3 / time, 3 / time**2 + 2 * g / SEMI_MAJOR_AXIS, 1 / time**3])
 
 
 class Navigator:
-    """Attitude, velocity and position, carried from increment to increment; memory and result do not depend on the blocks' size."""
+    """Attitude, velocity and position, updated with each increment. Memory and result do not depend on the size of the blocks."""
 
     def __init__(
         self,
@@ -51,8 +51,8 @@ class Navigator:
         last: Array | None = None,
     ):
         """quaternion: body to East-North-Up, scalar first (4,). velocity: (3,), m/s. position: latitude, longitude [rad], height [m].
-        vertical: of `VERTICAL`; held keeps height and vertical velocity. gravity_factor: on normal gravity. every: steps from knot to
-        knot. last: (6,), the increments before the first, for coning and sculling; none: zeros."""
+        vertical: one of `VERTICAL`; `held` keeps height and vertical velocity. gravity_factor: factor on normal gravity. every: steps
+        between knots. last: (6,), the increments before the first, for coning and sculling; zeros if None."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel
@@ -72,7 +72,7 @@ class Navigator:
         """Takes n increments and returns the knots among them.
 
         increments: (6, n), angle [rad] and velocity [m/s] on body x, y, z over the intervals (n,) [s]. reference_height: (n,) or (1,), m,
-        for the damped channel; without it the initial height.
+        for the damped channel; by default the initial height.
         """
         knots = np.empty((interval.size // self.every + 1, self._kernel.KNOT))
         aiding = self._height if reference_height is None else reference_height
@@ -115,5 +115,5 @@ class Navigator:
 
     @property
     def last(self) -> Array:
-        """The increments taken last, (6,)."""
+        """The latest increments, (6,)."""
         return self.state[self._kernel.LAST_ANGLE : self._kernel.STEPS].copy()

@@ -1,7 +1,8 @@
 """The ellipsoid WGS-84: radii of curvature and normal gravity.
 
-Constants and formulas: NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above the
-ellipsoid is the second-order series there, along the ellipsoid's normal (its slant, 8·10⁻⁹ m/s² for each metre of height, is left out).
+Constants and formulas: NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above the ellipsoid
+is the second-order series of that document, along the normal of the ellipsoid. Its inclination to the normal, 8·10⁻⁹ m/s² for each metre of
+height, is neglected.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def separation(
     latitude: ArrayLike, longitude: ArrayLike, to_latitude: ArrayLike, to_longitude: ArrayLike, height: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
     """East and north distance [m] from positions [rad] to others at the same height [m]: arcs of parallel and meridian at the middle
-    latitude, which is right to third order in the distance."""
+    latitude, correct to third order in the distance."""
     middle = (np.asarray(latitude) + np.asarray(to_latitude)) / 2
     north, east = radii(middle)
     turn = np.remainder(np.asarray(to_longitude) - np.asarray(longitude) + np.pi, 2 * np.pi) - np.pi

@@ -1,4 +1,4 @@
-"""The Earth as a test site feels it: rotation and gravity in East-North-Up axes."""
+"""The Earth at a test site: rotation and gravity in East-North-Up axes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ EARTH_RATE = math.radians(15.041067) / 3600  # rad/s, sidereal rotation 15.04106
 class Site:
     """Site of the bench. latitude, azimuth: rad; gravity: m/s^2.
 
-    latitude: astronomic, of the plumb line: at rest an accelerometer shows the plumb line, so the angle between the Earth's axis and what
-    stands level follows from it. geodetic_latitude: rad, of the ellipsoid, for positions; None where it is taken for the same. They differ
-    by the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1).
-    longitude: rad, east positive; height: m above the ellipsoid; both only matter where positions are navigated.
-    azimuth: of the table's reference direction, from true north, positive clockwise seen from above (towards east). Orientation
-    words in plans mean true directions; the table's joint angles take the azimuth into account.
-    magnetic_field: of the Earth, in true East-North-Up, in whatever unit the bench names; None where it is not known.
+    latitude: astronomic, defined by the plumb line. An accelerometer at rest measures along the plumb line, so this latitude gives the
+    angle between the Earth's axis and a level surface. geodetic_latitude: rad, on the ellipsoid, for positions; None if both are taken as
+    equal. They differ by the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1). longitude: rad, east positive; height: m
+    above the ellipsoid; used only where positions are navigated. azimuth: from true north to the table's reference direction, positive
+    clockwise seen from above (towards east). Orientation words in plans mean true directions; the joint angles of the table allow for the
+    azimuth. magnetic_field: the Earth's field in true East-North-Up, in the unit that the bench names; None if it is not known.
     """
 
     latitude: float

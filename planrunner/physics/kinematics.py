@@ -1,10 +1,9 @@
-"""Rate-table kinematics: attitude from joint angles and back, reach, and the time a move takes.
+"""Rate-table kinematics: attitude from joint angles, joint angles from attitude, reach, and the duration of moves.
 
-Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint
-angle zero. With the site's azimuth α (clockwise from north) the platform stands at R_z(−α)·R_1·R_2·R_3 in
-East-North-Up, and with all joints at zero and α = 0 the sensor's x, y, z axes point east, north, up. Adjacent axes
-are at right angles. The inverse solves the classical subproblems of screw theory (Murray, Li, Sastry, A Mathematical
-Introduction to Robotic Manipulation, 1994, section 3.3).
+Conventions: axes outermost first; R_i = rotation by joint angle q_i, right-handed about the axis's direction at joint angle zero. With the
+site's azimuth α (clockwise from north) the attitude of the platform is R_z(−α)·R_1·R_2·R_3 in East-North-Up, and with all joints at zero
+and α = 0 the sensor's x, y, z axes point east, north, up. Adjacent axes are at right angles. The inverse solves the classical subproblems
+of screw theory (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ SLACK = 1e-9  # rad beyond a joint limit that rounding may cause
 
 
 class Unreachable(ValueError):  # noqa: N818 - reads as what the table says
-    """The table cannot do it; the message says which axis, angle and limit, for a quality engineer."""
+    """The table cannot reach an attitude or direction. The message names the axis, the angle and the limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ def rotation_about(axis: Sequence[float], angle: float) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a × b, shape (3,); numpy's own is made for many vectors and takes ten times as long for one."""
+    """a × b, shape (3,). `numpy.cross` is made for many vectors and takes ten times as long for one."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
@@ -84,17 +83,16 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Joint angles [rad], shape (n,), for an attitude (3, 3): within the limits, and of all solutions the quickest to
-    reach from `near`.
+    """Joint angles [rad], shape (n,), for an attitude (3, 3): the solution within the limits that is reached fastest from `near`.
 
-    A limited axis keeps its absolute angle, so cables unwind where they must; a continuous axis takes the shorter
-    way. Raises `Unreachable` saying why.
+    A limited axis keeps its absolute angle, so that cables unwind where they must. A continuous axis turns the shorter way. Raises
+    `Unreachable` with the reason.
     """
     start = np.asarray(near, dtype=float).tobytes()
     return np.array(_joint_angles(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth))
 
 
-# Plans take the same orientations again and again. As bytes, because the sign of a zero decides between equivalent angles.
+# Plans repeat their orientations, so solutions are cached. The key is bytes, because the sign of a zero decides between equivalent angles.
 @lru_cache(maxsize=4096)
 def _joint_angles(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azimuth: float) -> Angles:
     near: Angles = tuple(np.frombuffer(start).tolist())
@@ -116,7 +114,7 @@ def _joint_angles(axes: tuple[TableAxis, ...], target: bytes, start: bytes, azim
             continue
         angles = tuple(angle for angle, _ in placed)
         distance = sum((angle - start) ** 2 for angle, start in zip(angles, near, strict=True))
-        # Rounded, so that of two ways as good as each other the same one is taken whatever the last digits are.
+        # Rounded, so that rounding errors cannot decide between two equally good solutions.
         choice = (round(transition_time(axes, near, angles), 6), round(distance, 6), angles)
         best = choice if best is None or choice[:2] < best[:2] else best
     if best is None:
@@ -136,7 +134,7 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
 
 
 def transition_time(axes: Sequence[TableAxis], start: Sequence[float] | Array, end: Sequence[float] | Array) -> float:
-    """Seconds from rest to rest between joint angles [rad]: all axes move at once, the slowest decides."""
+    """Seconds from rest to rest between joint angles [rad]. All axes move at once, so the slowest one decides."""
     moves = zip(axes, start, end, strict=True)
     return max(move_time(stop - begin, axis.max_rate, axis.max_acceleration) for axis, begin, stop in moves)
 
@@ -147,7 +145,7 @@ def spin_up_time(axis: TableAxis, rate: float) -> float:
 
 
 def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
-    """Where every axis points now, shape (n, 3), East-North-Up unit vectors."""
+    """Direction of every axis at these joint angles, shape (n, 3), East-North-Up unit vectors."""
     carried = rotation_about((0.0, 0.0, 1.0), -azimuth)
     rows = []
     for axis, angle in zip(axes, angles, strict=True):
@@ -159,10 +157,10 @@ def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array,
 def spin_axis(
     axes: Sequence[TableAxis], angles: Sequence[float] | Array, about: Sequence[float], azimuth: float = 0.0
 ) -> int:
-    """Index of the axis that lies along the site direction `about`, either way round, at these joint angles.
+    """Index of the axis that is parallel or antiparallel to the site direction `about` at these joint angles.
 
-    The outermost such axis, because it carries the others. Raises `Unreachable` when none does, naming where the axes
-    point.
+    Of several, the outermost, because it carries the others. Raises `Unreachable` if there is none; the message gives the directions of the
+    axes.
     """
     cosines = joint_directions(axes, angles, azimuth) @ np.asarray(about, dtype=float)
     for index, cosine in enumerate(cosines):
@@ -176,7 +174,7 @@ def spin_axis(
 
 
 def check_geometry(axes: Sequence[TableAxis]) -> None:
-    """Raises `Unreachable` unless there are one to three axes, each at right angles to the one that carries it."""
+    """Raises `Unreachable` unless there are one to three axes, each perpendicular to the next outer axis."""
     if not 1 <= len(axes) <= 3:
         raise Unreachable(f"a table has one to three axes, not {len(axes)}")
     for outer, inner in pairwise(axes):
@@ -203,9 +201,8 @@ def _two_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -
 def _three_axes(axes: Sequence[TableAxis], wanted: Array, near: Sequence[float]) -> list[Angles]:
     """Every solution (two, or a choice of the one-parameter family where outer and inner axis are parallel).
 
-    With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b,
-    then q_3 remains. The sine |a_1 × b| is taken as it stands, because an arc cosine would lose half the digits near
-    gimbal lock.
+    With R_1·R_2·R_3 = W and W·a_3 = b: a_1·(R_2 a_3) = a_1·b fixes q_2 up to a sign, then q_1 turns R_2·a_3 into b, then q_3 remains. The
+    sine is computed directly as |a_1 × b|, because an arc cosine would lose half the digits near gimbal lock.
     """
     first, second, third = (np.asarray(axis.direction) for axis in axes)
     carried = wanted @ third
@@ -231,8 +228,8 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
-    """With outer and inner axis parallel only their combined angle counts: keep one of them still, or stop it at a
-    limit.
+    """Solutions in gimbal lock. With outer and inner axis parallel only the sum of their angles counts: keep one of them still, or stop it
+    at a limit.
     """
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
@@ -262,14 +259,14 @@ def _angle_between(axis: Array, start: Array, end: Array) -> float | None:
 
 
 def _misalignment(axes: Sequence[TableAxis], angles: Angles, wanted: Array) -> float:
-    """Angle [rad] between what joint angles give and the wanted platform rotation."""
+    """Angle [rad] between the platform rotation at these joint angles and the wanted one."""
     off = attitude(axes, angles) @ wanted
     skew = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
     return math.atan2(float(np.linalg.norm(skew)), float(np.trace(off)) - 1.0)
 
 
 def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[float, str] | None]:
-    """The equivalent of `angle` nearest to `near` within the limits, or by how much it lies outside and why."""
+    """The equivalent of `angle` nearest to `near` within the limits; otherwise by how much it lies outside, and the reason."""
     nearest = angle + TURN * round((near - angle) / TURN)
     if axis.continuous:
         return nearest, None

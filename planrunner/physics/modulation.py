@@ -1,4 +1,4 @@
-"""What a sensor error that a rotation cycle modulates does to a navigation: the Schuler loop driven by its harmonics.
+"""Effect of a modulated sensor error on navigation: a rotation cycle's harmonics drive the Schuler loop.
 
 With velocity v and attitude error ψ written as complex numbers (east + i·north), a gyro error ε(t) and an accelerometer error b(t) in the
 navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd ed., 12.3),
@@ -23,11 +23,11 @@ def schuler_rate(site: Site) -> float:
 
 
 def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
-    """The largest free Schuler oscillation that a harmonic of the cycle builds up of a constant gyro drift within `seconds`, over the one
-    that the same drift makes without rotation; 0 where the cycle is too short for a harmonic to be near the Schuler rate.
+    """Growth of the free Schuler oscillation under a constant gyro drift: its largest amplitude within `seconds`, divided by the amplitude
+    that the same drift causes without rotation. 0 if the cycle is too short for any harmonic to lie near the Schuler rate.
 
-    A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each of the two free rates ω, and the sum of both is the semi-major
-    axis of what the velocity goes round; without rotation that is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle times
+    A drift ε(t) leaves an oscillation of size |∫ ε·exp(−iωt) dt| at each of the two free rates ω, and their sum is the semi-major axis of
+    the ellipse that the velocity describes. Without rotation it is 2·|ε|/ω_s. Over n cycles the integral is that of one cycle times
     |sin(nx)/sin(x)|, x = ω·period/2: near a harmonic it grows with every cycle.
     """
     natural = schuler_rate(site)
@@ -48,8 +48,8 @@ def forced_velocity(
 ) -> tuple[complex, complex]:
     """The velocity error [m/s] forced at plus and minus `harmonic` times the cycle's frequency, east + i·north.
 
-    gyro [rad/s], accelerometer [m/s^2]: constant sensor errors as oriented at the first position. A harmonic of exp(iθ) with
-    coefficient c at rate ω forces c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is the mean velocity that the residual leaves.
+    gyro [rad/s], accelerometer [m/s^2]: constant sensor errors as oriented at the first position. A harmonic of exp(iθ) with coefficient c
+    at rate ω forces c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is the mean velocity caused by the residual.
     """
     natural = schuler_rate(site)
     forced = []

@@ -1,10 +1,11 @@
-"""A cycle of stops and turns of one table axis, and what it leaves of an error that turns with the sensor.
+"""A cycle of stops and turns of one table axis, and the residual of a sensor error after one cycle.
 
-A horizontal error of the sensor (a constant gyro drift or accelerometer bias, written as a complex number) stands in the navigation
-frame as e·exp(iθ(t)), θ the axis's angle from the first position. Its integral over one cycle, in seconds, is what the cycle leaves of
-it: zero for a cycle that modulates the error away. Real and imaginary part turn the whole error vector as oriented at the first position.
+A horizontal error of the sensor (a constant gyro drift or accelerometer bias, written as a complex number) is e·exp(iθ(t)) in the
+navigation frame, with θ the angle of the axis from the first position. The residual is the integral of exp(iθ) over one cycle, in seconds;
+it is zero for a cycle that cancels the error. Multiplying the error vector at the first position by the residual gives the error that
+accumulates in one cycle.
 
-Turns have trapezoidal rate profiles, triangular where they are too short to reach the rate. Everything is integrated piece by piece:
+Turns have trapezoidal rate profiles, or triangular ones if they are too short to reach the rate. Everything is integrated piece by piece:
 stops and steady turning in closed form, ramps by Gauss–Legendre quadrature on panels in which the phase turns by at most 1 rad, where ten
 nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical Integration, 1984, section 2.7).
 """
@@ -23,12 +24,12 @@ from planrunner.plan.schedule import Cycle
 Array = NDArray[np.float64]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
-NOTHING = 1e-6  # of a period: a part per million of an error that is known to some per cent is nothing
+NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per cent only
 
 
 @dataclass(frozen=True)
 class RotationCycle:
-    """turns: rad, one a move, positive about the axis; before each the axis is at rest for `stop` s. rate: rad/s, above zero;
+    """turns: rad, one for each move, positive about the axis; before each move the axis rests for `stop` s. rate: rad/s, above zero;
     acceleration: rad/s^2, infinite for turns without ramps. Raises `ValueError` for a cycle that takes no time."""
 
     turns: tuple[float, ...]
@@ -49,7 +50,7 @@ class RotationCycle:
 
     @cached_property
     def stops(self) -> Array:
-        """Angle of every stop from the first [rad], shape (n,), cables counted."""
+        """Angle of every stop from the first [rad], shape (n,), full turns included."""
         return np.concatenate(([0.0], np.cumsum(self.turns)[:-1]))
 
     @property
@@ -59,7 +60,7 @@ class RotationCycle:
 
     @property
     def net_turn(self) -> float:
-        """What the cables wind up in one cycle [rad]."""
+        """Angle by which the cables wind up in one cycle [rad]."""
         return math.fsum(self.turns)
 
     @property
@@ -87,17 +88,17 @@ class RotationCycle:
 
     @property
     def mean_angle(self) -> float:
-        """Time mean of the angle from the first position [rad]: times a scale factor error, the mean error of heading."""
+        """Time mean of the angle from the first position [rad]. Multiplied by a scale factor error it gives the mean heading error."""
         _, lasting, angles, rates, slopes, _ = self._pieces
         integral = angles * lasting + rates * lasting**2 / 2 + slopes * lasting**3 / 6
         return math.fsum(integral) / self.period
 
-    # -- what it leaves ----------------------------------------------------------------------------------------------
+    # -- the residual -------------------------------------------------------------------------------------------------
 
     def integral(self, frequency: float = 0.0) -> tuple[complex, complex]:
         """∫ exp(i(θ − ωt)) dt over the stops and over the turns of one cycle [s], ω = `frequency` in rad/s.
 
-        At ω = 0 the residual of the cycle; at a multiple k of 2π/period, divided by the period, the k-th Fourier coefficient.
+        At ω = 0 this is the residual of the cycle. At k times 2π/period, divided by the period, it is the k-th Fourier coefficient.
         """
         begins, lasting, angles, rates, slopes, turning = self._pieces
         beat = rates - frequency
@@ -109,21 +110,21 @@ class RotationCycle:
 
     @cached_property
     def residual(self) -> complex:
-        """What one cycle leaves, stops and turns together [s]."""
+        """The residual of one cycle, stops and turns together [s]."""
         stops, turns = self.integral()
         return stops + turns
 
     @property
     def balanced(self) -> bool:
-        """Whether nothing is left."""
+        """Whether the residual is zero."""
         return abs(self.residual) <= NOTHING * self.period
 
     # -- pieces in which the rate is constant or changes evenly --------------------------------------------------------
 
     @cached_property
     def _pieces(self) -> tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]:
-        """begin [s], length [s], angle [rad] and rate [rad/s] at the begin, slope [rad/s^2], whether turning; each of shape (4·n,): a stop
-        and the three parts of a turn, of no length where a turn lacks one."""
+        """Start [s], length [s], angle [rad] and rate [rad/s] at the start, acceleration [rad/s^2], whether turning; each of shape (4·n,).
+        The four pieces of a move are a stop and the three parts of a turn; a part that is missing has length zero."""
         turns = np.array(self.turns)
         size, sign = np.abs(turns), np.sign(turns)
         peak = np.where(size > 0, self.rate, 0.0)

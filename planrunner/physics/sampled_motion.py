@@ -1,4 +1,4 @@
-"""How the table moved at the samples of a segment, by its plan and its encoder, and what averaging over a bin leaves of that."""
+"""Motion of the table at the samples of a segment, from the plan and the encoder, and its attenuation by averaging over bins."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float = 1.0) -> dict[str, Array]:
     """Angle, rate and acceleration of the table `since` s after a segment's first sample.
 
-    left: what the mean over a bin leaves of a rocking table's rate and angle; the rate is then that mean, the others are in its
-    middle. With an encoder the planned form (a constant rate; a sine) is fitted to its angle, so that phases are those of the table that
-    turned.
+    left: factor by which averaging over a bin reduces the rate and angle of a rocking table. The rate is then the mean over the bin; angle
+    and acceleration apply to its middle. With an encoder, the planned form (a constant rate or a sine) is fitted to the measured angle, so
+    that phases follow the actual motion.
     """
     zero = np.zeros(len(since))
     if isinstance(motion, Spin):
@@ -46,7 +46,8 @@ def period_of(motion: Motion) -> float:
 
 
 def fading(motion: Motion, size: int, rate: float) -> float:
-    """What the mean over a bin leaves of a rocking table's rate: Dirichlet's kernel sin(kx)/(k·sin x), x half a sample's phase."""
+    """Factor by which averaging over a bin reduces the rate of a rocking table: Dirichlet's kernel sin(kx)/(k·sin x), with x half the phase
+    of a sample."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
     half = np.pi * motion.frequency / rate
@@ -54,5 +55,5 @@ def fading(motion: Motion, size: int, rate: float) -> float:
 
 
 def turned_by(motion: Motion, since: Array) -> Array:
-    """The angle by which a turning table has planned to turn, rad; zero of one that rests or rocks."""
+    """The planned angle of a turning table, rad; zero for a table that rests or rocks."""
     return motion.rate * since if isinstance(motion, Spin) else np.zeros(len(since))

@@ -1,7 +1,7 @@
-"""Stimulus: what the sensor felt, for samples or for segment means.
+"""Stimulus: the input to the sensor, for samples or as means over segments.
 
-Arrays are SI-coherent and in the sensor's own axes; an axis pointing up at rest reads +g. Segment means follow in closed form from the
-planned attitude and motion, the Earth's rotation and gravity at the site.
+Arrays are SI-coherent and in the sensor's own axes; an axis pointing up at rest reads +g. Means over segments follow in closed form from
+the planned attitude and motion, the Earth's rotation, and gravity at the site.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class StimulusError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """What the sensor felt at n moments, or on average over n segments.
+    """The input to the sensor at n moments, or averaged over n segments.
 
-    omega: shape (n, 3), rad/s, angular rate relative to inertial space on the sensor's x, y, z. specific_force: (n, 3), m/s^2.
-    temperature: (n,), K, NaN where not known. time: (n,), s, the middle of a segment. table_rate: (n,), rad/s.
-    table_angle: (n,), rad turned since the dwell began. moving: (n,), whether the attitude changed while averaging, so that a
-    product of two means is not the mean of the product.
+    omega: shape (n, 3), rad/s, angular rate relative to inertial space on the sensor's x, y, z. specific_force: (n, 3), m/s^2. temperature:
+    (n,), K, NaN where not known. time: (n,), s, the middle of a segment. table_rate: (n,), rad/s. table_angle: (n,), rad turned since the
+    dwell began. moving: (n,), whether the attitude changed while averaging; the mean of a product then differs from the product of the
+    means.
     """
 
     omega: Array
@@ -48,19 +48,20 @@ class Stimulus:
 def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[float | None] | None = None) -> Stimulus:
     """The mean stimulus of each segment's dwell.
 
-    durations: s, of what was really recorded; the planned dwells without it. A spinning segment begins at its planned attitude, and
-    its mean is taken over the turns that it covers; where the duration is not known, over whole turns. Raises `StimulusError` for an
-    unknown attitude and for rocking or indexing, whose mean says little of what was felt.
+    durations: s, as recorded; if absent, the planned dwells. A spinning segment begins at its planned attitude, and its mean is taken over
+    the turns that it covers; if the duration is not known, over whole turns. Raises `StimulusError` for an unknown attitude, and for
+    rocking and indexing, where a mean does not represent the stimulus.
     """
     return Poses.of(segments, durations).felt(site)
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """How n segments stand and spin: their mean stimulus follows from it at any site, also for a sensor that stands otherwise than planned.
+    """Attitude and spin of n segments. They give the mean stimulus at any site, also for a sensor that is mounted differently from the
+    plan.
 
-    attitude: (n, 3, 3). spins: row, motion and turned angle [rad] of those that spin, None over whole turns. temperature, time: as in
-    `Stimulus`.
+    attitude: (n, 3, 3). spins: row, motion and turned angle [rad] of the segments that spin; the angle is None for whole turns.
+    temperature, time: as in `Stimulus`.
     """
 
     attitude: Array
@@ -90,8 +91,8 @@ class Poses:
         return cls(attitude, tuple(spins), temperature, time)
 
     def felt(self, site: Site, turn: Array | None = None, axis_too: bool = True) -> Stimulus:
-        """The mean stimulus at a site. turn: rotation (3, 3), East-North-Up, by which the sensor stands turned against what was planned;
-        axis_too: the axes of spins as well."""
+        """The mean stimulus at a site. turn: rotation (3, 3) in East-North-Up from the planned attitude of the sensor to the actual one;
+        axis_too: also rotates the axes of spins."""
         n = len(self.time)
         attitude = self.attitude if turn is None else self.attitude @ turn.T
         rates, angle = np.zeros(n), np.zeros(n)
@@ -107,10 +108,10 @@ class Poses:
 
 
 def mean_while_turning(vector: Array, axis: Array, turned: float, whole_turns: bool = False) -> Array:
-    """The mean of a site-fixed vector, shape (3,), as seen in site axes that turn with the table about `axis` by `turned` rad.
+    """The mean of a site-fixed vector, shape (3,), in axes that turn with the table about `axis` by `turned` rad.
 
-    With p the part along the axis, q the rest and r = axis × vector, the table sees p + q·cos θ − r·sin θ at angle θ; its mean over
-    0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns only p is left.
+    With p the part along the axis, q the rest and r = axis × vector, the vector in these axes is p + q·cos θ − r·sin θ at angle θ; its mean
+    over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns only p is left.
     """
     along = (vector @ axis) * axis
     if whole_turns:

@@ -1,6 +1,6 @@
-"""What a motion asks of the axes of a table, and whether they give it: rates, accelerations and travel between joint limits.
+"""Requirements of a motion on the axes of a table, compared with their limits: rate, acceleration and travel between joint limits.
 
-The rule stands here once. The check of a plan says where the plan asks too much, a driver or a simulated table refuses it.
+The rule is defined here only. The check of a plan reports what exceeds a limit; drivers and simulated tables refuse it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from planrunner.physics.kinematics import SLACK, Array, TableAxis, joint_directi
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Motion, Rock, Spin
 
-_GRANTED = 1 + 1e-9  # what rounding may add to a limit
+_GRANTED = 1 + 1e-9  # allowance for rounding at a limit
 
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """What an axis cannot give. kind: 'rings' (too few), 'rate', 'acceleration' or 'travel'; message: what is asked and what is there."""
+    """A requirement that an axis does not meet. kind: 'rings' (too few), 'rate', 'acceleration' or 'travel'; message: what the motion
+    requires and what the axis offers."""
 
     kind: str
     message: str
@@ -28,8 +29,8 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class SpinCourse:
-    """A spin as a table makes it. joint: index of the axis that turns; rate: rad/s of that joint, with its sign; ramp: s from rest to the
-    rate, and back."""
+    """A spin as a table executes it. joint: index of the axis that turns; rate: rad/s of that joint, with its sign; ramp: s from rest to
+    the rate, and back."""
 
     joint: int
     rate: float
@@ -39,21 +40,23 @@ class SpinCourse:
     def of(
         cls, motion: Spin, axes: Sequence[TableAxis], joints: Sequence[float] | Array, azimuth: float = 0.0
     ) -> SpinCourse:
-        """joints: rad, where the spin begins; azimuth: of the site, rad. Raises `Unreachable` where no axis points that way."""
+        """joints: rad, where the spin begins; azimuth: of the site, rad. Raises `Unreachable` if no axis has that direction."""
         index = spin_axis(axes, joints, motion.about, azimuth)
         along = float(joint_directions(axes, joints, azimuth)[index] @ np.asarray(motion.about))
         ramp = abs(motion.rate) / axes[index].max_acceleration
         return cls(index, math.copysign(1.0, along) * motion.rate, ramp)
 
     def travel(self, seconds: float) -> float:
-        """The angle [rad] from rest to rest when the rate is held for `seconds`: each ramp covers half of what its time would."""
+        """The angle [rad] from rest to rest when the rate is held for `seconds`. Each ramp covers half the angle of steady turning for the
+        same time."""
         return self.rate * (seconds + self.ramp)
 
 
 def spin_excess(
     axes: Sequence[TableAxis], joints: Sequence[float] | Array, course: SpinCourse, seconds: float | None
 ) -> list[Excess]:
-    """What a spin that begins at `joints` [rad] asks too much of its axis. seconds: for which the rate is held, None where nobody knows."""
+    """Requirements beyond the limits of the axis, for a spin that begins at `joints` [rad]. seconds: how long the rate is held; None if
+    unknown."""
     axis = axes[course.joint]
     found = _beyond(axis, "spinning", abs(course.rate))
     if not found and seconds is not None and not axis.continuous:
@@ -71,7 +74,7 @@ def spin_excess(
 
 
 def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | None, motion: Rock) -> list[Excess]:
-    """What rocking about `joints` [rad] asks too much of the rings; None where nobody knows where they will stand."""
+    """Requirements beyond the limits of the rings, for rocking about `joints` [rad]; None if these angles are unknown."""
     found: list[Excess] = []
     if len(motion.phases) > len(axes):
         found.append(Excess("rings", f"{len(motion.phases)} rings are planned to rock, the table has {len(axes)}"))
@@ -92,7 +95,7 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
 
 
 def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
-    """What a cycle that begins with the joint at `start` [rad] asks too much of its axis; None where nobody knows where it will stand."""
+    """Requirements beyond the limits of the axis, for a cycle that begins with the joint at `start` [rad]; None if this angle is unknown."""
     found = _beyond(axis, "turning", motion.rate)
     low, high = RotationCycle.of(motion, axis.max_acceleration).reach
     if high - low > axis.highest - axis.lowest + SLACK:
@@ -105,7 +108,7 @@ def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Ex
 
 
 def about_one_axis(motion: Motion) -> bool:
-    """Whether it turns the table about one axis, so that one angle describes it."""
+    """Whether a motion turns the table about a single axis, so that one angle describes it."""
     return not (isinstance(motion, Rock) and len(motion.phases) > 1)
 
 

@@ -1,8 +1,8 @@
-"""Adding up: what the data show (type A) and what was stated (type B), and the budget of each coefficient.
+"""Combined uncertainty: scatter of the data (type A) plus stated uncertainties (type B), with the budget of each coefficient.
 
-The law of propagation of uncertainty for inputs that are independent of each other (JCGM 100:2008, 5.1.2), kept for all coefficients at
-once so that their covariance is kept too (H.2.4), and the Welch–Satterthwaite formula for effective degrees of freedom (G.4.1). An
-input that reaches the coefficients by several ways is one input: its sensitivities add up before they are squared.
+Uses the law of propagation of uncertainty for independent inputs (JCGM 100:2008, 5.1.2), applied to all coefficients at once to keep their
+covariance (H.2.4), and the Welch–Satterthwaite formula for effective degrees of freedom (G.4.1). An input that acts on the coefficients in
+several ways is one input: its sensitivities are added before they are squared.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NEGLIGIBLE = 1e-6  # of the combined uncertainty: smaller contributions are not 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A coefficient as the data give it. standard_uncertainty, degrees_of_freedom: of type A."""
+    """A coefficient as estimated from the data, with standard uncertainty and degrees of freedom of type A."""
 
     name: str
     value: float
@@ -35,7 +35,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """m coefficients with all of their uncertainty. covariance: (m, m); standard_uncertainties, degrees_of_freedom: (m,)."""
+    """m coefficients with their combined uncertainty. covariance: (m, m); standard_uncertainties, degrees_of_freedom: (m,)."""
 
     covariance: Array
     standard_uncertainties: Array
@@ -46,10 +46,10 @@ class Combined:
 def combine(
     measured: Sequence[Measured], covariance: Array, influences: Iterable[Influence] = (), source: str = ""
 ) -> Combined:
-    """Type A `covariance` (m, m) of the coefficients and what the influences add to it.
+    """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    source: what the type A part rests on, for its line in the budgets. Raises ValueError for sensitivities that do not fit the
-    coefficients or are not finite.
+    source: origin of the type A part, for its line in the budgets. Raises ValueError for sensitivities that do not fit the coefficients or
+    are not finite.
     """
     acting = merged(influences)
     m = len(measured)
@@ -60,7 +60,7 @@ def combine(
     total = np.array(covariance, dtype=float)
     for item in added:
         total = total + item.covariance
-    # What each input contributes to each coefficient, (m, inputs).
+    # Contribution of each input to each coefficient, (m, inputs).
     sizes = np.array([item.quantity.standard_uncertainty * _root_sum(item.sensitivities) for item in acting])
     budgets = tuple(_budget(one, k, acting, sizes.reshape(-1, m)[:, k], source) for k, one in enumerate(measured))
     return Combined(
@@ -72,7 +72,7 @@ def combine(
 
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
-    """One influence for each input: sensitivities of the same input (or part of it, by name) are added, others stand side by side."""
+    """One influence for each input: sensitivities of the same input (or of the same named part) are added, others become separate columns."""
     columns: dict[tuple[InputQuantity, bool], dict[object, Array]] = {}
     for item in influences:
         sensitivities = np.asarray(item.sensitivities, dtype=float)
@@ -90,7 +90,7 @@ def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
-    """Welch–Satterthwaite (JCGM 100:2008, G.4.1). Infinite where nothing contributes, zero where a contribution has none."""
+    """Welch–Satterthwaite (JCGM 100:2008, G.4.1). Infinite if nothing contributes, zero if a contribution has no degrees of freedom."""
     pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
     if any(not freedom > 0 for _, freedom in pairs):
         return 0.0

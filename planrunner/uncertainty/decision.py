@@ -12,15 +12,15 @@ from planrunner.base.dataclass import dataclass
 CONFIDENCE = 0.95
 
 Rule = Literal["simple", "guarded"]
-_LEAST_FREEDOM = 0.5  # of χ², below which a size of scatter is not known well enough to have a distribution of its own
+_LEAST_FREEDOM = 0.5  # of χ²; with fewer, a measure of scatter is known too poorly to be judged by χ²
 
 
 class CoefficientRole(StrEnum):
-    """What kind of quantity a coefficient is, which decides how its value scatters about the true one.
+    """Kind of quantity of a coefficient. It determines how the value scatters about the true value.
 
-    LOCATION: a constant, a slope, an angle; Student's t about the value.
-    SCALE: a standard deviation or another size of scatter; its square over the true one, times the degrees of freedom, is χ².
-    MAXIMUM: the largest of several sizes, such as a nonlinearity or a hysteresis; never below zero.
+    LOCATION: a constant, a slope, an angle; Student's t about the value. SCALE: a standard deviation or another measure of scatter; ν·s²/σ²
+    follows χ² with ν degrees of freedom. MAXIMUM: the largest of several absolute values, such as a nonlinearity or a hysteresis; never
+    negative.
     """
 
     LOCATION = "location"
@@ -51,9 +51,9 @@ def expanded_uncertainty(
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A verdict with its grounds. probability: that the true value conforms, from the value and its uncertainty alone (JCGM 106, 7).
-    guard_band: how far inside the limits the value had to be, in their unit (0 for the simple rule). coverage_factor: of the expanded
-    uncertainty."""
+    """A verdict with its basis. probability: probability that the true value conforms, from the value and its uncertainty alone (JCGM 106,
+    7). guard_band: required distance of the value from the limits, in their unit (0 for the simple rule). coverage_factor: coverage factor
+    of the expanded uncertainty."""
 
     verdict: Literal["pass", "fail"]
     reason: str
@@ -64,7 +64,7 @@ class Decision:
 
     @property
     def false(self) -> float:
-        """Specific risk (JCGM 106, 9.3): of false acceptance where it passes, of false rejection where it fails."""
+        """Specific risk (JCGM 106, 9.3): of false acceptance for a pass, of false rejection for a fail."""
         return 1.0 - self.probability if self.verdict == "pass" else self.probability
 
 
@@ -79,12 +79,12 @@ def decide(
     confidence: float = CONFIDENCE,
     role: CoefficientRole = CoefficientRole.LOCATION,
 ) -> Decision:
-    """The verdict on lower ≤ true value ≤ upper, all in one unit. role: what kind of quantity it is, by which it scatters.
+    """The verdict on lower ≤ true value ≤ upper, all in one unit. role: kind of quantity, which determines its distribution.
 
-    simple: the value is within the limits (simple acceptance, JCGM 106, 8.2). guarded: it lies within them by at least the guard band
-    w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. Of a scale,
-    U is the distance from the limit at which the value's χ² interval ends at the limit. A value or
-    uncertainty that is not finite never passes. Raises ValueError when both limits are missing or the lower one is the larger.
+    simple: the value is within the limits (simple acceptance, JCGM 106, 8.2). guarded: the value lies inside the limits by at least the
+    guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2), with r = `factor` and U = k·u for a coverage probability of `confidence`. For
+    a scale, U is the distance from the limit at which the χ² interval of the value ends at the limit. A value or uncertainty that is not
+    finite never passes. Raises ValueError if both limits are missing or the lower limit exceeds the upper.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")
@@ -111,7 +111,7 @@ def decide(
 
 
 def guard_band(expanded: float, rule: Rule, factor: float = 1.0) -> float:
-    """w = r·U of guarded acceptance; none of simple acceptance."""
+    """w = r·U for guarded acceptance; zero for simple acceptance."""
     return factor * expanded if rule == "guarded" and factor else 0.0
 
 
@@ -125,8 +125,8 @@ def conformance_probability(
 ) -> float:
     """The probability that the true value lies in [lower, upper].
 
-    Of a location, by Student's t about the value scaled by the uncertainty. Of a scale s with ν degrees of freedom, by ν·s²/σ², which is χ²
-    (JCGM 106, 7.2, with the prior 1/σ). Of a maximum, which is the size of one that may have either sign, by Student's t of both signs.
+    For a location: Student's t about the value, scaled by the uncertainty. For a scale s with ν degrees of freedom: ν·s²/σ² follows χ²
+    (JCGM 106, 7.2, with the prior 1/σ). For a maximum, the absolute value of a signed quantity: Student's t, both signs counted.
     """
     from scipy.special import chdtr, ndtr, stdtr
 
@@ -154,8 +154,8 @@ def conformance_probability(
 
 
 def scale_freedom(value: float, standard_uncertainty: float) -> float:
-    """Degrees of freedom ν of a size of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3); 0 where they are too few for χ², or so many
-    that it is normal."""
+    """Degrees of freedom ν of a measure of scatter s, from u(s) = s/√(2·ν) (JCGM 100:2008, E.4.3); 0 if they are too few for χ², or so many
+    that the distribution is normal."""
     if not (value > 0 and standard_uncertainty > 0):
         return 0.0
     found = (value / standard_uncertainty) ** 2 / 2
@@ -163,7 +163,7 @@ def scale_freedom(value: float, standard_uncertainty: float) -> float:
 
 
 def _to_bound(bound: float, upper: bool, freedom: float, confidence: float) -> float:
-    """How far inside a bound a scale must lie for its χ² interval, two-sided, to end at the bound."""
+    """Distance that a scale must keep from a limit so that its two-sided χ² interval ends at the limit."""
     from scipy.special import chdtri
 
     beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the probability above

@@ -1,7 +1,7 @@
-"""Global risks of a decision rule over all items that come to be tested (JCGM 106:2012, 9.5): how many wrong decisions a laboratory makes.
+"""Global risks of a decision rule over all tested items (JCGM 106:2012, 9.5): the fraction of wrong decisions of a laboratory.
 
-They need what was known before: the distribution of the quantity over the items, here a normal one. A measurement scatters about an
-item's true value as Student's t (normal for infinitely many degrees of freedom) with the standard uncertainty of the present one.
+They need prior knowledge: the distribution of the quantity over the items, assumed to be normal. A measurement scatters about the true
+value of an item as Student's t (normal for infinitely many degrees of freedom), with the standard uncertainty of the present measurement.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from planrunner.base.dataclass import dataclass
 Array = NDArray[np.float64]
 
 _POINTS = 2000  # of Gauss–Legendre on each smooth stretch of the prior
-_REACH = 9.0  # standard deviations of the prior that are integrated over; beyond lie 2·10⁻¹⁹
+_REACH = 9.0  # standard deviations of the prior that are integrated over; the rest has probability 2·10⁻¹⁹
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known of the quantity before it is measured: normal, by mean and standard deviation over the items."""
+    """Knowledge of the quantity before the measurement: a normal distribution over the items, by mean and standard deviation."""
 
     mean: float
     standard_deviation: float
@@ -42,16 +42,16 @@ def global_risk(
     tolerance: tuple[float, float],
     acceptance: tuple[float, float],
 ) -> GlobalRisk:
-    """R_C and R_P (JCGM 106:2012, equations 17 to 20) for limits (lower, upper), infinite where there is none.
+    """R_C and R_P (JCGM 106:2012, equations 17 to 20) for limits (lower, upper), infinite if there is none.
 
-    acceptance: the interval that measured values must lie in; empty where its lower end is above its upper one. Raises ValueError for a
-    prior without a spread.
+    acceptance: interval of accepted measured values; empty if its lower end is above its upper end. Raises ValueError for a prior without
+    spread.
     """
     if not (math.isfinite(prior.mean) and prior.standard_deviation > 0):
         raise ValueError("a prior needs a mean and a positive standard uncertainty")
     consumer = producer = 0.0
     ends = [prior.mean - _REACH * prior.standard_deviation, prior.mean + _REACH * prior.standard_deviation]
-    # The density of measurements is narrow near the acceptance limits, and the tolerance limits are where a true value changes sides.
+    # Panels end at the tolerance limits and are narrow near the acceptance limits, where the integrand changes quickly.
     cuts = [*tolerance, *(end + z * standard_uncertainty for end in acceptance for z in (-8, 0, 8))]
     inner = sorted({cut for cut in cuts if ends[0] < cut < ends[1]})
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS // (len(inner) + 1))
@@ -68,7 +68,7 @@ def global_risk(
 
 
 def _accepted(true: Array, u: float, freedom: float, acceptance: tuple[float, float]) -> Array:
-    """Probability that the measured value of each true one (n,) falls within the acceptance interval."""
+    """Probability, for each true value (n,), that the measured value falls within the acceptance interval."""
     from scipy.special import ndtr, stdtr
 
     low, high = acceptance

@@ -1,7 +1,7 @@
-"""What results depend on beside the data: quantities that somebody stated with an uncertainty, and how coefficients follow them.
+"""Inputs other than the data: quantities stated with an uncertainty, and the sensitivity of coefficients to them.
 
-These are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states them; an estimator says how its
-coefficients depend on them; `planrunner.uncertainty.budget` adds them up.
+These are the type B inputs of JCGM 100:2008, 4.3. A bench file, a plan or an estimator states them. An estimator gives the sensitivity of
+its coefficients. `planrunner.uncertainty.budget` combines the contributions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Aspect(StrEnum):
-    """What is stated of one output of a sensor, an input of its own for each output."""
+    """Quantity stated for each output of a sensor; every output has a separate input."""
 
     BIAS_INSTABILITY = "bias instability"
     RESOLUTION = "resolution"
@@ -32,9 +32,9 @@ class Aspect(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class InputQuantity:
-    """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular, u-shaped,
-    t. source: who says so, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or empty.
-    shown: the unit that budgets show it in, such as the one it was stated in, `shown_factor` times `unit`; `unit` itself where empty.
+    """One stated quantity. value, standard_uncertainty: in `unit`, SI-coherent. distribution: normal, rectangular, triangular, u-shaped, t.
+    source: origin of the statement, for an auditor: instrument, asset number, certificate, or the key of a file. calibrated: ISO date, or
+    empty. shown: unit in budgets, usually the unit of the statement, equal to `shown_factor` times `unit`; if empty, `unit`.
     """
 
     name: str
@@ -51,12 +51,12 @@ class InputQuantity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Influence:
-    """How m coefficients depend on an input quantity.
+    """Dependence of m coefficients on an input quantity.
 
-    sensitivities: shape (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 where r independent inputs of the
-    same uncertainty act, such as the table's error at each of r positions; r = 1 for one that all segments share. in_scatter: the data's
-    own scatter shows it already, so that it is listed in the budget and not added again. parts: names of the r inputs, such as
-    orientations, so that one that acts through two influences is known for the same; without names they are taken for different ones.
+    sensitivities: shape (m, r), ∂coefficient/∂input in the coefficient's unit per `quantity.unit`. r > 1 for r independent inputs with the
+    same uncertainty, such as the error of the table at each of r positions; r = 1 for an input that all segments share. in_scatter: the
+    scatter of the data already contains it, so the budget lists it without adding it. parts: names of the r inputs, such as orientations,
+    which identify an input that acts through two influences; inputs without names count as different.
     """
 
     quantity: InputQuantity
@@ -66,18 +66,18 @@ class Influence:
 
     @property
     def covariance(self) -> Array:
-        """What it adds to the covariance of the coefficients, shape (m, m)."""
+        """Its contribution to the covariance of the coefficients, shape (m, m)."""
         return self.quantity.standard_uncertainty**2 * (self.sensitivities @ self.sensitivities.T)
 
     def through(self, gradient: Array) -> Influence:
-        """The same on q quantities that are computed from the m coefficients: gradient, shape (q, m), ∂quantity/∂coefficient."""
+        """The influence on q quantities computed from the m coefficients. gradient: shape (q, m), ∂quantity/∂coefficient."""
         return replace(self, sensitivities=gradient @ self.sensitivities)
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
     """One row of a budget (JCGM 100:2008, H.1, table H.1). sensitivity: coefficient's unit per input's unit; contribution: |c|·u, in the
-    coefficient's unit. kind: A or B. added: whether it is part of the sum. count: how many independent inputs of this uncertainty act; of
+    coefficient's unit. kind: A or B. added: whether it is part of the sum. count: number of independent inputs with this uncertainty; for
     several, the sensitivity is the root sum of squares. calibrated: ISO date, or empty."""
 
     quantity: str
@@ -97,7 +97,7 @@ class BudgetLine:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The uncertainty budget of one coefficient; its combined uncertainty is that of the coefficient."""
+    """The uncertainty budget of one coefficient. The combined uncertainty is the standard uncertainty of the coefficient."""
 
     coefficient: str
     unit: str
@@ -111,7 +111,7 @@ class Budget:
 class Inputs:
     """Stated quantities by name, such as `latitude`, `gravity`, `azimuth`, `table position`, `table rate`, `table orthogonality`,
     `temperature`, `fixture angle x`, `fixture azimuth x`, `resolution gyro_x`, `bias instability gyro_x` (whose uncertainty is the
-    coefficient B itself). Absent: nobody stated an uncertainty."""
+    coefficient B itself). A quantity is absent if no uncertainty was stated."""
 
     quantities: Mapping[str, InputQuantity] = field(default_factory=dict)
 

@@ -1,9 +1,9 @@
 """Propagation of distributions by the adaptive Monte Carlo method, and validation of an interval k·u with it (JCGM 101:2008).
 
 Draws come in blocks of 10⁴ until the results have stabilised: twice the standard deviations of the averages of estimate, standard
-uncertainty and both ends of the interval are below the numerical tolerance (7.9.4), here a fifth of that of the validation (8.2). From few
-degrees of freedom no standard deviation of draws can be learnt, because Student's t has no fourth moment from four on; it is
-then left out of the rule, and the ends of the interval, which is what is validated, decide.
+uncertainty and both ends of the interval are below the numerical tolerance (7.9.4), here a fifth of that of the validation (8.2). With four
+or fewer degrees of freedom Student's t has no fourth moment, so the standard deviation of the draws cannot be estimated. It is then left
+out of the rule, and the ends of the interval, which are what is validated, decide.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Array = NDArray[np.float64]
 BLOCK = 10_000
 HEAVY = 4.0  # degrees of freedom up to which t has no finite fourth moment
 
-Draws = Callable[["np.random.Generator", int], Array]  # as text, so that checking a plan loads no generators
+Draws = Callable[["np.random.Generator", int], Array]  # quoted, so that checking a plan does not import the generators
 """(generator, n) → draws of m coefficients, shape (m, n), in their units."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """What Monte Carlo found of one coefficient. low, high: the probabilistically symmetric interval; shortest: the shortest one."""
+    """Monte Carlo result for one coefficient. low, high: the probabilistically symmetric interval; shortest: the shortest one."""
 
     mean: float
     standard_deviation: float
@@ -39,8 +39,8 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """intervals: one a coefficient. draws: how many. stabilised: whether the results had, or the most draws were reached first. spread:
-    (m,), twice the standard deviation of the ends of the intervals, the larger of both."""
+    """intervals: one for each coefficient. draws: number of draws. stabilised: whether the results stabilised before the largest number of
+    draws was reached. spread: (m,), twice the standard deviation of the ends of the intervals, the larger of the two ends."""
 
     intervals: tuple[Interval, ...]
     draws: int
@@ -50,7 +50,7 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Clause 8 for one coefficient. low, high: how far the ends of value ± U are from those of Monte Carlo; tolerance: δ."""
+    """Validation by clause 8 for one coefficient. low, high: distance between the ends of value ± U and those of Monte Carlo; tolerance: δ."""
 
     low: float
     high: float
@@ -71,7 +71,7 @@ def propagate(
 ) -> Propagated:
     """Draw until 2·s of every result is below its tolerance, or `most` draws are made.
 
-    tolerances: (m,), in the coefficients' units; heavy: (m,), where the standard deviation is left out of the rule.
+    tolerances: (m,), in the coefficients' units; heavy: (m,), True where the standard deviation is left out of the rule.
     """
     rng = np.random.default_rng(seed)
     limit = np.asarray(tolerances, dtype=float)
@@ -104,12 +104,13 @@ def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
 
 
 def validate(value: float, expanded: float, found: Interval, tolerance: float) -> Validation:
-    """value ± expanded against Monte Carlo's probabilistically symmetric interval (JCGM 101:2008, 8.1)."""
+    """Compares value ± expanded with the probabilistically symmetric interval of Monte Carlo (JCGM 101:2008, 8.1)."""
     return Validation(abs(value - expanded - found.low), abs(value + expanded - found.high), tolerance)
 
 
 def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
-    """Draws of what inputs add to m coefficients to first order, in the inputs' own distributions; those that the scatter shows are none.
+    """First-order contributions of the inputs to m coefficients, drawn from the distributions of the inputs. Inputs that the scatter
+    already contains are left out.
 
     Normal inputs are drawn together from their joint covariance.
     """
@@ -130,11 +131,11 @@ def influence_draws(influences: Sequence[Influence], m: int) -> Draws:
 def t_draws(
     covariance: Array, degrees_of_freedom: Sequence[float] | Array, variances: Sequence[int] | None = None
 ) -> Draws:
-    """Draws of m coefficients about zero: jointly normal with `covariance` (m, m), scaled to Student's t with each one's own degrees of
-    freedom (JCGM 101:2008, 6.4.9.2).
+    """Draws of m coefficients about zero: jointly normal with `covariance` (m, m), scaled to Student's t with the degrees of freedom of
+    each coefficient (JCGM 101:2008, 6.4.9.2).
 
-    variances: (m,), which estimated variance each coefficient rests on; those that rest on the same share the scale. Without it, those
-    with the same degrees of freedom.
+    variances: (m,), index of the estimated variance behind each coefficient; coefficients with the same variance share the scale. By
+    default, coefficients with the same degrees of freedom share it.
     """
     root = square_root(np.asarray(covariance, dtype=float))
     freedoms = np.asarray(degrees_of_freedom, dtype=float)
@@ -154,12 +155,13 @@ def t_draws(
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """√(ν/χ²) of n draws, which makes Student's t of normal ones."""
+    """√(ν/χ²) for n draws; normal draws multiplied by it follow Student's t."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 
 def square_root(covariance: Array) -> Array:
-    """L with L·Lᵀ = covariance (m, m), which may be singular, by its eigenvectors on correlations so that units do not matter."""
+    """L with L·Lᵀ = covariance (m, m), which may be singular. Computed from the eigenvectors of the correlation matrix, so that units do
+    not matter."""
     size = np.sqrt(np.diag(covariance).clip(min=0.0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
@@ -172,7 +174,7 @@ def _infinite(quantity: InputQuantity) -> bool:
 
 
 def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -> Array:
-    """Draws of r inputs about their value, (r, n): the distributions of JCGM 101:2008, 6.4, by their standard uncertainty."""
+    """Draws of r inputs about their value, (r, n), from the distributions of JCGM 101:2008, 6.4, with their standard uncertainty."""
     u = quantity.standard_uncertainty
     match quantity.distribution:
         case "rectangular":

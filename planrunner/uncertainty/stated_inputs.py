@@ -1,4 +1,4 @@
-"""What bench and plan state of uncertainty: the type B inputs of budgets, each with its source and the date of its calibration."""
+"""Uncertainties stated in bench and plan: the type B inputs of budgets, each with its source and calibration date."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TYPICAL_DEVIATION = 5 * ARCSEC
 
 
 def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:
-    """The quantities that are stated with an uncertainty, by the names that `Inputs` lists."""
+    """The quantities stated with an uncertainty, by the names listed in `Inputs`."""
     found = [*_site(bench), *_mounting(bench, mounting)]
     for name, entry in bench.instruments.items():
         role, source, day = driver_of(entry).role, _source(name, entry), _day(entry.calibration)
@@ -41,7 +41,7 @@ def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, Moun
 
 
 def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
-    """A note for an instrument of a real bench whose stated uncertainties no calibration stands behind."""
+    """A note for each instrument of a real bench whose stated uncertainties have no calibration."""
     if runs_on_virtual_clock(bench):
         return
     table, chamber = models.table, models.chamber
@@ -57,7 +57,8 @@ def check_backed(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
-    """Warns of a latitude that is stated more closely than the plumb line usually follows the ellipsoid, without saying which it is."""
+    """Warns about a latitude whose uncertainty is smaller than usual deviations of the vertical if the bench does not state which latitude
+    it is."""
     site, simulated = bench.site, bench.simulation is not None or (runs_on_virtual_clock(bench) and not models.replays)
     u = site.latitude.standard_uncertainty
     if simulated or site.latitude_kind is not None or site.deviation_of_vertical is not None:
@@ -73,7 +74,7 @@ def check_vertical(bench: Bench, models: BenchModels, log: Findings) -> None:
 
 
 def input_quantity(name: str, stated: Quantity, si: str, source: str, calibrated: str = "") -> InputQuantity:
-    """A quantity as a file states it. si: the SI-coherent unit of its value."""
+    """A quantity as stated in a file. si: SI-coherent unit of its value."""
     return InputQuantity(
         name,
         stated.value,
@@ -120,14 +121,14 @@ def _table(table: TableModel, source: str, day: str) -> Iterator[InputQuantity]:
 
 
 def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """The air is anywhere within the tolerance, and its thermometer has an uncertainty of its own."""
+    """The air temperature is anywhere within the tolerance; the uncertainty of the thermometer is a separate input."""
     width = math.hypot(chamber.tolerance / math.sqrt(3), chamber.temperature_uncertainty)
     shape = "normal" if chamber.temperature_uncertainty else "rectangular"
     yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)
 
 
 def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Half a count either way (JCGM 100:2008, F.2.2.1), and flicker by its coefficient, in the output's own unit."""
+    """Resolution of ± half a count (JCGM 100:2008, F.2.2.1) and flicker by its coefficient, in the unit of the output."""
     for output in sensor.outputs:
         yield InputQuantity(
             Aspect.BIAS_INSTABILITY.of(output.name),
