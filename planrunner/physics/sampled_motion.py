@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 def motion_at(motion: Motion, since: Array, encoder: Array | None, left: float = 1.0) -> dict[str, Array]:
     """Angle, rate and acceleration of the table `since` s after a segment's first sample.
 
-    left: factor by which averaging over a bin reduces the rate and angle of a rocking table. The rate is then the mean over the bin; angle
-    and acceleration apply to its middle. With an encoder, the planned form (a constant rate or a sine) is fitted to the measured angle, so
-    that phases follow the actual motion.
+    left: factor by which averaging over a bin reduces the rate and angle of a rocking table (see `fading`). The rate is then the mean over
+    the bin; angle and acceleration apply to its middle. With an encoder, the planned form (a constant rate or a sine) is fitted to the
+    measured angle, so that phases follow the actual motion.
     """
     zero = np.zeros(len(since))
     if isinstance(motion, Spin):

@@ -95,7 +95,7 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
 
 
 def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Excess]:
-    """Requirements beyond the limits of the axis, for a cycle that begins with the joint at `start` [rad]; None if this angle is unknown."""
+    """Requirements beyond the limits of the axis for a cycle that begins with the joint at `start` [rad]; None if this angle is unknown."""
     found = _beyond(axis, "turning", motion.rate)
     low, high = RotationCycle.of(motion, axis.max_acceleration).reach
     if high - low > axis.highest - axis.lowest + SLACK:

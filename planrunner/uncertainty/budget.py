@@ -72,7 +72,7 @@ def combine(
 
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
-    """One influence for each input: sensitivities of the same input (or of the same named part) are added, others become separate columns."""
+    """One influence for each input: sensitivities of the same input (or of the same named part) are added, others become columns."""
     columns: dict[tuple[InputQuantity, bool], dict[object, Array]] = {}
     for item in influences:
         sensitivities = np.asarray(item.sensitivities, dtype=float)

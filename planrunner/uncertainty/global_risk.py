@@ -51,7 +51,7 @@ def global_risk(
         raise ValueError("a prior needs a mean and a positive standard uncertainty")
     consumer = producer = 0.0
     ends = [prior.mean - _REACH * prior.standard_deviation, prior.mean + _REACH * prior.standard_deviation]
-    # Panels end at the tolerance limits and are narrow near the acceptance limits, where the integrand changes quickly.
+    # Panels end at the tolerance limits, and are narrow near the acceptance limits, where the probability of acceptance changes fast.
     cuts = [*tolerance, *(end + z * standard_uncertainty for end in acceptance for z in (-8, 0, 8))]
     inner = sorted({cut for cut in cuts if ends[0] < cut < ends[1]})
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS // (len(inner) + 1))

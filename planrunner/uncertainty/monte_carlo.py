@@ -50,7 +50,7 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Validation by clause 8 for one coefficient. low, high: distance between the ends of value ± U and those of Monte Carlo; tolerance: δ."""
+    """Validation by clause 8 for one coefficient. low, high: distance of the ends of value ± U from those of Monte Carlo; tolerance: δ."""
 
     low: float
     high: float
