@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from planrunner.archive import formats
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import FIRST, utc_now
 from planrunner.archive.storage import ASIDE, Storage, digest, digest_of
 from planrunner.base.findings import InputError, Mark

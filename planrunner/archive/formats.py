@@ -1,4 +1,6 @@
-"""The versioned formats of a run folder's JSON files, and how a file is held against its schema in `schemas/`."""
+"""The versioned formats of a run folder's JSON files, how a file is held against its schema in `schemas/`, and the error of one that is not
+what was written (exit code 4).
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
-from planrunner.archive.integrity import IntegrityError
 from planrunner.archive.schema_check import Check, compile_schema
+
+
+class IntegrityError(Exception):
+    """A file of a run folder is missing, changed or not as its schema says. The message says which, and what to do."""
+
 
 RUN_FORMAT = 1
 SEAL_FORMAT = 1

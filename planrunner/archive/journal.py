@@ -16,8 +16,7 @@ from datetime import UTC, datetime
 from io import FileIO
 from typing import Any
 
-from planrunner.archive.formats import from_bytes
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError, from_bytes
 from planrunner.archive.storage import Storage
 from planrunner.base.guarded_folder import GuardedFolder
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from planrunner.archive import formats
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import JournalScan
 from planrunner.archive.segment_file import Part
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError

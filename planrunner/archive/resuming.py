@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import Journal
 from planrunner.archive.journal_state import Acknowledged, JournalState, name_parts
 from planrunner.archive.segment_file import FOLDER, MOST_BYTES, Part, check_part, rows_of

@@ -20,7 +20,7 @@ from typing import Any
 from planrunner.archive import formats
 from planrunner.archive import journal as journal_lines
 from planrunner.archive import seal as seals
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import Journal, finite, utc_now
 from planrunner.archive.lock import FolderLock
 from planrunner.archive.origin import leave_origin

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from planrunner.archive.analyses import Basis, StoredAnalysis, add_analysis
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import Acknowledged, JournalState, Rejected
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.segment_file import SegmentData

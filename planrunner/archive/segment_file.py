@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.storage import ASIDE, Storage, digest
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block, InstrumentError

@@ -16,7 +16,7 @@ from planrunner.archive import analyses as stored
 from planrunner.archive import formats, pausing
 from planrunner.archive import seal as seals
 from planrunner.archive.analyses import Basis, StoredAnalysis, stored_analysis
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import FIRST, JournalScan
 from planrunner.archive.journal import NAME as JOURNAL
 from planrunner.archive.journal_state import JournalState, name_parts, read_state

@@ -1,7 +1,5 @@
-"""Calibrations of what a bench carries: the record, whether its dates make sense, and whether it holds on the day of a run.
-
-A laboratory that works to ISO/IEC 17025:2017 measures with equipment whose calibration is valid (6.4.4, 6.4.8): an expired one is an
-error. A run that is looked at again later is judged by the day on which it was made.
+"""Calibrations of what a bench carries: the record, whether its dates make sense, and whether it holds on the day of a run; and the
+laboratory that the bench belongs to, as a calibration certificate names it (ISO/IEC 17025:2017, 7.8).
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from collections.abc import Iterable
 from datetime import date, timedelta
 
 from planrunner.base.findings import Findings
-from planrunner.plan.kinds import Record, Text, key
+from planrunner.plan.kinds import ListOf, Record, Text, key
 
 LINE = r"[^\x00-\x1f]{1,200}"
 _DATE = r"[0-9]{4}-[0-9]{2}-[0-9]{2}"
@@ -89,3 +87,40 @@ def _day(text: str | None) -> date | None:
         return date.fromisoformat(text) if text else None
     except ValueError:
         return None
+
+
+class Laboratory(Record):
+    """Who answers for what is measured on this bench; needed for certificates."""
+
+    name: str = key(Text(LINE, "a name"), "Name of the laboratory.", "Inertial calibration laboratory")
+    address: str = key(Text(LINE, "an address"), "Its address.", "1 Example Street, 00000 Example Town")
+    location: str | None = key(
+        Text(LINE, "a place"),
+        "Location of the bench if it differs from that address: another site, a customer's site, a mobile facility.",
+        "Building 7, basement",
+        default=None,
+    )
+    contact: str | None = key(
+        Text(LINE, "a contact"),
+        "Telephone, e-mail or website of the laboratory.",
+        "calibration@example.org",
+        default=None,
+    )
+    accreditation: str | None = key(
+        Text(LINE, "an accreditation"),
+        "Accreditation body, number and scope.",
+        "accreditation body, no. 0000",
+        default=None,
+    )
+    traceability: str | None = key(
+        Text(r"[^\x00-\x1f]{1,1000}", "a statement"),
+        "How results are traceable to the SI, in addition to the calibrations of instruments and site.",
+        "Angles and rates through the table's calibration; Earth rate from the conventional value (WGS 84).",
+        default=None,
+    )
+    authorised: tuple[str, ...] = key(
+        ListOf(Text(LINE, "a name or role"), single=True),
+        "Persons who may authorise certificates; by default any person that `issued_by` names.",
+        ["head of laboratory", "deputy head of laboratory"],
+        default_factory=tuple,
+    )

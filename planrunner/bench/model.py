@@ -18,8 +18,7 @@ from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, InputError, Mark, closest, nearest
 from planrunner.base.shipped import shipped
-from planrunner.bench.calibration import LINE, Calibration, check_dates
-from planrunner.bench.laboratory import Laboratory
+from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import Simulation
 from planrunner.instruments.interfaces import Counting, Resumable, Watched

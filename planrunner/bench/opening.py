@@ -3,19 +3,32 @@
 What is made safe is what this process took control of, instrument by instrument, and nothing else: to connect is not to command, and an
 instrument that somebody else set going is not ours to stop. Making safe tries each of them in the bench's order, whatever the others do.
 Connecting stops at the first instrument that fails, after those already connected were let go.
+
+For a run the bench is locked against other runs, guarded by a watchdog, connected, and left safe, in this order. Without real instruments
+it needs neither lock nor watchdog.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from planrunner.bench.clock import VirtualClock, WallClock
-from planrunner.bench.model import SINGLE_ROLES, Bench, driver_of, runs_on_virtual_clock, safe_order, site_of
+from planrunner.bench.lock import bench_lock
+from planrunner.bench.model import (
+    SINGLE_ROLES,
+    Bench,
+    driver_of,
+    real_instruments,
+    runs_on_virtual_clock,
+    safe_order,
+    site_of,
+)
 from planrunner.bench.protection import own_limits
 from planrunner.bench.simulation import attach
 from planrunner.bench.watchdog import Watchdog
@@ -172,3 +185,32 @@ def open_bench(
         opened.add(name, driver.role, instrument)
         surroundings.instruments[driver.role] = instrument
     return opened
+
+
+@contextmanager
+def guarded_bench(
+    bench: Bench, bench_file: bytes, shown: str, *, data_root: Path | None = None, seed: int | None = None
+) -> Iterator[OpenBench]:
+    """The bench, connected, for the length of a `with` block; safe and closed afterwards.
+
+    bench_file: the exact bytes of its file, from which the watchdog connects; shown: its name in messages. Raises `InputError` when
+    another run holds the bench, `InstrumentError` when the watchdog or an instrument fails.
+    """
+    with bench_lock(bench, shown):
+        watchdog = None
+        if real_instruments(bench) and not runs_on_virtual_clock(bench):
+            silence = bench.protection.silence.value
+            watchdog = Watchdog(bench_file, shown, data_root, silence)
+        safe = False
+        try:
+            # Until the bench is controlled, the watchdog answers for nothing, whatever ends this process.
+            opened = open_bench(bench, data_root=data_root, seed=seed)
+            opened.watchdog = watchdog
+            try:
+                with opened:
+                    yield opened
+            finally:
+                safe = opened.safe
+        finally:
+            if watchdog is not None:
+                watchdog.stand_down() if safe else watchdog.let_act()

@@ -2,31 +2,78 @@
 
 The findings added here are those of physics: reach and sampling; what a motion asks is checked in `planrunner.bench.motion_checks`, what
 a temperature asks in `planrunner.bench.temperature_checks`.
+
+Settling and limits while recording become SI units and are held against what the bench can measure. On a simulated clock nothing is
+measured: a simulated state is steady when its instrument says so.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from planrunner.base.findings import Findings, Mark, closest, elsewhere
-from planrunner.bench.holding import check_measured, wait_of, watch_of
 from planrunner.bench.model import BenchModels
 from planrunner.bench.motion_checks import Hold, TableState, no_table, start_motion
 from planrunner.bench.temperature_checks import Temperatures
 from planrunner.physics.kinematics import Array, Unreachable, joint_angles, transition_time
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
+from planrunner.plan import state as holding_spec
 from planrunner.plan.expand import StatedSegment
 from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin
+from planrunner.plan.schedule import Cycle, Motion, Schedule, Segment, Spin, Stability, Watch
+
+Add = Callable[[str, Mark, str, str], None]
+
+
+def wait_of(state: Mapping[str, Any], name: str) -> tuple[float, Stability | None]:
+    """Planned seconds of `settle` or `soak`, and what must have settled after it, if the plan says so."""
+    stated: Quantity | holding_spec.Stability | None = state.get(name)
+    if not isinstance(stated, holding_spec.Stability):
+        return (0.0 if stated is None else stated.value), None
+    duration = stated.for_.value
+    return duration, Stability(_in_si(stated), duration, stated.within.value)
+
+
+def watch_of(state: Mapping[str, Any]) -> Watch | None:
+    stated: holding_spec.Watch | None = state.get("watch")
+    if stated is None:
+        return None
+    lost, corrupt = stated.lost_frames, stated.corrupt_frames
+    return Watch(
+        _in_si(stated),
+        None if lost is None else lost.value,
+        None if corrupt is None else corrupt.value,
+        stated.doubts == "limit",
+        stated.retakes,
+    )
+
+
+def check_measured(state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
+    """A limit on something that no instrument of the bench can measure is an error; `add` takes code, place, message and hint."""
+    for name in ("soak", "settle", "watch"):
+        stated = state.get(name)
+        if isinstance(stated, holding_spec.Tolerated) and stated.stated() and not models.measures:
+            message = f"no instrument of this bench has live readings of {', '.join(stated.stated())}"
+            add("physics-unmeasured", marks[name], message, "leave them out, or use a bench that measures them")
+    watch = state.get("watch")
+    if watch is None or models.counts:
+        return
+    if watch.lost_frames is not None or watch.corrupt_frames is not None:
+        message = "the sensor's driver does not count lost and corrupt frames"
+        add("physics-unmeasured", marks["watch"], message, "leave their limits out, or use another driver")
+
+
+def _in_si(stated: holding_spec.Tolerated) -> dict[str, float]:
+    return {name: quantity.value for name, quantity in stated.stated().items()}
 
 
 def build_schedule(

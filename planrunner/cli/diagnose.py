@@ -68,8 +68,7 @@ def _jobs(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     recorded = _recorded(args)
-    from planrunner.tasks.diagnose import diagnose_recorded
-    from planrunner.tasks.join import joined
+    from planrunner.tasks.diagnose import diagnose_recorded, joined
 
     recorded = joined(recorded, args.also)
     print_findings(recorded.remarks)

@@ -1,19 +1,110 @@
-"""How the command line prints findings: `file:line:column: error[code]: …`, the line it points at with a caret, then the hint."""
+"""How the command line prints findings: `file:line:column: error[code]: …`, the line it points at with a caret, then the hint.
+
+    12 |     dwell: 30
+       |            ^^
+
+The line is the one that was read, so it can be shown when the file has changed, is gone or was a pipe. What could drive a terminal is
+shown as a code, and what its encoding lacks as an escape, before columns are counted.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from collections.abc import Iterable
 from contextvars import ContextVar
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TextIO
 
+from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Finding, InputError, Mark
-from planrunner.cli.excerpt import excerpt
 from planrunner.reporting.printable import beneath, printable
+
+_INDENT = "    "
+_TAB = "    "
+_CUT = "..."
+_SIMPLE = "\u0300"  # every printable character before this one takes one column
+_BREAK = re.compile("\r\n|\r|\n")
+
+
+@dataclass(frozen=True, slots=True)
+class Excerpt:
+    """gutter: the line's number; blank: as wide as that; line: its text, cut to the width; carets: what stands beneath it."""
+
+    gutter: str
+    blank: str
+    line: str
+    carets: str
+
+
+def excerpt(mark: Mark, width: int, encoding: str = "utf-8") -> Excerpt | None:
+    """The line at a mark, on at most `width` columns of a stream in this encoding; None where the text is not known."""
+    if mark.text is None:
+        return None
+    lines = _lines(mark.text)
+    if mark.line > len(lines):
+        return None
+    text = lines[mark.line - 1]
+    cells = [_cell(char, encoding) for char in text]
+    first = min(mark.column - 1, len(cells))
+    last = first + 1
+    if mark.end is not None and mark.end[0] == mark.line:
+        last = max(last, min(mark.end[1] - 1, len(cells)))
+    gutter = f"{_INDENT}{mark.line} | "
+    blank = f"{_INDENT}{'':{len(str(mark.line))}} | "
+    shown, before, under = _fitted(cells, first, last, max(width - len(gutter), 3 * len(_CUT) + 1))
+    return Excerpt(gutter, blank, shown.rstrip(), " " * before + "^" * under)
+
+
+@lru_cache(maxsize=4)
+def _lines(text: str) -> list[str]:
+    return _BREAK.split(text)
+
+
+def _cell(char: str, encoding: str) -> tuple[str, int]:
+    """What is shown for one character of a file, and how many columns that takes."""
+    if char == "\t":
+        return _TAB, len(_TAB)
+    shown = printable(char, keep="").encode(encoding, "backslashreplace").decode(encoding)
+    if shown != char or char < _SIMPLE:
+        return shown, len(shown)
+    from rich.cells import get_character_cell_size
+
+    return char, get_character_cell_size(char)
+
+
+def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
+    """The part of a line around the cells `first` to `last` that fits into `room` columns; the columns before the place, and under it."""
+    widths = [width for _, width in cells]
+    begin, end = 0, len(cells)
+    if sum(widths) > room:
+        inner = room - 2 * len(_CUT)
+        begin = first
+        taken = 0
+        while (
+            begin > 0 and taken + widths[begin - 1] <= inner // 3
+        ):  # a third of the room for what stands before the place
+            begin -= 1
+            taken += widths[begin]
+        end = begin
+        taken = 0
+        while end < len(cells) and (taken + widths[end] <= inner or end == first):
+            taken += widths[end]
+            end += 1
+        while begin > 0 and taken + widths[begin - 1] <= inner:  # the place is near the end of the line
+            begin -= 1
+            taken += widths[begin]
+        if begin <= len(_CUT):  # no longer than what would stand for it
+            begin = 0 if sum(widths[:end]) <= inner + len(_CUT) else begin
+    left, right = _CUT if begin else "", _CUT if end < len(cells) else ""
+    shown = left + "".join(text for text, _ in cells[begin:end]) + right
+    under = sum(widths[first : min(last, end)])
+    return shown, len(left) + sum(widths[begin:first]), max(1, under)
+
 
 _COLOURS = {"error": "31;1", "warning": "33;1", "note": "36"}
 

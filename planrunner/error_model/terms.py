@@ -13,9 +13,11 @@ from dataclasses import field
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import EARTH_RATE
 from planrunner.physics.stimulus import Stimulus, StimulusError
+from planrunner.plan.kinds import Choice
 from planrunner.plan.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -109,3 +111,14 @@ class ErrorModel:
                 raise KeyError(", ".join(sorted(unknown)))
             coefficients = np.array([coefficients.get(name, 0.0) for name in self.names])
         return self.columns(stimulus) @ coefficients
+
+
+def term_names() -> Choice:
+    """The kind of a plan's key that names a term: one of those that are installed."""
+    return Choice(plugins.names(plugins.TERMS))
+
+
+def error_model(names: Sequence[str]) -> ErrorModel:
+    """The model of the named terms. Raises `InputError` for a term that is not installed or cannot be loaded."""
+    terms: list[Term] = [plugins.load(plugins.TERMS, name) for name in dict.fromkeys(names)]
+    return ErrorModel(tuple(terms))

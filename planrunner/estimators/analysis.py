@@ -30,9 +30,9 @@ from planrunner.estimators.monte_carlo_validation import linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
+from planrunner.plan.model import USUAL, MonteCarloSpec
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
-from planrunner.plan.validate_spec import USUAL, MonteCarloSpec
 from planrunner.uncertainty.budget import Measured, combine
 
 __all__ = ["LimitVerdict", "Results", "analyse", "design_of"]

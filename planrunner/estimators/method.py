@@ -33,7 +33,7 @@ from planrunner.estimators.interface import (
     Table,
     Unpredicted,
 )
-from planrunner.plan.channels import channels_of
+from planrunner.plan.meaning import channels_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from planrunner.estimators.interface import Cell, Estimate, Role, Table, TableColumn
-from planrunner.plan.validate_spec import MonteCarloSpec
+from planrunner.plan.model import MonteCarloSpec
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.monte_carlo import (
     HEAVY,

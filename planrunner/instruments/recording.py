@@ -20,9 +20,8 @@ from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Sur
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
-from planrunner.instruments.recording_pauses import stretches
 from planrunner.instruments.recording_scan import Progress, Wanted, scan
-from planrunner.instruments.recording_table import SegmentTable, read_segment_table
+from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
 

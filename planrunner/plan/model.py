@@ -13,8 +13,8 @@ from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
 from planrunner.plan import source
-from planrunner.plan.diagnosis_spec import DiagnosisSpec
 from planrunner.plan.kinds import (
+    CHANNEL,
     Choice,
     Kind,
     ListOf,
@@ -29,11 +29,66 @@ from planrunner.plan.kinds import (
     WordOr,
     key,
 )
-from planrunner.plan.motion_spec import MOVE, POSITION, Motion, RockSpec, Turns
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, parse_symmetric
 from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
 from planrunner.plan.selection import Detection, SelectionKind
-from planrunner.plan.validate_spec import MonteCarloSpec
+from planrunner.plan.state import MOVE, POSITION, Motion, RockSpec, Turns
+
+NOMINAL_TERMS = (
+    "gyro_bias",
+    "gyro_scale_factor",
+    "gyro_misalignment",
+    "earth_rate",
+    "accel_bias",
+    "accel_scale_factor",
+    "accel_misalignment",
+)
+"""What a simulation can fit: a bias and a 3 by 3 matrix a triad, and the Earth rate that it knows."""
+
+
+class DiagnosisSpec(Record):
+    """How a recording of the plan is diagnosed."""
+
+    nominal: tuple[str, ...] = key(
+        ListOf(Choice(NOMINAL_TERMS)),
+        "Terms that the simulation fits to the recording; a term that is left out is a candidate like any other effect.",
+        ["accel_bias"],
+        default=NOMINAL_TERMS,
+    )
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1),
+        "Outputs to analyse, such as those of one of two sensors in a recording; by default those of `sensor`.",
+        ["bno_accel_x", "bno_accel_y", "bno_accel_z"],
+        default_factory=tuple,
+    )
+    segments: tuple[str, ...] | Detection = key(
+        SelectionKind(),
+        "Labels of the segments to diagnose, with * and ?; or {detect: still} for a sensor tumbled by hand, whose orientation is unknown.",
+        "P*",
+        default=("*",),
+    )
+
+
+class MonteCarloSpec(Record):
+    """How the draws are made."""
+
+    digits: int = key(
+        Number(1, 2, integer=True),
+        "Digits of the standard uncertainty that are regarded as meaningful: half a unit of the last one is the tolerance.",
+        1,
+        default=1,
+    )
+    draws: int = key(
+        Number(20_000, 10_000_000, integer=True),
+        "Largest number of draws, if the results do not stabilise earlier.",
+        1_000_000,
+        default=1_000_000,
+    )
+    seed: int = key(Number(0, 2**31, integer=True), "Seed of the draws.", 1, default=1)
+
+
+USUAL = MonteCarloSpec(digits=1, draws=1_000_000, seed=1)
+
 
 __all__ = [
     "ESTIMATE",

@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from planrunner.base import plugins
-from planrunner.plan import diagnosis_spec, holding_spec, model, selection
+from planrunner.plan import model, selection
+from planrunner.plan import model as diagnosis_spec
+from planrunner.plan import state as holding_spec
 from planrunner.plan.kinds import (
     Boolean,
     ByShape,

@@ -7,7 +7,6 @@ from typing import Any
 
 from planrunner.base.findings import Findings
 from planrunner.plan import source
-from planrunner.plan.holding_spec import STABILITY, WATCH, Stability, Watch
 from planrunner.plan.kinds import (
     Boolean,
     ByShape,
@@ -23,9 +22,9 @@ from planrunner.plan.kinds import (
     key,
     keys_of,
 )
-from planrunner.plan.motion_spec import RATE_UNCERTAINTY, Motion, Turns
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import Quantity
+from planrunner.plan.state import RATE_UNCERTAINTY, STABILITY, WATCH, Motion, Stability, Turns, Watch
 from planrunner.plan.sweep import ForEachKind, StateTraits, Sweep, traits_of
 
 TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"

@@ -1,6 +1,8 @@
 """What ISO/IEC 17025:2017 asks of a calibration certificate, held against plan and bench, and against the information on a run.
 
 `ASKED` lists the run information that a certificate knows by name. docs/certificates.md shows where each stands on the page.
+
+What the results of a bench are traceable through is collected here too: its instruments and its site, with their calibrations.
 """
 
 from __future__ import annotations
@@ -9,10 +11,31 @@ from collections.abc import Collection
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings
-from planrunner.bench.model import Bench
-from planrunner.bench.references import references
+from planrunner.bench.calibration import Calibration
+from planrunner.bench.model import Bench, driver_of
 from planrunner.plan.model import Plan
 from planrunner.plan.schedule import Schedule
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """An instrument of the bench, or its site, and the calibration that stands behind it, if one is stated."""
+
+    name: str
+    role: str
+    asset: str = ""
+    calibration: Calibration | None = None
+
+
+def references(bench: Bench) -> tuple[Reference, ...]:
+    """Site and instruments in the file's order, without the sensor, which is what is calibrated."""
+    instruments = [
+        Reference(name, driver_of(entry).role, entry.asset or "", entry.calibration)
+        for name, entry in bench.instruments.items()
+        if driver_of(entry).role != "sensor"
+    ]
+    return (Reference("site", "site", "", bench.site.survey), *instruments)
+
 
 STANDARD = "ISO/IEC 17025:2017"
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import unit
-from planrunner.simulators.check_values import CRC_32, Crc, exclusive_or, sum_to_zero
-from planrunner.simulators.columns import Bytes, Order, floats, integers
+from planrunner.simulators.frames import CRC_32, Bytes, Crc, Order, exclusive_or, floats, integers, sum_to_zero
 
 Array = NDArray[np.float64]
 

@@ -18,18 +18,17 @@ from planrunner.instruments.interfaces import Surroundings
 from planrunner.instruments.virtual.world import World
 from planrunner.simulators import sensor_units as units
 from planrunner.simulators.acutrol import Acutrol
-from planrunner.simulators.addresses import Address
 from planrunner.simulators.aerosmith import Aerosmith
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import Controller
 from planrunner.simulators.declared_frame import CHECKS, Alarms, Check, DeclaredFrame, DeclaredUnit, Place, Running
 from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.kvh1775 import Kvh1775
-from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.live_world import LiveWorld, SensorFeed
 from planrunner.simulators.message_port import Manner
 from planrunner.simulators.navigation_units import VectorNavUnit, XsensUnit
+from planrunner.simulators.ports import Address
 from planrunner.simulators.scpi_table import ScpiTable
-from planrunner.simulators.sensor_feed import SensorFeed
 from planrunner.simulators.stim300 import Stim300
 from planrunner.simulators.table_plant import TablePlant
 from planrunner.simulators.thermotron_8800 import Thermotron8800

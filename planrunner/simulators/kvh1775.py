@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.simulators.check_values import CRC_32
-from planrunner.simulators.columns import Bytes, Values, constant, floats, integers, joined
+from planrunner.simulators.frames import CRC_32, Bytes, Values, constant, floats, integers, joined
 
 _HEADERS = {"A": b"\xfe\x81\xff\x55", "B": b"\xfe\x81\xff\x56", "C": b"\xfe\x81\xff\x57"}
 _LENGTHS = {"A": 36, "B": 40, "C": 38}

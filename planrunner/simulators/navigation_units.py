@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block
 from planrunner.simulators import vectornav, xsens
-from planrunner.simulators.columns import Bytes
+from planrunner.simulators.frames import Bytes
 from planrunner.simulators.sensor_units import Counting, Outputs
 
 Array = NDArray[np.float64]

@@ -1,6 +1,8 @@
-"""Where a simulated sensor's line ends: a pseudo-terminal under a stated name, or a socket on loopback.
+"""Where the line of a simulated instrument ends: addresses as bench files write them, pseudo-terminals and sockets on loopback, and a
+serial line with its rate and its buffer.
 
-Neither ever waits: what the other side has no room for is dropped, as a UART drops what nobody fetches.
+Addresses differ by what a simulator has to open for them; only this computer is served. A sensor's serial line carries so many bytes a
+second, has a buffer that holds a little, and drops frames when it is full.
 """
 
 from __future__ import annotations
@@ -8,12 +10,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import re
 import select
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.simulators.frames import Bytes
 
 _HELD = 65536  # bytes that a socket keeps for a slow reader
 
@@ -160,3 +165,99 @@ class Socket:
 
     def close(self) -> None:
         self.unplug()
+
+
+_VISA_SOCKET = re.compile(r"(TCPIP\d*::)([^:]+)::(\d+)(::SOCKET)", re.IGNORECASE)
+_URL = re.compile(r"((?:ASRL)?socket://)([^:/]+):(\d+)((?:::INSTR)?)", re.IGNORECASE)
+_VISA_SERIAL = re.compile(r"(ASRL)(.*?)((?:::INSTR)?)", re.IGNORECASE)
+_HERE = ("127.0.0.1", "localhost")
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """host, port: of a TCP address; link: the name of a pseudo-terminal, None for TCP. before, after: what is written around."""
+
+    before: str
+    after: str
+    host: str = ""
+    port: int = 0
+    link: Path | None = None
+
+    @classmethod
+    def of(cls, text: str) -> Address:
+        """Raises `PortError` for an address that cannot be simulated."""
+        for form, between in ((_VISA_SOCKET, "::"), (_URL, ":")):
+            if found := form.fullmatch(text):
+                if found[2].lower() not in _HERE:
+                    message = f"{text} is on another computer; a simulated bench is on loopback"
+                    raise PortError(f"{message}: write 127.0.0.1 in place of {found[2]}")
+                return cls(found[1] + found[2] + between, found[4], found[2], int(found[3]))
+        if re.match(r"(GPIB|USB|TCPIP|VXI|PXI)\d*::", text, re.IGNORECASE):
+            raise PortError(
+                f"{text} cannot be simulated: use TCPIP::127.0.0.1::PORT::SOCKET, or ASRL and the name of a port"
+            )
+        found = _VISA_SERIAL.fullmatch(text) if text.upper().startswith("ASRL") else None
+        before, name, after = (found[1], found[2], found[3]) if found else ("", text, "")
+        return cls(before, after, link=Path(name))
+
+    def elsewhere(self, folder: Path, name: str) -> Address:
+        """A free port, or a link of an instrument's name in a folder, in its place."""
+        link = None if self.link is None else folder / f"{name}.port"
+        return Address(self.before, self.after, self.host, 0, link)
+
+    def written(self, port: int | None = None) -> str:
+        """As in a bench file; `port` where it was chosen by the system."""
+        return f"{self.before}{self.link or port or self.port}{self.after}"
+
+
+BITS_A_BYTE = 10.0  # start, eight, stop
+_BUFFERED = 0.25  # s of the wall that the sensor's own buffer holds
+
+
+@dataclass(slots=True)
+class LineCounts:
+    """Frames offered; frames dropped whole by the sensor because the line is too slow; bytes dropped because nobody fetched them."""
+
+    frames: int = 0
+    frames_dropped: int = 0
+    bytes_sent: int = 0
+    bytes_dropped: int = 0
+
+
+class SerialLine:
+    """baud: bits a second of the simulated line; speed: seconds of the bench in one of the wall, by which its bytes hasten too."""
+
+    def __init__(self, port: Port, baud: float, speed: float, now: float):
+        self.port = port
+        self.bytes_a_second = baud / BITS_A_BYTE * speed
+        self.capacity = max(4096, int(self.bytes_a_second * _BUFFERED))
+        self.waiting = bytearray()
+        self.credit = 0.0
+        self.last = now
+        self.counts = LineCounts()
+
+    def offer(self, frames: Bytes) -> None:
+        """Frames (n, length) to send."""
+        if not len(frames):
+            return
+        room = (self.capacity - len(self.waiting)) // frames.shape[1]
+        self.counts.frames += len(frames)
+        self.counts.frames_dropped += max(0, len(frames) - max(0, room))
+        self.waiting += frames[: max(0, room)].tobytes()
+
+    def reply(self, data: bytes) -> None:
+        """Other bytes, such as the answer to a command."""
+        self.waiting += data
+
+    def pump(self, now: float) -> None:
+        """Send what the line has had time for. now: s on the wall."""
+        self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
+        self.last = now
+        length = min(len(self.waiting), int(self.credit))
+        if not length:
+            return
+        self.credit -= length
+        taken = self.port.write(bytes(self.waiting[:length]))
+        del self.waiting[:length]
+        self.counts.bytes_sent += taken
+        self.counts.bytes_dropped += length - taken

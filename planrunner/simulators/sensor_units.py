@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import STANDARD_GRAVITY, unit
-from planrunner.simulators.check_values import CRC_8
-from planrunner.simulators.columns import Bytes
+from planrunner.simulators.frames import CRC_8, Bytes
 from planrunner.simulators.kvh1775 import ALL_VALID, Kvh1775, built_in_test
 from planrunner.simulators.stim300 import INTERNAL_RATE, Stim300
 

@@ -14,15 +14,12 @@ from typing import Any
 import numpy as np
 
 from planrunner.base.findings import InputError
-from planrunner.simulators.addresses import Address
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.control import Control
-from planrunner.simulators.faults import AILMENTS, CHAMBER, TABLE, Fault, FaultBoard, read_fault
-from planrunner.simulators.frame_faults import struck
+from planrunner.simulators.faults import AILMENTS, CHAMBER, TABLE, Fault, FaultBoard, read_fault, struck
 from planrunner.simulators.from_bench import Simulated, Spoken
 from planrunner.simulators.message_port import MessagePort, TcpMessages, TerminalMessages
-from planrunner.simulators.ports import PseudoTerminal, Socket
-from planrunner.simulators.serial_line import SerialLine
+from planrunner.simulators.ports import Address, PseudoTerminal, SerialLine, Socket
 from planrunner.simulators.table_plant import TablePlant
 
 TICK = 0.005  # s between two looks at everything

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.simulators.check_values import CRC_32
-from planrunner.simulators.columns import Bytes, Values, constant, integers, joined
+from planrunner.simulators.frames import CRC_32, Bytes, Values, constant, integers, joined
 
 GYRO, ACCELEROMETER, INCLINOMETER = "gyro", "acc", "incl"
 _TWO, _INCLINED, _ALL = (GYRO, ACCELEROMETER), (GYRO, INCLINOMETER), (GYRO, ACCELEROMETER, INCLINOMETER)

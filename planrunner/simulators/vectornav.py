@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.simulators.check_values import CRC_16, exclusive_or
-from planrunner.simulators.columns import Bytes, Values, constant, floats, integers, joined
+from planrunner.simulators.frames import CRC_16, Bytes, Values, constant, exclusive_or, floats, integers, joined
 
 _NANOSECONDS = 0
 _COMMON = {

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.simulators.check_values import sum_to_zero
-from planrunner.simulators.columns import Bytes, Values, constant, floats, integers, joined
+from planrunner.simulators.frames import Bytes, Values, constant, floats, integers, joined, sum_to_zero
 
 Array = NDArray[np.float64]
 MTDATA2 = 0x36

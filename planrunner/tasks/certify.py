@@ -11,7 +11,6 @@ from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.recording import RecordedSegment, duration_of
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.findings import Finding, Findings, Mark, closest
-from planrunner.bench.references import Reference, references
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.results import Results
 from planrunner.plan.units import ZERO_CELSIUS
@@ -19,9 +18,11 @@ from planrunner.reporting.certificate import named_in
 from planrunner.reporting.certificate_requirements import (
     ASKED,
     DATES,
+    Reference,
     is_certificate,
     lacks_of_bench,
     lacks_of_information,
+    references,
 )
 from planrunner.reporting.context import CertificateFacts, Traced
 from planrunner.tasks.check import Sound

@@ -26,9 +26,8 @@ from planrunner.estimators.interface import Coefficient, Design, EstimationError
 from planrunner.estimators.limits import bounds
 from planrunner.instruments.models import SensorModel
 from planrunner.plan import source
-from planrunner.plan.channels import check_channels
 from planrunner.plan.expand import StatedSegment, expand
-from planrunner.plan.meaning import check_meaning
+from planrunner.plan.meaning import check_channels, check_meaning
 from planrunner.plan.model import EstimateSpec, Limit, Plan
 from planrunner.plan.quantity import parse_symmetric
 from planrunner.plan.reader import parse_plan

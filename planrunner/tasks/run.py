@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from planrunner.archive.analyses import StoredAnalysis
-from planrunner.archive.formats import from_bytes, to_bytes
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError, from_bytes, to_bytes
 from planrunner.archive.lock import FolderLock
 from planrunner.archive.origin import OriginUnknownError, made_here
 from planrunner.archive.run_folder import RunWriter
@@ -25,9 +24,8 @@ from planrunner.archive.verifying import Examined, examine, open_run
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.bench.attendance import check_unattended
-from planrunner.bench.guarding import guarded_bench
 from planrunner.bench.model import locate, runs_on_virtual_clock
-from planrunner.bench.opening import NotSafeError, OpenBench
+from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
 from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.execution.executor import execute

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.shipped import shipped
 from planrunner.estimators.results import Results

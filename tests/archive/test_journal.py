@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal import FIRST, Journal, JournalScan, finite
 from planrunner.archive.storage import Storage
 from planrunner.base.guarded_folder import GuardedFolder

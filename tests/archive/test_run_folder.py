@@ -19,7 +19,7 @@ from jsonschema import Draft202012Validator
 
 from planrunner.archive import analyses as stored
 from planrunner.archive import formats, space
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.findings import InputError

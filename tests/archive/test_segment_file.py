@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.journal_state import name_parts
 from planrunner.archive.segment_file import Part, SegmentData, SegmentWriter, file_stem, safe_name
 from planrunner.archive.segment_file import read_part as read_part_of

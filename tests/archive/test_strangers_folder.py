@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from planrunner.archive import journal
-from planrunner.archive.integrity import IntegrityError
+from planrunner.archive.formats import IntegrityError
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.archive.verifying import verify

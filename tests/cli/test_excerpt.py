@@ -11,8 +11,7 @@ import pytest
 
 from planrunner.base.findings import Finding, InputError, Mark
 from planrunner.cli import main
-from planrunner.cli.excerpt import Excerpt, excerpt
-from planrunner.cli.printing import print_findings
+from planrunner.cli.printing import Excerpt, excerpt, print_findings
 from planrunner.plan import source
 from planrunner.tasks.check import check_plan
 

@@ -29,7 +29,7 @@ from recorded import from_means, segment, sensor
 from standing_unit import recorded, request, samples
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.error_model.model import error_model
+from planrunner.error_model.terms import error_model
 from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by_magnitude
 from planrunner.estimators.accelerometer import gravity_magnitude
 from planrunner.estimators.accelerometer.accelerometer_multi_position import (

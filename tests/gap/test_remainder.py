@@ -10,8 +10,7 @@ import pytest
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.answer.posterior import Posterior
-from planrunner.gap.answer.remainder import as_probable, leading
-from planrunner.gap.answer.verdict import Verdict, verdict
+from planrunner.gap.answer.verdict import Verdict, as_probable, leading, verdict
 from planrunner.gap.hypotheses.candidates import Candidate
 from tests.gap.turntable import record
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from planrunner.instruments import recording_bounds
+from planrunner.instruments import recording_file as recording_bounds
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import beneath, open_recording
 

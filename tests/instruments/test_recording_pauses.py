@@ -15,7 +15,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_file import HeldRecording
 from planrunner.instruments.recording_keys import RecordingParameters
-from planrunner.instruments.recording_pauses import stretches
+from planrunner.instruments.recording_segments import stretches
 from planrunner.plan import source
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Rest, Segment

@@ -13,8 +13,7 @@ from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import HasModes, InstrumentError, Resumable, StreamsSamples, Surroundings
 from planrunner.instruments.virtual.base_motion import base_axes, shaking
-from planrunner.instruments.virtual.encoders import RingEncoders, gimbal_angles
-from planrunner.instruments.virtual.platform import VirtualPlatform
+from planrunner.instruments.virtual.platform import RingEncoders, VirtualPlatform, gimbal_angles
 from planrunner.instruments.virtual.platform_parameters import VirtualPlatformParameters
 from planrunner.instruments.virtual.table import VirtualTable, VirtualTableParameters
 from planrunner.physics.earth import EARTH_RATE, Site

@@ -17,8 +17,7 @@ from planrunner.instruments.wire.framing import Framer, Piece
 from planrunner.plan import source
 from planrunner.plan.kinds import RecordOf
 from planrunner.simulators.declared_frame import CHECKS, Alarms, Check, DeclaredFrame, DeclaredUnit, Place
-from planrunner.simulators.faults import read_fault
-from planrunner.simulators.frame_faults import struck
+from planrunner.simulators.faults import read_fault, struck
 from planrunner.simulators.kvh1775 import Kvh1775
 from planrunner.simulators.navigation_units import XsensUnit
 from planrunner.simulators.sensor_units import KvhUnit, Outputs, Stim300Unit

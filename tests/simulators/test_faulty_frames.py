@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from planrunner.base.findings import InputError
-from planrunner.simulators.faults import Fault, FaultBoard, read_fault, read_script
-from planrunner.simulators.frame_faults import struck
+from planrunner.simulators.faults import Fault, FaultBoard, read_fault, read_script, struck
 
 ROLES = {"table": "table", "chamber": "chamber", "gyro": "sensor"}
 

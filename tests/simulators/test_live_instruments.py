@@ -20,10 +20,9 @@ from planrunner.simulators.acutrol import Acutrol
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.faults import FaultBoard, read_fault
+from planrunner.simulators.live_world import SensorFeed
 from planrunner.simulators.message_port import Manner, MessagePort
-from planrunner.simulators.ports import Port
-from planrunner.simulators.sensor_feed import SensorFeed
-from planrunner.simulators.serial_line import SerialLine
+from planrunner.simulators.ports import Port, SerialLine
 from planrunner.simulators.table_plant import TablePlant
 
 EARTH_RATE = math.degrees(7.292115e-5)  # deg/s

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
-from planrunner.simulators.check_values import CRC_8, CRC_16, CRC_32, exclusive_or
 from planrunner.simulators.declared_frame import CHECKS, Check, DeclaredFrame, Place, Running
+from planrunner.simulators.frames import CRC_8, CRC_16, CRC_32, exclusive_or
 
 Vectors = dict[str, Any]
 

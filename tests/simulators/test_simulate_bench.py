@@ -22,8 +22,7 @@ from planrunner.bench.simulation import Simulation, ask, attach
 from planrunner.cli import main
 from planrunner.cli.exit_codes import FAULT, WRONG_INPUT
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.simulators.addresses import Address
-from planrunner.simulators.ports import PortError
+from planrunner.simulators.ports import Address, PortError
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANRUNNER = [sys.executable, "-m", "planrunner", "simulate-bench"]

@@ -13,8 +13,7 @@ from planrunner.cli import main
 from planrunner.gap.answer.diagnosis import Options
 from planrunner.plan import source
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
-from planrunner.tasks.join import joined
+from planrunner.tasks.diagnose import diagnose_recorded, joined, recorded_run
 from planrunner.tasks.simulate import parsed, simulation, with_effects
 
 PLAN = """

@@ -15,8 +15,7 @@ from planrunner.instruments.chambers.espec_p300 import EspecP300Commands, EspecP
 from planrunner.instruments.chambers.thermotron_8800 import Thermotron8800Commands, Thermotron8800Parameters
 from planrunner.instruments.chambers.watlow_f4t import WatlowF4tCommands, WatlowF4tParameters
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.tables.acutrol import AcutrolCommands, AcutrolParameters
-from planrunner.instruments.tables.acutrol_framing import KINDS, kind_of
+from planrunner.instruments.tables.acutrol import KINDS, AcutrolCommands, AcutrolParameters, kind_of
 from planrunner.instruments.tables.aerosmith import AerosmithCommands, AerosmithParameters
 from planrunner.instruments.tables.axis_commands import AxisBounds
 from planrunner.instruments.wire.links import LinkFailure, MessageLink

@@ -16,7 +16,7 @@ from planrunner.instruments.tables import timed_motion
 from planrunner.instruments.tables.acutrol import AcutrolParameters
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
 from planrunner.instruments.tables.axis_table import AxisTable
-from planrunner.instruments.tables.profiles import turns_of
+from planrunner.instruments.tables.timed_motion import turns_of
 from planrunner.plan import source
 from planrunner.plan.kinds import RecordOf
 from planrunner.plan.schedule import Cycle, Move, Segment

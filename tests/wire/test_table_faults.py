@@ -14,8 +14,7 @@ import pytest
 from scripted import Listener, answering, parameters, surroundings, turned
 
 from planrunner.instruments.interfaces import InstrumentError, OwnLimits
-from planrunner.instruments.tables.acutrol import Acutrol, AcutrolParameters
-from planrunner.instruments.tables.acutrol_framing import kind_of
+from planrunner.instruments.tables.acutrol import Acutrol, AcutrolParameters, kind_of
 from planrunner.instruments.wire.links import LinkFailure
 from planrunner.physics.kinematics import rotation_about
 from planrunner.plan.schedule import Cycle, Move, Rock, Segment, Spin

@@ -3,8 +3,7 @@
 from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.chambers.wired_chamber import WiredChamber
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.wire.link_keys import LinkKeys
-from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
+from planrunner.instruments.wire.links import Lines, LinkKeys, LinkSettings, MessageLink
 from planrunner.plan.kinds import Number, key
 
 RUNNING = 1  # place of the bit that starts and stops it

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.model import error_model
-from planrunner.error_model.terms import ErrorModel
+from planrunner.error_model.terms import ErrorModel, error_model
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import (

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.error_model.model import error_model, term_names
-from planrunner.error_model.terms import ErrorModel
+from planrunner.error_model.terms import ErrorModel, error_model, term_names
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.covariances import independent
 from planrunner.estimators.expected import Known

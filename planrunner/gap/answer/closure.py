@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
-from planrunner.gap.evidence.nominal_rank import DEPENDENT
+from planrunner.gap.evidence.weighing import DEPENDENT
 from planrunner.gap.hypotheses.candidates import Weighed, Weighing
 
 Array = NDArray[np.float64]

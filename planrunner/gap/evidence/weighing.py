@@ -3,6 +3,10 @@
 A setting of the noise is a level of flicker and of random walk for each triad. For every setting each channel's coefficients are whitened
 (order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. What is left
 is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+
+Nominal parameters that a recording cannot separate (gravity that never lies along an axis, one orientation only, poses in unknown
+orientations) have the same columns as others, or none. They are made independent first: what they absorb is their common span, and no
+direction more.
 """
 
 from __future__ import annotations
@@ -254,3 +258,16 @@ def _table(part: Array) -> tuple[Array, int]:
         if part.strides[0] == whole.strides[0] and 0 <= offset < whole.strides[0]:
             return whole, offset // whole.itemsize
     return part[:, None], 0
+
+
+DEPENDENT = 1e-8
+"""Singular value, of columns of unit length and relative to the largest, below which a direction is no direction of its own."""
+
+
+def independent(columns: Array) -> Array:
+    """The columns (M, q) as they are where they are independent; else as many combinations (M, r) as span the same space."""
+    size = np.linalg.norm(columns, axis=0)
+    used = columns[:, size > 0] / size[size > 0]
+    left, values, _ = np.linalg.svd(used, full_matrices=False)
+    keep = values > DEPENDENT * values.max(initial=0.0)
+    return columns if int(keep.sum()) == columns.shape[1] else left[:, keep] * float(size.max(initial=0.0))

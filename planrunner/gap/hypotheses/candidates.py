@@ -16,18 +16,18 @@ from planrunner.error_model.effects.nominal import PARTS
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, log_bayes_factors
 from planrunner.gap.evidence.noise_levels import counts
-from planrunner.gap.evidence.nominal_rank import independent
 from planrunner.gap.evidence.slow_noise import SlowMeans
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.evidence.weighing import (
     ChannelWeights,
     Setting,
     coefficients_of,
+    independent,
     lasting,
     settings_of,
     walking_alike,
 )
-from planrunner.plan.diagnosis_spec import NOMINAL_TERMS
+from planrunner.plan.model import NOMINAL_TERMS
 
 Array = NDArray[np.float64]
 ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding

@@ -12,8 +12,7 @@ from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.chambers.wired_chamber import WiredChamber
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.link_keys import LinkKeys
-from planrunner.instruments.wire.links import LinkSettings, MessageLink
+from planrunner.instruments.wire.links import LinkKeys, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import number, written
 from planrunner.plan.kinds import Number, key
 

@@ -13,8 +13,7 @@ from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
 from planrunner.instruments.tables.axis_table import AxisTable
 from planrunner.instruments.tables.wired_axes import WiredTableKeys
-from planrunner.instruments.wire.link_keys import LinkKeys
-from planrunner.instruments.wire.links import Incoming, LinkFailure, LinkSettings, MessageLink, shown
+from planrunner.instruments.wire.links import Incoming, LinkFailure, LinkKeys, LinkSettings, MessageLink, shown
 from planrunner.instruments.wire.replies import number, written
 
 PROMPT = b">"

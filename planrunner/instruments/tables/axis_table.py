@@ -15,8 +15,7 @@ import numpy as np
 
 from planrunner.instruments.interfaces import Array, Clock, Condition, InstrumentError, OwnLimits, Surroundings
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisCommands, Sine
-from planrunner.instruments.tables.profiles import turns_of
-from planrunner.instruments.tables.timed_motion import TimedMotion
+from planrunner.instruments.tables.timed_motion import TimedMotion, turns_of
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
 from planrunner.physics.kinematics import (
     TableAxis,

@@ -1,24 +1,63 @@
 """Tables with commands in the manner of SCPI, which the bench file names, because no standard says what they are called.
 
 Whatever is not answered is followed by the error query, so that a command which is not taken is noticed at once.
+
+In the bench file a command is text with named places, such as `AXIS{axis}:POS {position}`.
 """
 
 from __future__ import annotations
 
 import re
+import string
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+from planrunner.base.findings import Findings, closest
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
 from planrunner.instruments.tables.axis_table import AxisTable
-from planrunner.instruments.tables.command_templates import CommandTemplate, filled
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
-from planrunner.instruments.wire.link_keys import LinkKeys
-from planrunner.instruments.wire.links import Lines, LinkSettings, MessageLink
-from planrunner.instruments.wire.replies import number
-from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Text, key
+from planrunner.instruments.wire.links import Lines, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.wire.replies import number, written
+from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Schema, Text, key
+from planrunner.plan.source import Node, Scalar
+
+
+@dataclass(frozen=True, slots=True)
+class CommandTemplate:
+    """One command; `places` are the names that may stand in braces."""
+
+    places: tuple[str, ...]
+
+    def read(self, node: Node, log: Findings) -> str | None:
+        if not isinstance(node, Scalar) or not isinstance(node.value, str) or not node.value.strip():
+            log.error(
+                "form-type", node.mark, "a command as text is expected here", "write for example 'AXIS{axis}:STOP'"
+            )
+            return None
+        try:
+            named = [name for _, name, form, conversion in string.Formatter().parse(node.value) if name is not None]
+        except ValueError as error:
+            log.error(
+                "meaning-command", node.mark, f"'{node.value[:60]}' is not a command: {error}", "close every brace"
+            )
+            return None
+        for name in named:
+            if name not in self.places:
+                message = f"'{{{name}}}' is not a parameter of this command"
+                log.error("meaning-command", node.mark, message, closest(name, self.places))
+                return None
+        return node.value
+
+    def schema(self) -> Schema:
+        return {"type": "string", "minLength": 1}
+
+
+def filled(template: str, axis: int, **values: float) -> str:
+    """The command for one axis."""
+    return template.format(axis=axis, **{name: written(value) for name, value in values.items()})
+
 
 ENDS = {"LF": "\n", "CR": "\r", "CRLF": "\r\n"}
 NO_ERROR = re.compile(r"[+-]?0+\s*(,|$)")

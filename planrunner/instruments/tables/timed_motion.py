@@ -2,6 +2,8 @@
 
 Times are the bench's clock's. What goes wrong on the thread is kept until somebody asks, and the motion ends there. It ends, too, when
 the run has not read the table for long: whoever makes the bench safe in its place shall find nobody who moves it again.
+
+A cycle is worked out beforehand: when each turn of the axis begins, brakes and ends.
 """
 
 from __future__ import annotations
@@ -9,9 +11,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import cycle as again
 
 from planrunner.instruments.interfaces import Clock, InstrumentError
+from planrunner.plan.schedule import Cycle
 
 SHORTEST, LONGEST = 0.005, 1.0
 """s, of the wall, between two looks at the clock."""
@@ -68,3 +73,28 @@ class TimedMotion:
             pass
         except Exception as error:  # nobody else would hear of it
             self.broken = f"{what}: {error or type(error).__name__}"
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One turn of a cycle. begins, brakes, ends: s since the cycle began; rate: rad/s, with its sign; target: rad from where it began."""
+
+    begins: float
+    brakes: float
+    ends: float
+    rate: float
+    target: float
+
+
+def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
+    """The turns of a cycle, over and over, each after its stop. acceleration: rad/s^2. The area under a turn's rate, a trapezoid or a
+    triangle, is its angle; whatever its ramps are, if both are alike, it is the rate times the time until the axis brakes."""
+    now = target = 0.0
+    for move in again(motion.moves):
+        begins = now + motion.stop
+        size = abs(move.turn)
+        rate = min(motion.rate, math.sqrt(size * acceleration))
+        target += move.turn
+        brakes = begins + size / rate
+        now = brakes + rate / acceleration
+        yield Turn(begins, brakes, now, math.copysign(rate, move.turn), target)

@@ -3,6 +3,8 @@
 One exchange at a time for each resource, whoever asks. A link that failed is closed before it is used again, and whatever lies unread
 before a request is dropped, so that a late answer is never taken for the next one. Nothing waits longer than its time-out. PyVISA is
 imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+
+The keys by which a bench file says how such an instrument is reached and known again are declared here too.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from types import SimpleNamespace
 from typing import Any, Protocol
 
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
 
 LONGEST = 4096
 """Bytes of an answer; what is longer is no answer."""
@@ -355,3 +359,47 @@ def _in_words(error: Exception, settings: LinkSettings, got: bytes) -> str:
         return f"did not answer within {settings.timeout:g} s, or closed the line: {_LOOK}"
     text = " ".join(str(error).split()) or type(error).__name__
     return f"cannot be reached ({text}): {_LOOK}"
+
+
+RESOURCE = (
+    r"(GPIB\d*::\d+(::\d+)?::INSTR|TCPIP\d*::[^:\s]+::\d+::SOCKET|TCPIP\d*::[^:\s]+(::[^:\s]+)?::INSTR"
+    r"|USB\d*::\S+::INSTR|ASRL\S+::INSTR)"
+)
+
+
+class LinkKeys(Record):
+    """How an instrument is reached."""
+
+    address: str = key(
+        Text(
+            RESOURCE, "a VISA resource name such as TCPIP::192.168.0.5::5025::SOCKET, GPIB0::3::INSTR or ASRL3::INSTR"
+        ),
+        "VISA resource name: network address and port, GPIB address or serial port.",
+        "TCPIP::192.168.0.5::5025::SOCKET",
+    )
+    timeout: Quantity = key(
+        QuantityOf("time", "positive"),
+        "Longest time until the instrument answers.",
+        "2 s",
+        default=parse_quantity("2 s"),
+    )
+    baud: int = key(
+        Number(50, 4_000_000, integer=True), "Bit rate of a serial line, in bits per second.", 9600, default=9600
+    )
+    model_contains: str | None = key(
+        Text(r"\S.{0,60}", "some text"),
+        "Text that the identification of the instrument must contain, in upper or lower case; by default the text "
+        "that the driver expects.",
+        "ACUTROL",
+        default=None,
+    )
+
+    def check_identity(self, said: str, expected: str) -> None:
+        """Raises `InstrumentError` unless the instrument is one that the driver, or the bench file, expects at this address."""
+        wanted = self.model_contains or expected
+        if wanted.casefold() not in said.casefold():
+            raise InstrumentError(
+                f"{self.address} says that it is '{said[:80]}', which does not contain '{wanted}': check the address, "
+                "or set "
+                "model_contains in the bench file if this is the right instrument"
+            )

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
-from planrunner.simulators.check_values import sum_to_zero
-from planrunner.simulators.columns import Values
+from planrunner.simulators.frames import Values, sum_to_zero
 
 FRAMES = 4
 

@@ -12,7 +12,7 @@ from planrunner.simulators import kvh1775 as kvh_unit
 from planrunner.simulators import stim300 as stim_unit
 from planrunner.simulators import vectornav as vectornav_unit
 from planrunner.simulators import xsens as xsens_unit
-from planrunner.simulators.columns import Values
+from planrunner.simulators.frames import Values
 
 COUNT = 300
 CLUSTERS = {"gyro": "gyro", "acc": "accel", "incl": "inclination"}

@@ -19,7 +19,7 @@ from planrunner.instruments.sensors.xsens import XsensMti
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest, Segment
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
-from planrunner.simulators.columns import Values
+from planrunner.simulators.frames import Values
 
 KEYS = "driver: stim300; sample_rate: 500 Hz; datagram: 0x91; silence: 2 s"
 IMPATIENT = KEYS.replace("2 s", "1 s")

@@ -1,4 +1,6 @@
-"""The table of a recording's segments: a small CSV file with a label, a beginning and an end a row."""
+"""Segments of a recording that is played back: those of its table, a small CSV file with a label, a beginning and an end in each row,
+or, without a table, the stretches that pauses in its time separate.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +9,12 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, closest
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.selection import closest_label
 from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
@@ -81,3 +86,24 @@ def _row(
         message = f"the segment '{label}' lasts {times[1] - times[0]:g} s, and trimming {trim:g} s at either end leaves nothing"
         raise InstrumentError(f"{where}: {message}")
     return label, Span(start, end)
+
+
+def stretches(file: RecordingFile, pause: float) -> tuple[Span, ...]:
+    """The stretches of a recording within which no two rows are more than `pause` s apart, in one pass over it. Each ends a sample period
+    after its last row.
+
+    Raises `InstrumentError` as the file does.
+    """
+    found: list[Span] = []
+    start = last = math.nan
+    period = 0.0 if math.isnan(file.interval) else min(file.interval, pause)
+    for time, _ in file.rows():
+        steps = np.diff(time, prepend=time[0] if math.isnan(last) else last)
+        breaks = np.flatnonzero(steps > pause)
+        if math.isnan(start):
+            start = float(time[0])
+        for index in breaks:
+            found.append(Span(start, (float(time[index - 1]) if index else last) + period))
+            start = float(time[index])
+        last = float(time[-1])
+    return (*found, Span(start, last + period))

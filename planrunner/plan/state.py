@@ -1,0 +1,196 @@
+"""What a plan says of a state to reach and hold: orientation, motion, temperature, readings that settle before a segment records and
+those that must stay within limits while it does.
+"""
+
+from __future__ import annotations
+
+from planrunner.base.findings import Findings
+from planrunner.plan.directions import DIRECTIONS
+from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key
+from planrunner.plan.quantity import Quantity
+
+READINGS = ("position_error", "rate_error", "temperature_error", "temperature_drift")
+
+
+class Tolerated(Record):
+    """Largest values of what the instruments read, on either side of zero."""
+
+    position_error: Quantity | None = key(
+        QuantityOf("angle", "positive"), "Following error of the table, on every axis.", "5 arcsec", default=None
+    )
+    rate_error: Quantity | None = key(
+        QuantityOf("angular rate", "positive"),
+        "Measured minus commanded rate, on every axis.",
+        "0.002 deg/s",
+        default=None,
+    )
+    temperature_error: Quantity | None = key(
+        QuantityOf("temperature", "positive"),
+        "Measured minus commanded temperature of the chamber.",
+        "0.5 K",
+        default=None,
+    )
+    temperature_drift: Quantity | None = key(
+        QuantityOf("temperature rate", "positive"),
+        "Rate at which the temperatures of the chamber and of the sensor change.",
+        "0.1 K/min",
+        default=None,
+    )
+
+    def stated(self) -> dict[str, Quantity]:
+        """Reading → largest value, of those that are given."""
+        return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
+
+
+class Stability(Tolerated):
+    """Waiting until readings have settled: each within its limit, for a while at a stretch."""
+
+    for_: Quantity = key(
+        QuantityOf("time", "positive"), "Time for which the readings must stay within their limits.", "30 s", name="for"
+    )
+    within: Quantity = key(
+        QuantityOf("time", "positive"), "The run stops when they have not settled after this time.", "10 min"
+    )
+
+
+class Watch(Tolerated):
+    """Limits on the readings while the segment records, and what happens when a limit is exceeded."""
+
+    lost_frames: Quantity | None = key(
+        QuantityOf("ratio", "not negative"), "Share of the sensor's frames that may be missing.", "0.1 %", default=None
+    )
+    corrupt_frames: Quantity | None = key(
+        QuantityOf("ratio", "not negative"),
+        "Share of the sensor's frames that may have a wrong checksum.",
+        "0 %",
+        default=None,
+    )
+    doubts: str = key(
+        Choice(("limit", "note")),
+        "How samples that the instrument marks as doubtful (status bits) are treated: as an exceeded limit, or noted only.",
+        "note",
+        default="limit",
+    )
+    retakes: int = key(
+        Number(0, 10, integer=True),
+        "How often a segment that exceeds a limit is recorded again before the run stops; its data are kept, with the "
+        "reason.",
+        2,
+        default=0,
+    )
+
+
+def _check_difference(record: Tolerated, log: Findings) -> None:
+    stated = record.temperature_error
+    if stated is not None and stated.unit.offset:
+        hint = f"write {stated.unit.from_si(stated.value):g} K"
+        log.error("meaning-range", record.at("temperature_error"), f"{stated} is a temperature, not a difference", hint)
+
+
+def _check_stability(stability: Stability, log: Findings) -> None:
+    _check_difference(stability, log)
+    if not stability.stated():
+        hint = "add for example `temperature_drift: 0.1 K/min`, or write a time alone"
+        log.error("meaning-stability", stability.origin.mark, "no reading is named that must settle", hint)
+    if stability.within.value < stability.for_.value:
+        message = f"{stability.within} is shorter than the {stability.for_} for which the readings must stay"
+        log.error("meaning-stability", stability.at("within"), message, "make `within` longer")
+
+
+STABILITY = RecordOf(Stability, _check_stability)
+WATCH = RecordOf(Watch, _check_difference)
+
+
+RATE_UNCERTAINTY = (
+    "`rate_uncertainty` of a scale-factor estimate, or as `rate_stability` of the table in the bench file"
+)
+"""Where the uncertainty of a rate is stated."""
+
+
+class RockSpec(Record):
+    """Sinusoidal rocking of the table's rings."""
+
+    amplitude: Quantity = key(QuantityOf("angle", "positive"), "Amplitude of each ring.", "3 deg")
+    frequency: Quantity = key(QuantityOf("frequency", "positive"), "Frequency of all rings.", "0.2 Hz")
+    phases: tuple[Quantity, ...] = key(
+        ListOf(QuantityOf("angle"), single=True, minimum=1),
+        "Phase of each ring, outermost first.",
+        ["0 deg", "45 deg", "90 deg"],
+        default_factory=tuple,
+    )
+
+
+POSITION = r"[^ \x00-\x1f]{1,20}"
+_TURN = r"[-+−]?(?:[0-9]{1,6}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})"
+MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSITION}) *"
+
+
+class Motion(Record):
+    """What the table does while the segment records. One of rate, rock and cycle; at rest without any."""
+
+    rate: Quantity | None = key(
+        QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY),
+        "Constant rate about the rotation axis.",
+        "300 deg/s",
+        default=None,
+    )
+    about: str = key(
+        Choice(tuple(DIRECTIONS)),
+        "Site direction the table spins about.",
+        "up",
+        default="up",
+    )
+    rock: RockSpec | None = key(
+        RecordOf(RockSpec), "Sinusoidal rocking.", {"amplitude": "3 deg", "frequency": "0.2 Hz"}, default=None
+    )
+    for_: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Rock at full amplitude for this part of the dwell only, then rest.",
+        "8 min",
+        default=None,
+        name="for",
+    )
+    after: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Rest for this part of the dwell, then begin to rock; by default the rocking begins one period before the "
+        "dwell.",
+        "60 s",
+        default=None,
+    )
+    cycle: dict[str, Quantity] | None = key(
+        MapOf(QuantityOf("angle"), pattern=POSITION),
+        "Named positions of an indexing cycle.",
+        {"A": "0 deg", "B": "90 deg", "C": "180 deg", "D": "270 deg"},
+        default=None,
+    )
+    moves: tuple[str, ...] = key(
+        ListOf(Text(MOVE, "a move such as 'A +180 C'", "write from, turn in degrees, to"), minimum=1),
+        "Moves of one cycle in order: from, turn in degrees, to.",
+        ["A +180 C", "C -180 A"],
+        default_factory=tuple,
+    )
+    turn_rate: Quantity | None = key(
+        QuantityOf("angular rate", "positive"), "Rate of the turns between stops.", "10 deg/s", default=None
+    )
+    stop: Quantity | None = key(
+        QuantityOf("time", "not negative"), "Time at each stop; `0 s` for turns without stops.", "3 min", default=None
+    )
+    sense: str = key(
+        Choice(("counterclockwise", "clockwise")),
+        "Sense of positive angles, seen against the rotation axis.",
+        "clockwise",
+        default="counterclockwise",
+    )
+
+
+class Turns(Record):
+    """A dwell counted in whole turns of a spinning table, or in whole cycles of turns and stops."""
+
+    turns: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1, default=None)
+    cycles: int | None = key(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34, default=None)
+    at_least: Quantity | None = key(
+        QuantityOf("time", "positive"),
+        "Add whole turns or cycles until the dwell lasts this long.",
+        "30 s",
+        default=None,
+    )
