@@ -1,0 +1,337 @@
+"""Tests of known devices: the plan and bench that planrunner is given, the steps that are really carried out, and the device under test.
+
+A device is drawn anew for each recording, so that coverage is of many devices and not of one. Its outputs follow from formulas that are
+written here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.worlds.felt import GRAVITY, LATITUDE, STANDARD_GRAVITY, UPWARD, Felt, Step
+
+Array = NDArray[np.float64]
+
+
+class Device(Protocol):
+    """truth: coefficient as planrunner names it → value in the unit that it reports."""
+
+    @property
+    def truth(self) -> Mapping[str, float]: ...
+
+    def outputs(self, felt: Felt) -> Array:
+        """(n, k), without noise, in the channels' units."""
+        ...
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """plan, bench: texts; the bench has blanks `{tilt}` in arcsec, `{rate}` in ppm, `{flicker}` and `{count}` in the channels' unit, by
+    kind of channel. channels: name → unit; white: (k,), of one sample; estimate: name in the plan."""
+
+    plan: str
+    bench: str
+    steps: Sequence[Step]
+    sampling: float
+    channels: Mapping[str, str]
+    white: Array
+    estimate: str
+    device: Callable[[np.random.Generator], Device]
+
+    @property
+    def mean(self) -> Array:
+        """What white noise leaves in the mean of a step of the shortest length, (k,)."""
+        return np.asarray(self.white / np.sqrt(min(step.dwell for step in self.steps) * self.sampling))
+
+
+SITE = f"site: {{{{latitude: {LATITUDE} deg, gravity: {GRAVITY} m/s^2, azimuth: 0 deg}}}}"
+TABLE = """\
+  table:
+    driver: virtual_table
+    axes:
+      - {{name: outer, direction: up, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}}
+      - {{name: middle, direction: east, max_rate: 200 deg/s, max_acceleration: 100 deg/s^2}}
+      - {{name: inner, direction: north, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}}
+    position_uncertainty: {tilt} arcsec
+    rate_stability: {rate} ppm
+"""
+
+
+def _plan(steps: Sequence[Step], head: str, estimates: str) -> str:
+    lines = []
+    for step in steps:
+        axes = ", ".join(f"{name}: {word}" for name, word in zip("xyz", step.axes.split(), strict=True))
+        rate = f", rate: {step.rate} deg/s" if step.rate else ""
+        lines.append(f"  - {{label: {step.label}, orientation: {{{axes}}}, dwell: {step.dwell} s{rate}}}")
+    return "\n".join(["planrunner: 1", head, "segments:", *lines, "estimates:", estimates, ""])
+
+
+# Eight positions of a flexure gyro ------------------------------------------------------------------------------------
+
+EIGHT = (
+    "up north west",
+    "down north east",
+    "north up east",
+    "north down west",
+    "east south down",
+    "south east up",
+    "west south up",
+    "south west down",
+)
+_EIGHT_STEPS = tuple(Step(f"P{number}", axes, 120.0) for number, axes in enumerate(EIGHT, start=1))
+
+
+class FlexureGyro:
+    """i_x = [cos(ε+ξ)·y + sin(ε+ξ)·x]/(SF_Y·cos ξ), i_y = [−sin ε·y + cos ε·x]/(SF_X·cos ξ), in pulse/s, with y = ω_Y + D(X) and
+    x = ω_X + D(Y) in deg/h, and D = D_F + D_X·a_X + D_Y·a_Y + D_Z·a_Z with a in g."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        self.truth: Mapping[str, float] = {
+            "SF_X": 0.2 * (1 + 0.02 * draw.standard_normal()),
+            "SF_Y": 0.2 * (1 + 0.02 * draw.standard_normal()),
+            "epsilon": 10 * draw.standard_normal(),
+            "xi": 10 * draw.standard_normal(),
+        } | {f"D_{axis}_{kind}": 2 * draw.standard_normal() for axis in "XY" for kind in "FXYZ"}
+
+    def outputs(self, felt: Felt) -> Array:
+        t, a = self.truth, felt.force / STANDARD_GRAVITY
+        y = felt.rate[:, 1] + t["D_X_F"] + a @ [t["D_X_X"], t["D_X_Y"], t["D_X_Z"]]
+        x = felt.rate[:, 0] + t["D_Y_F"] + a @ [t["D_Y_X"], t["D_Y_Y"], t["D_Y_Z"]]
+        e, xi = np.radians(t["epsilon"] / 60), np.radians(t["xi"] / 60)
+        first = (np.cos(e + xi) * y + np.sin(e + xi) * x) / (t["SF_Y"] * np.cos(xi))
+        second = (-np.sin(e) * y + np.cos(e) * x) / (t["SF_X"] * np.cos(xi))
+        return np.stack([first, second], axis=1)
+
+
+EIGHT_POSITIONS = Campaign(
+    _plan(
+        _EIGHT_STEPS,
+        "title: eight positions\nsensor: {kind: flexure-gyro, outputs: [torquer_x, torquer_y]}\ndefaults: {settle: 30 s}",
+        "  drift: {estimator: flexure_gyro_static, segments: P*}",
+    ),
+    f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, gyro]
+instruments:
+{TABLE}\
+  gyro:
+    driver: virtual_flexure_gyro
+    scale_factor: {{{{x: 0.2 (deg/h)/(pulse/s), y: 0.2 (deg/h)/(pulse/s)}}}}
+    drift_x: {{{{F: 0 deg/h, X: 0 deg/h/g, Y: 0 deg/h/g, Z: 0 deg/h/g}}}}
+    drift_y: {{{{F: 0 deg/h, X: 0 deg/h/g, Y: 0 deg/h/g, Z: 0 deg/h/g}}}}
+    white_noise: 0.9 pulse/sqrt(s)
+    bias_instability: {{flicker[0]}} pulse/s
+    resolution: {{count[0]}} pulse/s
+    full_scale: 1000000 pulse/s
+    sample_rate: 50 Hz
+""",
+    _EIGHT_STEPS,
+    50.0,
+    {"torquer_x": "pulse/s", "torquer_y": "pulse/s"},
+    0.9 * np.sqrt(50.0) * np.ones(2),
+    "drift",
+    FlexureGyro,
+)
+
+
+# A line through rates -------------------------------------------------------------------------------------------------
+
+_RATES = (300.0, -300.0, 200.0, -200.0, 100.0, -100.0, 50.0, -50.0, 20.0, -20.0)
+_RATE_STEPS = tuple(Step(f"R{rate:+g}", "east north up", 36.0, rate, 10.0) for rate in _RATES)  # whole turns
+
+
+class RateGyro:
+    """deg/s: F0 + K·rate of the table, where F0 has the vertical component of the Earth's rate in it."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        self.scale, self.bias = 1 + 0.01 * draw.standard_normal(), 0.1 * draw.standard_normal()
+        self.truth: Mapping[str, float] = {"K_gyro_z": self.scale, "F0_gyro_z": self.bias + self.scale * UPWARD / 3600}
+
+    def outputs(self, felt: Felt) -> Array:
+        return self.bias + self.scale * felt.rate[:, 2:] / 3600
+
+
+_GYRO_WHITE = 0.005  # deg/s/√Hz
+RATES = Campaign(
+    _plan(
+        _RATE_STEPS,
+        "title: rates\nsensor: {kind: gyro, outputs: [gyro_z]}\ndefaults: {settle: 5 s}",
+        '  line: {estimator: scale_factor, segments: "*", outputs: gyro_z}',
+    ),
+    f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, gyro]
+instruments:
+{TABLE}\
+  gyro:
+    driver: virtual_imu
+    kind: gyro
+    sample_rate: 50 Hz
+    gyros:
+      full_scale: 1000 deg/s
+      angle_random_walk: {_GYRO_WHITE} deg/s*sqrt(s)
+      bias_instability: {{flicker[0]}} deg/s
+      resolution: {{count[0]}} deg/s
+      axes:
+        z: {{{{}}}}
+""",
+    _RATE_STEPS,
+    50.0,
+    {"gyro_z": "deg/s"},
+    _GYRO_WHITE * np.sqrt(50.0) * np.ones(1),
+    "line",
+    RateGyro,
+)
+
+
+# Twelve positions and six rates of an inertial measurement unit -------------------------------------------------------
+
+TWELVE = (
+    *("east north up", "west south up", "east south down", "west north down"),
+    *("up east north", "up west south", "down east south", "down west north"),
+    *("north up east", "south up west", "south down east", "north down west"),
+)
+_TWELVE_STEPS = tuple(Step(f"P{number:02}", axes, 60.0) for number, axes in enumerate(TWELVE, start=1))
+_TURN_STEPS = tuple(
+    Step(f"{axis}{sign:+d}", axes, 60.0, sign * 60.0)
+    for axis, axes in (("X", "up east north"), ("Y", "north up east"), ("Z", "east north up"))
+    for sign in (1, -1)
+)
+_UNIT_WHITE = np.repeat([0.005, 1e-3], 3)  # deg/s/√Hz, m/s²/√Hz
+
+
+class Unit:
+    """Gyros, deg/s: M·ω + b + G·f; accelerometers, m/s²: M·f + b, with matrices within some per cent of identity."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        near = 0.3 + 0.7 * np.eye(3)
+        self.gyro = np.eye(3) + 0.01 * draw.standard_normal((3, 3)) * near
+        self.accel = np.eye(3) + 0.01 * draw.standard_normal((3, 3)) * near
+        self.gyro_bias = 100 * draw.standard_normal(3)  # deg/h
+        self.accel_bias = 5e-3 * STANDARD_GRAVITY * draw.standard_normal(3)
+        self.sensitivity = 20 * draw.standard_normal((3, 3))  # deg/h/g
+        self.truth: dict[str, float] = {}
+        for i, axis in enumerate("xyz"):
+            self.truth[f"gyro_bias_{axis}"] = self.gyro_bias[i]
+            self.truth[f"accel_bias_{axis}"] = self.accel_bias[i] / STANDARD_GRAVITY * 1e3
+            for kind, matrix in (("gyro", self.gyro), ("accel", self.accel)):
+                length = float(np.sqrt(np.sum(matrix[i] ** 2)))
+                self.truth[f"{kind}_scale_{axis}"] = length
+                for j, other in enumerate("xyz"):
+                    if i != j:
+                        self.truth[f"{kind}_misalignment_{axis}_{other}"] = matrix[i, j] / length * 1e3
+            for j, other in enumerate("xyz"):
+                self.truth[f"gyro_g_sensitivity_{axis}_{other}"] = self.sensitivity[i, j]
+
+    def outputs(self, felt: Felt) -> Array:
+        gyro = felt.rate @ self.gyro.T + self.gyro_bias + felt.force / STANDARD_GRAVITY @ self.sensitivity.T
+        return np.hstack([gyro / 3600, felt.force @ self.accel.T + self.accel_bias])
+
+
+UNIT = Campaign(
+    _plan(
+        (*_TWELVE_STEPS, *_TURN_STEPS),
+        "title: unit\nsensor: {kind: imu, outputs: [gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]}\ndefaults: {settle: 5 s}",
+        "  imu: {estimator: imu_multi_position, gyros: [gyro_x, gyro_y, gyro_z], accelerometers: [accel_x, accel_y, accel_z]}",
+    ),
+    f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, unit]
+instruments:
+{TABLE}\
+  unit:
+    driver: virtual_imu
+    kind: imu
+    sample_rate: 50 Hz
+    gyros:
+      full_scale: 1000 deg/s
+      angle_random_walk: {_UNIT_WHITE[0]} deg/s*sqrt(s)
+      bias_instability: {{flicker[0]}} deg/s
+      resolution: {{count[0]}} deg/s
+      axes: {{{{x: {{{{}}}}, y: {{{{}}}}, z: {{{{}}}}}}}}
+    accelerometers:
+      full_scale: 10 g
+      velocity_random_walk: {_UNIT_WHITE[3]} m/s^2*sqrt(s)
+      bias_instability: {{flicker[3]}} m/s^2
+      resolution: {{count[3]}} m/s^2
+      axes: {{{{x: {{{{}}}}, y: {{{{}}}}, z: {{{{}}}}}}}}
+""",
+    (*_TWELVE_STEPS, *_TURN_STEPS),
+    50.0,
+    {f"{kind}_{axis}": unit for kind, unit in (("gyro", "deg/s"), ("accel", "m/s^2")) for axis in "xyz"},
+    _UNIT_WHITE * np.sqrt(50.0),
+    "imu",
+    Unit,
+)
+
+
+# Accelerometers alone -------------------------------------------------------------------------------------------------
+
+
+class Triad:
+    """m/s²: M·f + b."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        unit = Unit(draw)
+        self.matrix, self.bias = unit.accel, unit.accel_bias
+        self.truth: dict[str, float] = {}
+        for i, axis in enumerate("xyz"):
+            self.truth[f"bias_{axis}"] = unit.truth[f"accel_bias_{axis}"]
+            self.truth[f"scale_{axis}"] = unit.truth[f"accel_scale_{axis}"]
+            for other in "xyz"[:i] + "xyz"[i + 1 :]:
+                self.truth[f"misalignment_{axis}_{other}"] = unit.truth[f"accel_misalignment_{axis}_{other}"]
+
+    def outputs(self, felt: Felt) -> Array:
+        return np.asarray(felt.force @ self.matrix.T + self.bias)
+
+
+TRIAD = Campaign(
+    _plan(
+        _TWELVE_STEPS,
+        "title: triad\nsensor: {kind: accelerometers, outputs: [accel_x, accel_y, accel_z]}\ndefaults: {settle: 5 s}",
+        "  triad: {estimator: accelerometer_multi_position}",
+    ),
+    f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, unit]
+instruments:
+{TABLE}\
+  unit:
+    driver: virtual_imu
+    kind: accelerometers
+    sample_rate: 50 Hz
+    accelerometers:
+      full_scale: 10 g
+      velocity_random_walk: {_UNIT_WHITE[3]} m/s^2*sqrt(s)
+      bias_instability: {{flicker[0]}} m/s^2
+      resolution: {{count[0]}} m/s^2
+      axes: {{{{x: {{{{}}}}, y: {{{{}}}}, z: {{{{}}}}}}}}
+""",
+    _TWELVE_STEPS,
+    50.0,
+    {f"accel_{axis}": "m/s^2" for axis in "xyz"},
+    _UNIT_WHITE[3:] * np.sqrt(50.0),
+    "triad",
+    Triad,
+)
+
+
+CAMPAIGNS: Mapping[str, Campaign] = {
+    "flexure_gyro_static": EIGHT_POSITIONS,
+    "scale_factor": RATES,
+    "imu_multi_position": UNIT,
+    "accelerometer_multi_position": TRIAD,
+}

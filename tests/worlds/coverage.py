@@ -1,0 +1,101 @@
+"""How often the 95 % intervals that planrunner gives hold the truth of a world, and how often it warns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.archive.statistics import statistics_of
+from planrunner.estimators.analysis import analyse
+from planrunner.estimators.interface import Estimate
+from planrunner.instruments.interfaces import Block
+from planrunner.plan.schedule import Segment
+from planrunner.tasks.check import Document, Sound, check_plan
+from planrunner.uncertainty.decision import expanded_uncertainty
+from tests.worlds.campaigns import Campaign
+from tests.worlds.faults import ARCSEC, Recorded, World
+from tests.worlds.felt import felt
+
+Array = NDArray[np.float64]
+BLOCK = 997  # rows
+
+
+@dataclass
+class Tally:
+    """What came of many recordings. held: coefficient → how often its interval held the truth; off: coefficient → errors in standard
+    uncertainties; warned: runs with a warning; failed: messages of runs without an estimate."""
+
+    runs: int = 0
+    warned: int = 0
+    held: dict[str, int] = field(default_factory=dict)
+    off: dict[str, list[float]] = field(default_factory=dict)
+    failed: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def known(campaign: Campaign, world: World) -> Sound:
+    """The plan on a bench that states what the world's tilts, rates, flicker and counts are. Raises `InputError`."""
+    flicker, count = world.flicker * campaign.mean, world.count * campaign.white
+    bench = campaign.bench.format(tilt=world.tilt / ARCSEC, rate=world.rate * 1e6, flicker=flicker, count=count)
+    return check_plan(
+        Document(campaign.plan.encode(), "world.yaml"), Document(bench.encode(), "world.bench.yaml")
+    ).sound()
+
+
+def recorded(campaign: Campaign, world: World, draw: np.random.Generator) -> tuple[dict[str, float], Recorded]:
+    """A device's truth, and what it puts out in this world."""
+    device = campaign.device(draw)
+    tilts = world.tilt * draw.standard_normal((len(campaign.steps), 3)) if world.tilt else None
+    rates = world.rate * draw.standard_normal(len(campaign.steps)) if world.rate else None
+    seen = felt(campaign.steps, campaign.sampling, tilts, rates)
+    values = device.outputs(seen) + campaign.white * draw.standard_normal((len(seen.time), len(campaign.white)))
+    made = Recorded(seen.time, seen.step, values, campaign.white, campaign.mean, campaign.sampling)
+    if world.fault is not None:
+        made = Recorded(seen.time, seen.step, world.fault(made, draw), campaign.white, campaign.mean, campaign.sampling)
+    return dict(device.truth), made
+
+
+def estimated(campaign: Campaign, sound: Sound, made: Recorded) -> Estimate | str:
+    """What planrunner makes of it, or why nothing."""
+    segments = {segment.label: segment for segment in sound.schedule.segments}
+    recording = [_segment(segments[step.label], made, number, campaign) for number, step in enumerate(campaign.steps)]
+    results = analyse(sound.plan.estimates, (), recording, sound.models.site, sound.sensor, sound.setup)
+    return results.estimates.get(campaign.estimate) or results.failures[campaign.estimate]
+
+
+def _segment(segment: Segment, made: Recorded, number: int, campaign: Campaign) -> RecordedSegment:
+    rows = made.step == number
+    time, values = made.time[rows], made.values[rows]
+    channels = {name: values[:, k] for k, name in enumerate(campaign.channels)}
+
+    def blocks(names: Sequence[str]) -> Iterator[Block]:
+        for low in range(0, len(time), BLOCK):
+            yield Block(time[low : low + BLOCK], {name: channels[name][low : low + BLOCK] for name in names})
+
+    statistics = statistics_of(blocks(tuple(channels)), tuple(channels), len(time))
+    return RecordedSegment(segment, dict(campaign.channels), statistics, blocks)
+
+
+def tally(campaign: Campaign, world: World, runs: int, seed: int) -> Tally:
+    sound, found = known(campaign, world), Tally()
+    for run in range(runs):
+        truth, made = recorded(campaign, world, np.random.default_rng([seed, run]))
+        one = estimated(campaign, sound, made)
+        found.runs += 1
+        if isinstance(one, str):
+            found.failed.append(one)
+            continue
+        found.warned += bool(one.warnings)
+        found.warnings += one.warnings
+        for item in one.coefficients:
+            if item.name in truth:
+                u = item.standard_uncertainty
+                error = abs(item.value - truth[item.name])
+                held = error <= expanded_uncertainty(u, item.degrees_of_freedom)
+                found.held[item.name] = found.held.get(item.name, 0) + bool(held)
+                found.off.setdefault(item.name, []).append(error / u)
+    return found

@@ -1,0 +1,150 @@
+"""Worlds: what is wrong beside white noise, at its stated size, in every recording of a campaign.
+
+A fault acts on the outputs of the whole test, sample by sample and in order of time. Sizes are in units of each channel's noise, so that
+one world serves every sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+ARCSEC = np.radians(1) / 3600
+
+Fault = Callable[["Recorded", np.random.Generator], Array]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """values: (n, k) with white noise; time: (n,), s; step: (n,), numbers; white: (k,), of one sample; mean: (k,), standard deviation that
+    white noise alone leaves in the mean of a step of usual length; sampling: Hz."""
+
+    time: Array
+    step: NDArray[np.int64]
+    values: Array
+    white: Array
+    mean: Array
+    sampling: float
+
+
+@dataclass(frozen=True)
+class World:
+    """stated: what the bench file says of it, by the name of the blank in a campaign's bench; `flicker` is in units of `Recorded.mean`.
+    warns: the model is wrong in a way that cannot be mended, so that a warning is what is asked for, not coverage."""
+
+    fault: Fault | None = None
+    tilt: float = 0.0  # rad, standard uncertainty of an orientation about each axis
+    rate: float = 0.0  # relative standard uncertainty of a rate
+    flicker: float = 0.0  # bias instability, in units of `Recorded.mean`
+    count: float = 0.0  # resolution, in units of `Recorded.white`
+    warns: bool = False
+
+
+def flicker(made: Recorded, draw: np.random.Generator, size: float) -> Array:
+    """1/f noise with the two-sided density B²/(2πf), B = size · mean, as a sum of first-order processes whose time constants are spaced
+    by a factor of two: each has the variance B²·ln 2/π, and their densities add to 1/f between the longest and the shortest."""
+    constants = 2.0 ** np.arange(-2, 20)  # s
+    out = np.zeros_like(made.values)
+    edges = np.flatnonzero(np.diff(made.step)) + 1
+    pieces = np.split(np.arange(len(made.time)), edges)
+    for constant in constants:
+        state: Array = draw.standard_normal((out.shape[1],))
+        last: float | None = None
+        keep = np.exp(-1 / (constant * made.sampling))
+        for rows in pieces:
+            if last is not None:  # what happens between steps
+                left = np.exp(-(made.time[rows[0]] - last - 1 / made.sampling) / constant)
+                state = left * state + np.sqrt(1 - left**2) * draw.standard_normal(len(state))
+            new = np.sqrt(1 - keep**2) * draw.standard_normal((len(rows), len(state)))
+            part, _ = lfilter([1.0], [1.0, -keep], new, axis=0, zi=(keep * state)[None])
+            out[rows] += part
+            state, last = part[-1], float(made.time[rows[-1]])
+    return np.asarray(size * made.mean * np.sqrt(np.log(2) / np.pi) * out)
+
+
+def _flicker(size: float) -> Fault:
+    return lambda made, draw: made.values + flicker(made, draw, size)
+
+
+def _ramp(made: Recorded, draw: np.random.Generator) -> Array:
+    """A bias that drifts evenly, by ten times the noise of a mean from the first sample to the last, either way. The true bias is the mean
+    over all samples, here as below."""
+    return _drifting(made, draw, (made.time - made.time[0]) / (made.time[-1] - made.time[0]))
+
+
+def _warming(made: Recorded, draw: np.random.Generator) -> Array:
+    """A bias that follows a unit that warms up, by ten times the noise of a mean, with a third of the test as time constant."""
+    return _drifting(made, draw, 1 - np.exp(-3 * (made.time - made.time[0]) / (made.time[-1] - made.time[0])))
+
+
+def _drifting(made: Recorded, draw: np.random.Generator, course: Array) -> Array:
+    sizes = 10 * made.mean * draw.choice([-1.0, 1.0], len(made.mean))
+    return np.asarray(made.values + sizes * (course - course.mean())[:, None])
+
+
+def _counts(size: float) -> Fault:
+    def fault(made: Recorded, draw: np.random.Generator) -> Array:
+        step = size * made.white
+        return np.asarray(step * np.round(made.values / step))
+
+    return fault
+
+
+def _fed_back(made: Recorded, draw: np.random.Generator) -> Array:
+    """Increments that a counter rounds: what is left of one is carried into the next, so that errors of neighbours have opposite signs."""
+    step = 4 * made.white
+    total = np.cumsum(made.values, axis=0)
+    return np.asarray(step * np.diff(np.round(total / step), axis=0, prepend=0.0))
+
+
+def _spike(made: Recorded, draw: np.random.Generator) -> Array:
+    """One sample of one channel, a thousand times the noise."""
+    out = made.values.copy()
+    row, channel = draw.integers(len(out)), draw.integers(out.shape[1])
+    out[row, channel] += 1000 * made.white[channel] * draw.choice([-1, 1])
+    return out
+
+
+def _stuck(made: Recorded, draw: np.random.Generator) -> Array:
+    """All channels keep one value for a second, and then come back: what was read when they stopped, and a large step from the mean."""
+    out = made.values.copy()
+    rows = round(made.sampling)
+    first = int(draw.integers(len(out) - rows))
+    rows = min(rows, int(np.searchsorted(made.step, made.step[first] + 1)) - first)
+    out[first : first + rows] = out[first] + 30 * made.white
+    return out
+
+
+def _line(made: Recorded, draw: np.random.Generator) -> Array:
+    """Vibration at 20 Hz, three times the noise of a sample."""
+    phase = draw.uniform(0, 2 * np.pi, len(made.white))
+    return np.asarray(made.values + 3 * made.white * np.sin(2 * np.pi * 20 * made.time[:, None] + phase))
+
+
+def _reversed(made: Recorded, draw: np.random.Generator) -> Array:
+    """One channel with the wrong sign."""
+    out = made.values.copy()
+    out[:, draw.integers(out.shape[1])] *= -1
+    return out
+
+
+WORLDS: Mapping[str, World] = {
+    "white noise": World(),
+    "flicker, declared": World(_flicker(1.0), flicker=1.0),
+    "flicker, not declared": World(_flicker(1.0), warns=True),
+    "linear drift": World(_ramp),
+    "warming up": World(_warming),
+    "positions 5 arcsec, stated": World(tilt=5 * ARCSEC),
+    "rates 10 ppm, stated": World(rate=10e-6),
+    "counts of 5 times the noise": World(_counts(5.0), count=5.0),
+    "rounding carried over": World(_fed_back),
+    "one spike": World(_spike),
+    "stuck for a second": World(_stuck),
+    "20 Hz line": World(_line),
+    "reversed channel": World(_reversed, warns=True),
+}

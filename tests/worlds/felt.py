@@ -1,0 +1,89 @@
+"""What a sensor feels in a test on the ground, sample by sample, and when.
+
+Site axes are east, north and up. A step holds one orientation, at rest or turning at a constant rate about the vertical; between steps
+nothing is recorded. Rates are in deg/h, specific force is in m/s².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LATITUDE = 39.98  # deg
+GRAVITY = 9.80154  # m/s²
+EARTH = 15.041067  # deg/h
+STANDARD_GRAVITY = 9.80665  # m/s²
+WORDS = {
+    "east": (1.0, 0.0, 0.0), "west": (-1.0, 0.0, 0.0), "north": (0.0, 1.0, 0.0),
+    "south": (0.0, -1.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0),
+}  # fmt: skip
+NORTHWARD = EARTH * np.cos(np.radians(LATITUDE))
+UPWARD = EARTH * np.sin(np.radians(LATITUDE))
+
+
+@dataclass(frozen=True)
+class Step:
+    """axes: where the sensor's x, y and z point when the table stands at its home angle. dwell: s recorded; pause: s before it; rate:
+    deg/s, positive about up."""
+
+    label: str
+    axes: str
+    dwell: float
+    rate: float = 0.0
+    pause: float = 30.0
+
+    @property
+    def matrix(self) -> Array:
+        """Rows are the sensor's axes in site axes."""
+        return np.array([WORDS[word] for word in self.axes.split()])
+
+
+@dataclass(frozen=True)
+class Felt:
+    """Sample by sample: seconds since the test began (n,), number of the step (n,), angular rate of the sensor in inertial space in deg/h
+    (n, 3) and specific force in m/s² (n, 3), both in sensor axes."""
+
+    time: Array
+    step: NDArray[np.int64]
+    rate: Array
+    force: Array
+
+
+def starts(steps: Sequence[Step]) -> Array:
+    """When each step's record begins, s."""
+    ends = np.cumsum([step.pause + step.dwell for step in steps])
+    return np.asarray(ends - [step.dwell for step in steps])
+
+
+def felt(steps: Sequence[Step], sampling: float, tilts: Array | None = None, rate_errors: Array | None = None) -> Felt:
+    """sampling: Hz; tilts: (S, 3), rad, how each step's orientation is turned away from the planned one, about east, north and up;
+    rate_errors: (S,), by how much of itself each rate is wrong."""
+    times, owners, rates, forces = [], [], [], []
+    for number, (step, start) in enumerate(zip(steps, starts(steps), strict=True)):
+        local = np.arange(round(step.dwell * sampling)) / sampling
+        wrong = 0.0 if rate_errors is None else float(rate_errors[number])
+        turned = np.radians(step.rate * (1 + wrong) * local)
+        axes = step.matrix if tilts is None else step.matrix @ turn(tilts[number]).T
+        # Seen from the table, the Earth's rate turns backwards about the vertical.
+        earth = np.stack([NORTHWARD * np.sin(turned), NORTHWARD * np.cos(turned), np.full(len(local), UPWARD)], axis=1)
+        spin = np.array([0.0, 0.0, step.rate * (1 + wrong) * 3600])
+        times.append(start + local)
+        owners.append(np.full(len(local), number))
+        rates.append((earth + spin) @ axes.T)
+        forces.append(np.broadcast_to(axes @ [0.0, 0.0, GRAVITY], (len(local), 3)))
+    return Felt(*(np.concatenate(part) for part in (times, owners, rates, forces)))
+
+
+def turn(vector: Array) -> Array:
+    """Matrix of a rotation about a vector by its length, rad (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)

@@ -1,0 +1,78 @@
+"""The worlds themselves, by numbers worked out by hand; that they share no code with planrunner; and that planrunner reads them."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.worlds.campaigns import CAMPAIGNS
+from tests.worlds.coverage import estimated, known, recorded
+from tests.worlds.faults import WORLDS, Recorded, World, flicker
+from tests.worlds.felt import Step, felt, starts, turn
+
+HERE = Path(__file__).parent
+
+
+def test_worlds_import_nothing_of_planrunner() -> None:
+    for name in ("felt", "faults", "campaigns"):
+        tree = ast.parse((HERE / f"{name}.py").read_text(encoding="utf-8"))
+        imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        imported += [item.name for node in ast.walk(tree) if isinstance(node, ast.Import) for item in node.names]
+        assert not [one for one in imported if one.startswith("planrunner")]
+
+
+def test_at_rest_an_axis_feels_its_share_of_earth_and_gravity() -> None:
+    """At 39.98°: 15.041067·cos = 11.52552 deg/h north, 15.041067·sin = 9.66410 deg/h up."""
+    seen = felt([Step("rest", "north up east", 2.0)], 10.0)
+    assert seen.rate[0] == pytest.approx([11.52552, 9.66410, 0.0], abs=2e-4)
+    assert seen.force[0] == pytest.approx([0.0, 9.80154, 0.0])
+    assert len(seen.time) == 20 and seen.time[0] == 30.0
+
+
+def test_a_whole_turn_leaves_the_vertical_component() -> None:
+    """An axis that lies level reads north when the turn begins, and nothing on average over the turn."""
+    seen = felt([Step("turn", "north west up", 36.0, rate=10.0)], 50.0)
+    assert seen.rate[0] == pytest.approx([11.52552, 0.0, 36000 + 9.66410], abs=2e-4)
+    assert seen.rate.mean(axis=0) == pytest.approx([0.0, 0.0, 36000 + 9.66410], abs=2e-4)
+    quarter = seen.rate[450]  # after 90 degrees to the left its x points west and its y south
+    assert quarter[:2] == pytest.approx([0.0, -11.52552], abs=2e-4)
+
+
+def test_a_tilt_about_east_brings_north_up() -> None:
+    """A sensor turned by δ about east: its north axis rises, and feels g·sin δ."""
+    seen = felt([Step("rest", "north up east", 1.0)], 10.0, tilts=np.array([[1e-3, 0.0, 0.0]]))
+    assert seen.force[0, 0] == pytest.approx(9.80154 * np.sin(1e-3))
+    assert turn(np.array([0.0, 0.0, np.pi / 2])) @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_steps_follow_each_other() -> None:
+    assert list(starts([Step("a", "east north up", 10.0), Step("b", "east north up", 5.0)])) == [30.0, 70.0]
+
+
+def test_flicker_has_the_floor_that_its_density_has() -> None:
+    """B²/(2πf) two-sided has an Allan deviation of B·sqrt(2·ln 2/π) = 0.664 B at any averaging time (IEEE Std 952)."""
+    time = np.arange(40_000) / 10
+    made = Recorded(
+        time, np.zeros(len(time), dtype=np.int64), np.zeros((len(time), 20)), np.ones(20), np.ones(20), 10.0
+    )
+    noise = flicker(made, np.random.default_rng(4), 1.0)
+    for samples in (100, 400):  # 10 s and 40 s
+        means = noise.reshape(-1, samples, 20).mean(axis=1)
+        assert np.sqrt(0.5 * np.mean(np.diff(means, axis=0) ** 2)) == pytest.approx(0.664, rel=0.05)
+
+
+@pytest.mark.parametrize("estimator", CAMPAIGNS)
+def test_every_coefficient_of_a_device_is_estimated(estimator: str) -> None:
+    """Without noise, what is estimated is what the device has: names, units and signs agree."""
+    campaign = CAMPAIGNS[estimator]
+    quiet = campaign.__class__(**{**vars(campaign), "white": campaign.white * 1e-6})
+    truth, made = recorded(quiet, WORLDS["white noise"], np.random.default_rng(2))
+    one = estimated(quiet, known(campaign, World()), made)
+    assert not isinstance(one, str), one
+    found = {item.name: item.value for item in one.coefficients}
+    assert truth.keys() <= found.keys()
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(value, rel=1e-5, abs=1e-4), name
