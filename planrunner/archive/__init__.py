@@ -1,1 +1,1 @@
-"""Run folders: written whole or not at all, sealed, and read again for ever."""
+"""Run folders: written atomically, sealed, and readable by all later versions."""

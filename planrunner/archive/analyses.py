@@ -1,7 +1,7 @@
-"""Analyses of a run: numbered folders, each written whole, each with its own list of digests, none ever changed afterwards.
+"""Analyses of a run: numbered folders, each written atomically with a list of digests and never changed afterwards.
 
-Each list carries the digest of the list before it, the head of the journal and the seal that the analysis was made from: analyses are a
-chain, like the events of the journal, in which one that is changed or removed shows as long as a later one stands.
+Each list contains the digest of the previous list, and the journal head and seal that the analysis was made from. Analyses therefore form a
+chain, like the events of the journal: a changed or removed analysis is detected as long as a later one exists.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 FOLDER = "analyses"
 DIGESTS = "digests.json"
 MOST_BYTES = 2**28
-"""Bytes that a file of an analysis has at most."""
+"""Maximum size in bytes of a file of an analysis."""
 MOST_DIGESTS = 2**20
 MOST_RESULTS = 2**27
-"""Bytes of a list of digests, and of results that are read again, at most."""
+"""Maximum size in bytes of a list of digests, and of results that are read again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What an analysis is made from: the journal after `events` events, with the digest `head` of the last, and the digest of the seal, if
-    the run had one."""
+    """The data that an analysis is made from: the journal after `events` events, where the last event has the digest `head`, and the
+    digest of the seal if the run had one."""
 
     events: int
     head: str
@@ -41,7 +41,7 @@ class Basis:
 
 @dataclass(frozen=True)
 class StoredAnalysis:
-    """An analysis as it stands: its number, its folder, and its list of digests with the digest of that list itself."""
+    """A stored analysis: its number, its folder, its list of digests, and the digest of that list."""
 
     run: GuardedFolder
     number: int
@@ -64,7 +64,7 @@ class StoredAnalysis:
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
 
     def read(self, name: str, limit: int = MOST_RESULTS) -> bytes:
-        """A file of the analysis, held against its digest. Raises `IntegrityError`."""
+        """A file of the analysis, checked against its digest. Raises `IntegrityError`."""
         try:
             data = self._folder().read(name, limit)
         except OSError as error:
@@ -74,11 +74,11 @@ class StoredAnalysis:
         return data
 
     def read_json(self, name: str, schema: str, version_key: str, newest: int) -> dict[str, Any]:
-        """A JSON file of the analysis, held against its digest and its schema. Raises `IntegrityError`."""
+        """A JSON file of the analysis, checked against its digest and its schema. Raises `IntegrityError`."""
         return formats.parse_json(self.read(name), self.path / name, schema, version_key, newest)
 
     def check(self) -> Iterator[IntegrityError]:
-        """What is missing, changed or was added, file by file."""
+        """Missing, changed and added files, one entry per file."""
         folder, listed = self._folder(), self.digests["files"]
         standing = set(folder.entries()) - {DIGESTS}
         for name in sorted(standing | set(listed)):
@@ -128,7 +128,7 @@ def _is_number(name: str) -> bool:
 
 
 def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
-    """An analysis with its list of digests, which is held against its schema; its files are not. Raises `IntegrityError`."""
+    """An analysis with its list of digests. The list is checked against its schema; the files are not checked. Raises `IntegrityError`."""
     path = run.path / FOLDER / str(number) / DIGESTS
     try:
         data = run.folder(FOLDER).folder(str(number)).read(DIGESTS, MOST_DIGESTS)
@@ -141,10 +141,10 @@ def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
 def add_analysis(
     run: GuardedFolder, files: Mapping[str, bytes], basis: Basis, *, storage: Storage | None = None
 ) -> StoredAnalysis:
-    """Add an analysis: `files` are its contents by name. Returns it as it stands, in `analyses/<n>`.
+    """Add an analysis in `analyses/<n>` and return it. files: contents by file name.
 
-    Written beside its name and renamed, so it is there whole or not at all; two at the same time get two numbers.
-    Raises `InputError` when it cannot be written.
+    It is written under a temporary name and renamed, so it exists completely or not at all. Two simultaneous analyses get different
+    numbers. Raises `InputError` if it cannot be written.
     """
     storage = storage or Storage()
     for name in files:
@@ -184,7 +184,7 @@ def _take_number(
     basis: Basis,
     storage: Storage,
 ) -> int:
-    """Give the analysis the next number, with the digest of the one before it."""
+    """Give the analysis the next number and the digest of the previous one."""
     while True:
         standing = numbers(run)
         last = stored_analysis(run, standing[-1]) if standing else None

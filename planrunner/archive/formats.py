@@ -14,15 +14,15 @@ from planrunner.archive.schema_check import Check, compile_schema
 
 
 class IntegrityError(Exception):
-    """A file of a run folder is missing, changed or not as its schema says. The message says which, and what to do."""
+    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy."""
 
 
 RUN_FORMAT = 1
 SEAL_FORMAT = 1
 DIGESTS_FORMAT = 2
-"""2: carries the analysis before it, the seal and the journal's head; 1 did not, and is still read."""
+"""Format 2 contains the previous analysis, the seal and the head of the journal. Format 1 did not; it can still be read."""
 MOST_LEVELS = 64
-"""Brackets within each other that a JSON file or line may have."""
+"""Maximum nesting depth of a JSON file or line."""
 FROM_BACKUP = "take the run folder from a backup"
 
 
@@ -32,7 +32,7 @@ def to_bytes(value: Any) -> bytes:
 
 
 def from_bytes(data: bytes) -> Any:
-    """JSON data, without the numbers that JSON lacks and of bearable depth. Raises ValueError."""
+    """JSON data; NaN, infinities and excessive nesting are refused. Raises ValueError."""
     try:
         value = _decode(data.decode("utf-8"))
     except RecursionError:
@@ -79,7 +79,7 @@ def _check_of(name: str) -> Check:
 
 
 def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> dict[str, Any]:
-    """The content of a JSON file of a run folder, held against its schema. path: for messages. Raises `IntegrityError`."""
+    """The content of a JSON file of a run folder, checked against its schema. path: for messages. Raises `IntegrityError`."""
     try:
         value = from_bytes(data)
     except ValueError as error:
@@ -99,7 +99,7 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
 
 
 def event_fault(event: Mapping[str, Any]) -> str | None:
-    """What is wrong with a journal event by its whole schema; None when nothing is."""
+    """The fault of a journal event according to its schema; None if it is valid."""
     kind = event.get("event")
     check = _events().get(kind) if isinstance(kind, str) else None
     if check is None:
@@ -113,7 +113,7 @@ def event_fault(event: Mapping[str, Any]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _events() -> dict[str, Check]:
-    """Event kind → check of an event of that kind: what all events have in common, and its own keys."""
+    """Event kind → check of an event of that kind: the keys common to all events, and those of the kind."""
     whole = schema("journal-event")
     checks = {}
     for kind, branch in whole["$defs"]["events"].items():

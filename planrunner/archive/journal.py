@@ -1,9 +1,8 @@
-"""The journal of a run: one event a line, each line carrying the SHA-256 of the line before.
+"""The journal of a run: one event per line. Each line contains the SHA-256 of the previous line.
 
-A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process killed in the
-middle of a write leaves a torn last line, which was never acknowledged and is cut off when the run is resumed. A
-break anywhere else means that the file was changed, and is refused. So is a journal that no run writes: a line, the file or the
-number of events beyond what a writer keeps to.
+A line is acknowledged when `Journal.append` returns; in durable mode it is then on the disk. A process that is killed during a write leaves
+an incomplete last line, which was never acknowledged; resuming the run removes it. A break anywhere else means that the file was changed,
+and the journal is refused. A journal is also refused if a line, the file or the number of events exceeds the limits that writers keep.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ NAME = "journal.jsonl"
 MOST_LINE = 4 * 2**20
 MOST_BYTES = 2**28
 MOST_EVENTS = 2_000_000
-"""Bytes of a line and of a journal, and events, at most: ten thousand segments take some ten megabytes."""
+"""Maximum size in bytes of a line and of a journal, and maximum number of events. Ten thousand segments take about ten megabytes."""
 FIRST = "0" * 64
-"""What the first line carries in place of a digest."""
+"""Placeholder for the digest in the first line."""
 
 
 def utc_now() -> str:
-    """The time now, UTC, ISO 8601 with microseconds."""
+    """The current time in UTC, ISO 8601 with microseconds."""
     return datetime.now(UTC).isoformat(timespec="microseconds")
 
 
@@ -47,12 +46,12 @@ _encode = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=
 
 
 def finite(readings: Mapping[str, float]) -> dict[str, float | None]:
-    """Readings as JSON carries them: NaN and infinities, which JSON lacks, become null."""
+    """Readings for JSON: NaN and infinities, which JSON lacks, become null."""
     return {name: value if math.isfinite(value) else None for name, value in readings.items()}
 
 
 class Journal:
-    """The writing end. An event whose `append` raised did not happen: its line is taken back."""
+    """Writer of a journal. If `append` raises, the event does not count and its line is removed."""
 
     def __init__(self, storage: Storage, file: FileIO, *, head: str = FIRST, count: int = 0, size: int = 0):
         self._storage = storage
@@ -72,8 +71,8 @@ class Journal:
     def append(self, event: str, data: Mapping[str, Any], *, acknowledge: bool = True) -> str:
         """Add one event; returns the digest of its line.
 
-        acknowledge: wait for the disk (in durable mode); False for events that announce something, which the next
-        acknowledged event brings to the disk with it. Raises `OSError`, and ValueError for data that JSON cannot carry.
+        acknowledge: wait for the disk (in durable mode). False for events that announce something; the next acknowledged event writes them
+        to the disk too. Raises `OSError`, and ValueError for data that JSON cannot represent.
         """
         if self._broken:
             raise OSError("the journal could not be repaired after a failed write; resume the run to repair it")
@@ -109,10 +108,10 @@ class Journal:
 
 
 class JournalScan:
-    """The reading end: iterate once over the events; afterwards `head`, `count`, `size`, `torn` and `heads` are known.
+    """Reader of a journal. Iterate once over the events; afterwards `head`, `count`, `size`, `torn` and `heads` are known.
 
-    size: bytes of whole lines. torn: bytes of an unfinished last line. marks: numbers of events after which the chain's head is kept in
-    `heads`. Raises `IntegrityError` where the chain is broken, and `OSError`.
+    size: bytes of complete lines. torn: bytes of an incomplete last line. marks: event counts at which the head of the chain is stored in
+    `heads`. Raises `IntegrityError` if the chain is broken, and `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = ()):
@@ -130,7 +129,7 @@ class JournalScan:
             while line := file.readline(MOST_LINE + 1):
                 if len(line) > MOST_LINE:
                     raise self._error(f"is longer than the {MOST_LINE} bytes that a line can have")
-                if not line.endswith(b"\n") or b"\0" in line:  # a power cut may leave zeros where a line was to be
+                if not line.endswith(b"\n") or b"\0" in line:  # a power failure may leave zeros in place of a line
                     self.torn = len(line)
                     if file.read(1) or _two_lines(line):
                         raise self._error("is damaged")
@@ -166,7 +165,7 @@ class JournalScan:
 
 
 def _two_lines(line: bytes) -> bool:
-    """Whether zeros stand between two lines: the first was whole and counted, so that this is no torn write."""
+    """Whether zeros lie between two lines. The first line was then complete and counted, so this is not an interrupted write."""
     first, zeros, _ = line.partition(b"\0")
     if not zeros or not line.endswith(b"\n"):
         return False

@@ -1,5 +1,4 @@
-"""What a journal amounts to: its events folded into which segments are acknowledged, by which files, and where a run
-broke off."""
+"""The state described by a journal: acknowledged segments, their files, and the point where the run was interrupted."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """A segment that counts: its files, readings, and why it is shorter than planned, if it is."""
+    """A segment that counts: its files, its readings, and the reason if it is shorter than planned."""
 
     index: int
     label: str
@@ -30,7 +29,7 @@ class Acknowledged:
 
 @dataclass(slots=True)
 class Begun:
-    """A segment that was begun and neither acknowledged nor rejected: the process ended in it."""
+    """A segment that was begun but neither acknowledged nor rejected, because the process ended during it."""
 
     index: int
     label: str
@@ -42,7 +41,7 @@ class Begun:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Data that were kept but do not count, and why."""
+    """Data that were kept but do not count, with the reason."""
 
     index: int
     label: str
@@ -53,8 +52,8 @@ class Rejected:
 
 @dataclass(slots=True)
 class JournalState:
-    """clock, states: of the last acknowledged segment, to resume from. open: the segment in which the process ended. sealed_before: whether
-    the journal tells of a seal that stood when the run was opened again."""
+    """clock, states: values at the last acknowledged segment, to resume from. open: the segment in which the process ended.
+    sealed_before: whether the run had a seal when it was reopened, according to the journal."""
 
     created: dict[str, Any] = field(default_factory=dict)
     acknowledged: dict[int, Acknowledged] = field(default_factory=dict)
@@ -69,7 +68,7 @@ class JournalState:
     failures: list[str] = field(default_factory=list)
 
     def files(self) -> Iterator[Part]:
-        """Every file of samples that the journal knows, whether it counts or not."""
+        """Every file of samples listed in the journal, whether it counts or not."""
         for item in self.acknowledged.values():
             yield from item.parts
         for rejected in self.rejected:
@@ -78,7 +77,7 @@ class JournalState:
             yield from self.open.parts
 
     def take(self, event: Mapping[str, Any]) -> None:
-        """Fold one event in."""
+        """Update the state with one event."""
         kind = event["event"]
         handler = getattr(self, f"_{kind}", None)
         if handler is not None:
@@ -138,8 +137,8 @@ class JournalState:
 
 
 def read_state(folder: GuardedFolder, marks: Collection[int] = ()) -> tuple[JournalState, JournalScan]:
-    """The state that a journal amounts to, and the scan with its head and size. marks: numbers of events after which the scan keeps the
-    head. Raises `IntegrityError`."""
+    """The state described by a journal, and the scan with its head and size. marks: event counts at which the scan stores the head.
+    Raises `IntegrityError`."""
     scan = JournalScan(folder, marks)
     state, path = JournalState(), scan.path
     try:

@@ -1,4 +1,4 @@
-"""One writer a run folder: a lock that the operating system gives back when the process ends, however it ends."""
+"""One writer per run folder: a lock that the operating system releases when the process ends for any reason."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAME = ".lock"
 class FolderLock:
     """An exclusive lock on a folder, held from creation to `release`.
 
-    Raises `InputError` when another process, or another writer of this one, holds it, and `OSError`.
+    Raises `InputError` if another process, or another writer of this process, holds it, and `OSError`.
     """
 
     def __init__(self, folder: GuardedFolder):

@@ -1,9 +1,8 @@
-"""Whether a run folder was made on this computer, by this user: known without a network, and not by what the folder says.
+"""Checks if a run folder was made on this computer by this user, without a network and without trusting the folder.
 
-A key of 32 random bytes lies in the user's state folder and leaves it never. The run folder holds `.origin`: the HMAC-SHA-256, under that
-key, of the digest of the journal's first line, which in turn carries the digests of run.json, plan and bench. Without the key nobody can
-make one, and one run's does not fit another's; it says nothing of the key, the user or the computer. Where there is no state folder, runs
-are made all the same, and nothing is known of where they come from.
+A key of 32 random bytes stays in the user's state folder. The run folder contains `.origin`: the HMAC-SHA-256 with that key of the digest
+of the journal's first line, which contains the digests of run.json, plan and bench. It cannot be made without the key, is valid for one run
+only, and reveals nothing about the key, the user or the computer. Without a state folder runs are still made, but their origin is unknown.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ from planrunner.base.trusted_folders import UntrustedFolderError, make_private, 
 
 NAME = ".origin"
 STATE = "PLANRUNNER_STATE"
-"""Environment variable that names another folder for the key."""
+"""Environment variable for a different folder for the key."""
 KEY = "origin.key"
 KEY_BYTES = 32
 PATIENCE = 5.0
-"""Seconds that another process may take to make the key."""
+"""Longest time [s] to wait while another process makes the key."""
 _PURPOSE = b"planrunner run folder 1\n"
 
 
 class OriginUnknownError(Exception):
-    """The key cannot be read or made. The message says why."""
+    """The key cannot be read or made. The message gives the reason."""
 
 
 def state_folder() -> Path:
-    """Where this user's key lies. Raises `OriginUnknownError` when there is no such place."""
+    """Folder of this user's key. Raises `OriginUnknownError` if there is none."""
     stated = os.environ.get(STATE)
     try:
         if stated:
@@ -52,15 +51,15 @@ def state_folder() -> Path:
 
 
 def _home() -> Path:
-    """As the environment has it. An empty HOME is none: what stands in the folder that one happens to work in is nobody's own."""
+    """The home folder from the environment. An empty HOME counts as none: it would mean the current folder, which may belong to anyone."""
     if os.environ.get("HOME") == "":
         raise RuntimeError
     return Path.home()
 
 
 def leave_origin(run: GuardedFolder, first: str) -> None:
-    """Mark a new run folder as made here, where that can be done. first: the digest of the journal's first line. Raises `OSError` when the
-    run folder cannot be written."""
+    """Mark a new run folder as made here, if a key is available. first: digest of the journal's first line. Raises `OSError` if the run
+    folder cannot be written."""
     try:
         key = _key(make=True)
     except OriginUnknownError:
@@ -72,7 +71,7 @@ def leave_origin(run: GuardedFolder, first: str) -> None:
 
 
 def made_here(run: GuardedFolder, first: str) -> bool:
-    """Whether the run folder was made on this computer by this user. Raises `OriginUnknownError` when that cannot be known."""
+    """Whether the run folder was made on this computer by this user. Raises `OriginUnknownError` if that cannot be determined."""
     key = _key(make=False)
     if not key:
         return False
@@ -88,7 +87,7 @@ def _mark(key: bytes, first: str) -> str:
 
 
 def _key(make: bool) -> bytes:
-    """The key; made when absent and asked for, else empty. Raises `OriginUnknownError`."""
+    """The key. If it is absent it is made on request; otherwise the result is empty. Raises `OriginUnknownError`."""
     path = state_folder()
     try:
         if make:
@@ -107,7 +106,7 @@ def _key(make: bool) -> bytes:
 
 
 def _make_key(folder: GuardedFolder) -> None:
-    """Two processes at once end with one key: the second waits, and finds it."""
+    """If two processes start at once, the second waits and uses the key of the first."""
     with _alone(folder):
         if folder.entry(KEY) is not None:
             return
@@ -123,7 +122,7 @@ def _make_key(folder: GuardedFolder) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: GuardedFolder) -> Iterator[None]:
-    """Raises `OSError` when another process does not let go."""
+    """Raises `OSError` if another process does not release the lock."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:

@@ -1,4 +1,4 @@
-"""Asking a running run to wait at the next boundary of its segments, from any other process: a file in its folder says so."""
+"""Pausing a run at the next segment boundary from any other process, by a file in the run folder."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def asked_to_pause(run: GuardedFolder) -> bool:
 
 
 def take_back(run: GuardedFolder) -> bool:
-    """End the pause that was asked for; whether a run went on by that. One that has ended meanwhile is to be resumed."""
+    """End a requested pause. Returns whether a process continues the run; a run that has ended meanwhile must be resumed."""
     asked = asked_to_pause(run)
     run.remove(NAME)
     return asked and is_written(run)
 
 
 def is_written(run: GuardedFolder) -> bool:
-    """Whether a process writes the run now."""
+    """Whether a process is writing the run."""
     if run.entry(LOCK) is None:
         return False
     try:

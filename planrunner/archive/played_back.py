@@ -1,4 +1,4 @@
-"""Segments of a recording that is played back, as a run would record them, without a run folder."""
+"""Segments of a recording that is played back, as a run would record them, but without a run folder."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from planrunner.plan.schedule import Segment
 
 
 def played(player: RecordingPlayer, segments: Sequence[Segment]) -> tuple[RecordedSegment, ...]:
-    """The segments of a player, whose recording is then at hand for many passes. Raises `InstrumentError`."""
+    """The segments of a player. Its recording can then be read many times. Raises `InstrumentError`."""
     player.file = at_hand(player.file)
     return tuple(_play(player, segment) for segment in segments)
 
 
 def _play(player: RecordingPlayer, segment: Segment) -> RecordedSegment:
-    """A segment of the recording: its blocks where the recording is held, else read anew for every pass."""
+    """A segment of the recording. Its blocks are in memory if the recording is; otherwise every pass reads them again."""
     units = dict(player.channels())
     read = partial(player.stream, segment)
     if isinstance(player.file, HeldRecording):

@@ -1,4 +1,4 @@
-"""What a result depends on beside the data: versions of the interpreter, the system and the libraries."""
+"""Software that a result depends on: versions of the interpreter, the system and the libraries."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def _libraries() -> dict[str, str]:
-    """Read once: a process goes on with the libraries that it has loaded."""
+    """Read once, because a process keeps the libraries that it has loaded."""
     found = {}
     for name in LIBRARIES:
         try:

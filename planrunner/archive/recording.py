@@ -1,4 +1,4 @@
-"""A recording as estimators see it: segments with their planned state, statistics made in one pass, and samples in blocks."""
+"""A recording as seen by estimators: segments with their planned state, one-pass statistics, and samples in blocks."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from planrunner.plan.schedule import Segment
 
 Array = NDArray[np.float64]
 IN_MODE = "sensor.in_mode_s"
-"""The reading under which the executor keeps how long the sensor has been in its mode when a record begins [s]."""
-_SHOWN = 64  # samples of an expected segment
+"""Name of the reading for the time [s] that the sensor has been in its mode when a record begins."""
+_SHOWN = 64  # number of samples of an expected segment
 BATCHES = 32
-"""Batch means at most that the standard error of a segment's mean comes from."""
+"""Maximum number of batch means for the standard error of a segment's mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
     """One-pass statistics of one segment. Arrays run over `channels`; values are in the channels' units.
 
-    count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,).
-    covariance: (k, k) between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, so
-    that noise correlated within a batch is accounted for. start, end: s, of the first and the last sample; largest_gap: s between
-    consecutive samples.
+    count: samples (rows with a NaN in any channel are left out and counted in `rejected`). mean, minimum, maximum: (k,). covariance: (k, k)
+    between samples. standard_error: (k,) of the mean, from the scatter of `batches` consecutive batch means, which allows for noise that is
+    correlated within a batch. start, end: s, of the first and the last sample; largest_gap: s between consecutive samples.
     """
 
     channels: tuple[str, ...]
@@ -46,7 +45,7 @@ class Statistics:
 
     @property
     def period(self) -> float:
-        """Seconds from sample to sample, the largest step left out; NaN for fewer than two samples."""
+        """Mean sample interval in seconds, without the largest step; NaN for fewer than two samples."""
         if self.count < 2:
             return math.nan
         if self.count == 2:
@@ -55,7 +54,7 @@ class Statistics:
 
     @property
     def duration(self) -> float:
-        """Seconds that the samples stand for: each of them for one period, so that 12 000 at 100 Hz last 120 s; 0 for fewer than two."""
+        """Duration in seconds, counting one period for each sample: 12 000 samples at 100 Hz last 120 s. 0 for fewer than two samples."""
         return self.end - self.start + self.period if self.count > 1 else 0.0
 
     def of(self, channel: str) -> int:
@@ -67,15 +66,16 @@ class Statistics:
 
 
 def duration_of(statistics: Iterable[Statistics]) -> float | None:
-    """From the first sample to the last [s]; None where nothing was recorded."""
+    """Time from the first to the last sample [s]; None if nothing was recorded."""
     held = [item for item in statistics if item.count]
     return max(item.end for item in held) - min(item.start for item in held) if held else None
 
 
 @dataclass(frozen=True)
 class RecordedSegment:
-    """A segment as carried out. `statistics` were made in one pass; `blocks()` reads the samples again, block by block. expected: it was
-    not recorded; the statistics are those that the schedule leads one to expect, whose noise is known and whose means have none."""
+    """A segment as executed. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block. expected: the
+    segment was not recorded, and the statistics are predicted from the schedule: the noise is the declared noise, and the means are
+    without noise."""
 
     segment: Segment
     units: dict[str, str]
@@ -91,12 +91,13 @@ class RecordedSegment:
 
     @property
     def in_mode(self) -> float | None:
-        """Seconds for which the sensor had been in its mode when the record began; None where nobody has recorded that."""
+        """Seconds that the sensor had been in its mode when the record began; None if not recorded."""
         return self.readings.get(IN_MODE)
 
 
 def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
-    """A segment that is not recorded yet, with the statistics to expect; a few samples of that mean and scatter, whatever the dwell."""
+    """A segment that is not recorded yet, with its expected statistics and a few samples with that mean and scatter, independent of the
+    dwell."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         count = min(statistics.count, _SHOWN)
@@ -112,5 +113,5 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 
 def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:
-    """The segments as they followed each other in time, whatever their order in the plan; those without a sample last."""
+    """The segments in order of time, regardless of their order in the plan; segments without samples come last."""
     return tuple(sorted(recording, key=lambda item: item.statistics.start if item.statistics.count else math.inf))

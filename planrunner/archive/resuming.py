@@ -1,4 +1,4 @@
-"""Where a run that was cut short goes on, and what becomes of the segment in which it broke off."""
+"""Where an interrupted run continues, and what happens to the segment in which it was interrupted."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ REASON = "the process ended in this segment"
 
 @dataclass(slots=True)
 class ResumePoint:
-    """states: what resumable instruments and the executor stored with the last acknowledged segment; clock: s, then.
+    """states: states that resumable instruments and the executor stored with the last acknowledged segment; clock: time then, s.
 
-    instruments: what they said of themselves before. files: name → SHA-256 of everything recorded so far, for the
-    seal; attempts: of each segment, how often it was begun.
+    instruments: their earlier descriptions of themselves. files: name → SHA-256 of everything recorded so far, for the seal. attempts: how
+    often each segment was begun.
     """
 
     clock: float = 0.0
@@ -43,10 +43,10 @@ class ResumePoint:
 
 
 def settle_break(folder: GuardedFolder, storage: Storage, journal: Journal, state: JournalState) -> ResumePoint:
-    """Bring the journal and the files of a run that broke off together again; returns where to go on.
+    """Reconcile the journal and the files of an interrupted run; returns where to continue.
 
-    Files aside are removed. The segment in progress keeps its finished parts: they count, marked truncated, where the
-    plan said `on_break: keep`; otherwise they are rejected and the segment is taken again.
+    Temporary files are removed. The segment in progress keeps its finished parts. With `on_break: keep` in the plan they count and are
+    marked as truncated; otherwise they are rejected and the segment is repeated.
     """
     found = _unknown_files(folder, storage, state)
     begun = state.open
@@ -90,7 +90,7 @@ def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str,
 
 
 def _unknown_files(run: GuardedFolder, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
-    """Whole files of samples that the journal does not know, by segment and attempt: their event was not written."""
+    """Complete files of samples that the journal does not list because their event was not written, by segment and attempt."""
     known = {part.file for part in state.files()}
     found: dict[tuple[int, int], list[Part]] = {}
     folder = run.folder(FOLDER)

@@ -1,10 +1,10 @@
-"""Writing a run folder: created whole, then grown event by event, segment by segment, and sealed.
+"""Writing a run folder: created atomically, extended event by event and segment by segment, then sealed.
 
     runs/<UTC time>-<plan name>-<short id>/
       run.json  plan.yaml  bench.yaml  journal.jsonl  segments/  seal.json  analyses/
 
-Nothing that was acknowledged is ever changed or removed. A segment cut short keeps its finished parts; they count
-when the plan says `on_break: keep`, and stand beside the retaken ones, with the reason, otherwise.
+Acknowledged data are never changed or removed. An interrupted segment keeps its finished parts. They count if the plan says `on_break:
+keep`; otherwise they are kept with the reason, in addition to the repeated segment.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from planrunner.plan.schedule import Segment
 
 
 class RunWriter:
-    """The one writer of a run folder. Made by `create` or `reopen`; `close` it, or use it as a context manager."""
+    """The only writer of a run folder. Made by `create` or `reopen`; `close` it, or use it as a context manager."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class RunWriter:
         self._samples: SegmentWriter | None = None
         self._parts: list[Part] = []
 
-    # -- opening ---------------------------------------------------------------------------------------------------
+    # -- opening -------------------------------------------------------------------------------------------------------
 
     @classmethod
     def create(
@@ -87,7 +87,7 @@ class RunWriter:
         seed: int | None = None,
         storage: Storage | None = None,
     ) -> RunWriter:
-        """A new run folder beneath `root`, which is made when absent.
+        """A new run folder in `root`, which is created if absent.
 
         info: JSON data given with the run (device serial, operator, ambient …). Raises `InputError` when it cannot be
         written.
@@ -154,13 +154,13 @@ class RunWriter:
         lock: FolderLock | None = None,
         bench: bytes | None = None,
     ) -> RunWriter:
-        """Go on with a run that was cut short: repairs a torn last line, and settles the segment that was in progress.
+        """Continue an interrupted run: removes an incomplete last line and settles the segment in progress.
 
-        run: its path, or what `examine` found of it and its samples under the lock that is given, so that nothing is verified twice.
+        run: its path, or the result of `examine` with samples under the given lock, so that nothing is verified twice.
 
-        reason: why a finished, sealed run is opened again; without it, that is refused. lock: of the folder, where the caller holds it
-        already; it is given away. bench: the bench file that is used instead of the folder's, which the journal then knows by its digest.
-        Raises `InputError` (in use, finished, unwritable) and `IntegrityError`.
+        reason: why a finished, sealed run is reopened; required for such a run. lock: lock of the folder if the caller holds it already;
+        the writer takes it over. bench: a bench file to use in place of the one in the folder; the journal records its digest. Raises
+        `InputError` (in use, finished, unwritable) and `IntegrityError`.
         """
         folder = run.folder if isinstance(run, Examined) else open_run(run)
         file: FileIO | None = None
@@ -204,16 +204,16 @@ class RunWriter:
                 ) from None
             raise
 
-    # -- where a reopened run stands ---------------------------------------------------------------------------------
+    # -- state of a reopened run @@@RULE------------------------------------------------------------------------------
 
     @property
     def next_segment(self) -> int:
-        """Index of the first segment that was not acknowledged when the folder was opened; of a new run, 0."""
+        """Index of the first segment that was not acknowledged when the folder was opened; 0 for a new run."""
         return self._point.next_segment
 
     @property
     def resume_point(self) -> ResumePoint:
-        """Clock and states to go on from."""
+        """Clock and states to continue from."""
         return self._point
 
     def acknowledged(self, index: int) -> bool:
@@ -223,18 +223,18 @@ class RunWriter:
     # -- growing -----------------------------------------------------------------------------------------------------
 
     def note(self, event: str, **data: Any) -> None:
-        """Add an event that concerns the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
+        """Add an event about the run as a whole (`started`, `failed`, `stopped`, `safe`, `instruments` …)."""
         self._journal.append(event, data)
 
     def take_watchdog_report(self) -> None:
-        """What a watchdog did since the run was left, into the journal. Raises `OSError`."""
+        """Enter the actions of a watchdog since the run ended into the journal. Raises `OSError`."""
         report = read_report(self.folder)
         if report is not None:
             self.note("rescued", report=report)
             self.folder.remove(REPORT)
 
     def begin(self, segment: Segment, clock: float, channels: Mapping[str, str]) -> None:
-        """Begin a segment; channels (name → unit) is empty when there is nothing to stream."""
+        """Begin a segment; channels (name → unit) is empty if nothing is recorded."""
         index = segment.index
         self._attempt = self._point.attempts[index] = self._point.attempts.get(index, 0) + 1
         self._segment, self._parts, self._samples = segment, [], None
@@ -262,7 +262,7 @@ class RunWriter:
             )
 
     def append(self, block: Block, clock: float) -> None:
-        """Add samples to the segment; parts that they finish are acknowledged by events of their own."""
+        """Add samples to the segment. Each part that becomes complete is acknowledged by an event."""
         assert self._segment is not None and self._samples is not None
         self._samples.append(block)
         for part in self._samples.take_finished():
@@ -280,8 +280,8 @@ class RunWriter:
         reason: str = "",
         frames: Mapping[str, Any] | None = None,
     ) -> None:
-        """Finish the segment's files and acknowledge it. clock, states: from which the run can go on after it; frames: what the sensor
-        counted."""
+        """Finish the segment's files and acknowledge it. clock, states: values from which the run can continue after it; frames: frame
+        counts of the sensor."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {
@@ -302,7 +302,7 @@ class RunWriter:
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Any]) -> None:
-        """The segment in progress, if any, was cut short: keep its samples, and count them if the plan says so."""
+        """The segment in progress, if any, was interrupted: keep its samples, and count them if the plan says so."""
         segment = self._segment
         if segment is None:
             return
@@ -313,7 +313,7 @@ class RunWriter:
         self.set_aside(reason)
 
     def set_aside(self, reason: str, frames: Mapping[str, Any] | None = None) -> None:
-        """The segment in progress is no good and will be taken again: its data stay, with the reason."""
+        """The segment in progress is unusable and will be repeated. Its data are kept with the reason."""
         segment = self._segment
         assert segment is not None
         parts = self._keep_what_there_is()
@@ -332,21 +332,21 @@ class RunWriter:
         self._account(parts)
 
     def reject(self, index: int, reason: str) -> None:
-        """Set an acknowledged segment aside, so that it is taken again. Its data stay, with the reason."""
+        """Reject an acknowledged segment, so that it is repeated. Its data are kept with the reason."""
         item = self._point.acknowledged.pop(index)
         parts = [part.to_json() for part in item.parts]
         data = {"segment": index, "label": item.label, "attempt": item.attempt, "parts": parts, "reason": reason}
         self._journal.append("rejected", data)
 
     def finish(self) -> None:
-        """Every segment is acknowledged: close the journal's account and seal the folder."""
+        """Every segment is acknowledged: write the last event and seal the folder."""
         self._journal.append("finished", {"finished": utc_now()})
         seals.write_seal(
             self.folder, self._name, self._storage, self._point.files, self._journal.head, self._journal.count
         )
 
     def close(self) -> None:
-        """Let go of the folder. A segment in progress stays as after a crash."""
+        """Release the folder. A segment in progress stays as after a crash."""
         try:
             self._drop_samples()
         finally:
@@ -361,7 +361,7 @@ class RunWriter:
         self.close()
 
     def _account(self, parts: list[Part]) -> None:
-        """The segment is over, by an event that names its files."""
+        """Record the end of the segment by an event that names its files."""
         self._point.files.update((part.file, part.sha256) for part in parts)
         self._segment = None
 
@@ -372,16 +372,16 @@ class RunWriter:
         return self._parts
 
     def _keep_what_there_is(self) -> list[Part]:
-        """Finish the file in progress, as far as the disk lets it be; returns the segment's parts."""
+        """Finish the file in progress as far as the disk permits; returns the segment's parts."""
         if self._samples is not None and self._samples.rows:
             try:
                 self._close_samples()
-            except OSError:  # what is finished is on the disk; the rest is lost
+            except OSError:  # finished parts are on the disk; the rest is lost
                 self._drop_samples()
         return self._drop_samples()
 
     def _drop_samples(self) -> list[Part]:
-        """Let go of the file in progress; returns the parts that are finished."""
+        """Discard the file in progress; returns the finished parts."""
         if self._samples is not None:
             samples, self._samples = self._samples, None
             self._parts.extend(samples.take_finished())

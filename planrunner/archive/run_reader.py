@@ -1,5 +1,4 @@
-"""Reading a run folder: what was run, which segments count, their statistics in one pass, and their samples in
-blocks."""
+"""Reading a run folder: plan and bench, valid segments, their one-pass statistics, and their samples in blocks."""
 
 from __future__ import annotations
 
@@ -26,10 +25,10 @@ from planrunner.plan.selection import spelt_alike
 
 @dataclass(frozen=True)
 class RunReader:
-    """A run folder as it stood when it was opened. Reading changes nothing and needs no lock.
+    """A run folder as it was when opened. Reading changes nothing and needs no lock.
 
-    run: the content of run.json. torn: bytes of an unfinished last line of the journal. first: digest of its first line. basis: what an
-    analysis is made from. analyses: oldest first. findings: warnings, such as that the run is not sealed.
+    run: the content of run.json. torn: bytes of an incomplete last line of the journal. first: digest of its first line. basis: the data
+    that an analysis is made from. analyses: oldest first. findings: warnings, such as that the run is not sealed.
     """
 
     folder: GuardedFolder
@@ -46,16 +45,16 @@ class RunReader:
 
     @classmethod
     def open(cls, path: Path, *, to_reopen: bool = False) -> RunReader:
-        """Everything but the samples is held against its digest here, and samples as they are read (see `verifying`).
+        """Opens a run folder. Digests of everything except samples are checked here; samples are checked when read (see `verifying`).
 
-        Raises `InputError` when `path` is not a run folder and `IntegrityError` when it is not as it was written. A
-        torn last line of a run that was killed is left out. to_reopen: what opening it again mends does not matter.
+        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. The incomplete last
+        line of a killed run is ignored. to_reopen: faults that reopening repairs are accepted.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 
     @classmethod
     def of(cls, found: Examined, *, to_reopen: bool = False) -> RunReader:
-        """A run folder as it was looked over; see `open`."""
+        """A run folder that was examined already; see `open`."""
         found.require_whole(*(MENDED if to_reopen else ()))
         assert found.state is not None and found.scan is not None
         return cls(
@@ -80,7 +79,7 @@ class RunReader:
 
     @property
     def instruments(self) -> dict[str, dict[str, str]]:
-        """Instrument name → what it said of itself."""
+        """Instrument name → its description of itself."""
         return self.state.instruments
 
     @property
@@ -89,7 +88,7 @@ class RunReader:
         return self.seal is not None and self.state.finished
 
     def acknowledged(self) -> tuple[Acknowledged, ...]:
-        """The segments that count, in the schedule's order."""
+        """The valid segments in the order of the schedule."""
         return tuple(self.state.acknowledged[index] for index in sorted(self.state.acknowledged))
 
     def rejected(self) -> tuple[Rejected, ...]:
@@ -99,10 +98,9 @@ class RunReader:
     # -- samples -------------------------------------------------------------------------------------------------------
 
     def recording(self, schedule: Schedule) -> tuple[RecordedSegment, ...]:
-        """The acknowledged segments with statistics, each file read once; in the schedule's order.
+        """The acknowledged segments with statistics, in the order of the schedule. Each file is read once.
 
-        schedule: made from the run's own plan and bench. Raises `IntegrityError` where it does not fit what was
-        recorded.
+        schedule: made from the run's own plan and bench. Raises `IntegrityError` if it does not match the recording.
         """
         segments = []
         for item in self.acknowledged():
@@ -125,7 +123,7 @@ class RunReader:
         return self._blocks(item, None, channels)
 
     def _blocks(self, item: Acknowledged, first: SegmentData | None, channels: Sequence[str] | None) -> Iterator[Block]:
-        """first: the first part, where it is at hand. All parts have its columns, and times go on from part to part."""
+        """first: the first part, if already read. All parts must have its columns, and times must increase from part to part."""
         units: Mapping[str, str] | None = None if first is None else first.units
         last = float("-inf")
         read = (SegmentData(self.folder, part) for part in item.parts[0 if first is None else 1 :])
@@ -146,14 +144,14 @@ class RunReader:
     # -- analyses ------------------------------------------------------------------------------------------------------
 
     def add_analysis(self, files: Mapping[str, bytes]) -> StoredAnalysis:
-        """Keep an analysis that was made from what was read here; see `analyses.add_analysis`."""
+        """Store an analysis made from the data read here; see `analyses.add_analysis`."""
         return add_analysis(self.folder, files, self.basis)
 
     # -- integrity -----------------------------------------------------------------------------------------------------
 
     def check_digests(self) -> int:
-        """Hold everything in the folder, every sample included, against its digest, as it stands now; returns how many recorded files there
-        are. Raises `IntegrityError`."""
+        """Check everything in the folder as it is now, samples included, against its digests; returns the number of recorded files.
+        Raises `IntegrityError`."""
         found = examine(self.folder, samples=True)
         found.require_whole()
         assert found.state is not None

@@ -1,7 +1,7 @@
-"""JSON Schema, compiled once into functions: a journal of hundreds of thousands of events is held against its whole schema.
+"""JSON Schema, compiled once into functions: fast enough to check journals with hundreds of thousands of events completely.
 
-What the schemas of run folders use is known here, and nothing else: a keyword that is not makes the compilation fail, so that
-none is passed over. Stricter than the standard in three points, as these files are written: an integer has no decimal point, a number is
+Only the keywords used in the schemas of run folders are supported. Any other keyword makes the compilation fail, so that none is ignored.
+The check is stricter than the standard in three points, to match how these files are written: an integer has no decimal point, a number is
 finite, and `format` (date-time with an offset, date) is checked.
 """
 
@@ -14,14 +14,14 @@ from datetime import date, datetime
 from typing import Any
 
 Check = Callable[[Any], str | None]
-"""What is wrong with a value, beginning with where (empty for the value itself); None when nothing is."""
+"""The fault of a value, beginning with its place (empty for the value itself); None if the value is valid."""
 
 ABOUT = {"$schema", "$id", "$defs", "title", "description"}
-FIRST_YEAR, LAST_YEAR = 1971, 9000  # that every time zone and every system can represent
+FIRST_YEAR, LAST_YEAR = 1971, 9000  # range that every time zone and every system can represent
 
 
 def compile_schema(schema: Mapping[str, Any], whole: Mapping[str, Any]) -> Check:
-    """The check of one schema. whole: the document that `$ref` leads into. Raises ValueError for a keyword that is not known here."""
+    """The check of one schema. whole: the document that `$ref` refers to. Raises ValueError for an unsupported keyword."""
     return _compiled(schema, whole, {})
 
 

@@ -22,7 +22,7 @@ MOST_BYTES = 2**25
 def write_seal(
     folder: GuardedFolder, run: str, storage: Storage, files: Mapping[str, str], head: str, events: int
 ) -> None:
-    """Seal a run whose journal ends with `head` after `events` events; a seal that already stands is replaced.
+    """Seal a run whose journal ends with `head` after `events` events. An existing seal is replaced.
 
     run: its name; files: name → SHA-256 of everything else that was recorded, as computed while it was written.
     """
@@ -39,15 +39,14 @@ def write_seal(
 
 
 def parse_seal(data: bytes, path: Path) -> dict[str, Any]:
-    """The content of a seal. Raises `IntegrityError` for one that is not as its schema says."""
+    """The content of a seal. Raises `IntegrityError` if it does not match its schema."""
     return formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
 
 
 def seal_faults(path: Path, seal: Mapping[str, Any], scan: JournalScan, state: JournalState) -> Iterator[str]:
-    """What a seal says other than the journal as read. scan: with its head after as many events as the seal counts.
+    """Differences between a seal and the journal. scan: has the head after the number of events in the seal.
 
-    A finished run that was opened again, to take a segment another time, has a journal that goes on after its seal;
-    then the sealed beginning is checked instead.
+    If a finished run was reopened to repeat a segment, its journal continues after the seal; then only the sealed beginning is checked.
     """
     sealed = seal["journal"]
     if sealed["events"] > scan.count:

@@ -1,10 +1,9 @@
-"""The samples of one segment on disk: Parquet files of bounded length, each whole or absent.
+"""The samples of one segment on disk: Parquet files of limited length, each complete or absent.
 
-Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written beside
-its name (`….partial`), synced and renamed; its SHA-256 is computed from the bytes as they are written. Reading takes
-a part into memory as one piece, checks the digest over exactly those bytes and decodes them, so that data are read
-once and nothing unchecked is used. What the file then says of itself (rows, columns, their types) is held against the journal and against
-what a part can be, before anything of it is decoded.
+Columns are float64: `time` in s, then the channels, with the unit in the field's metadata. A part is written as `….partial`, synced and
+renamed; its SHA-256 is computed from the bytes as they are written. A reader loads a part into memory, checks the digest of these bytes and
+decodes them, so data are read once and nothing unchecked is used. Before decoding, the rows, columns and types in the file's footer are
+checked against the journal and against the limits of a part.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ PART_SECONDS = 600.0
 """… or spans more than this time, so that a crash costs no more."""
 GROUP_ROWS = 65_536
 MOST_BYTES = 2 * PART_BYTES
-"""Bytes that a file of samples has at most: what does not shrink by compression, and the file's own tables."""
+"""Maximum size in bytes of a file of samples: incompressible data plus the tables of the file."""
 MOST_COLUMNS = 1000
-"""Columns that a file of samples has at most."""
+"""Maximum number of columns of a file of samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A finished file: its name beneath the run folder, SHA-256, rows and size in bytes."""
+    """A finished file: its name within the run folder, SHA-256, rows and size in bytes."""
 
     file: str
     sha256: str
@@ -65,13 +64,13 @@ def safe_name(label: str) -> str:
 
 
 def file_stem(index: int, label: str, attempt: int) -> str:
-    """`0001-P1`, and `0001-P1.try2` when it is taken again; numbers count from 1."""
+    """`0001-P1`, or `0001-P1.try2` for a repeated segment; numbers count from 1."""
     again = f".try{attempt}" if attempt > 1 else ""
     return f"{index + 1:04d}-{safe_name(label)}{again}"
 
 
 class SegmentWriter:
-    """Writes one segment's samples as they come; `take_finished` hands out parts that are on the disk."""
+    """Writes the samples of one segment as they arrive; `take_finished` returns parts that are on the disk."""
 
     def __init__(
         self,
@@ -110,8 +109,7 @@ class SegmentWriter:
         self._finished: list[Part] = []
 
     def append(self, block: Block) -> None:
-        """Add consecutive samples. Raises `InstrumentError` for samples that do not fit, `OSError` when they cannot
-        be written."""
+        """Add consecutive samples. Raises `InstrumentError` for samples that do not fit, and `OSError` if they cannot be written."""
         self._check(block)
         start = 0
         while start < len(block.time):
@@ -129,7 +127,7 @@ class SegmentWriter:
             start = stop
             if self._waiting_rows >= GROUP_ROWS:
                 self._write_waiting()
-        if self._waiting:  # a driver may fill its buffers again before these samples are written
+        if self._waiting:  # a driver may reuse its buffers before these samples are written
             last = self._waiting[-1]
             self._waiting[-1] = Block(
                 np.array(last.time), {name: np.array(values) for name, values in last.channels.items()}
@@ -168,7 +166,7 @@ class SegmentWriter:
             self._last_time = float(block.time[-1])
 
     def _until(self, block: Block, start: int) -> int:
-        """Up to which row the block goes into the current part."""
+        """Index of the first row of the block that no longer fits the current part."""
         stop = min(len(block.time), start + self._part_rows - self._part_filled)
         begin = self._part_start if self._part_start is not None else float(block.time[start])
         limit = begin + self._part_seconds
@@ -200,7 +198,7 @@ class SegmentWriter:
 
 
 class _HashedSink:
-    """What pyarrow writes into: hashes and passes on."""
+    """Output for pyarrow: hashes the bytes and passes them on."""
 
     def __init__(self, storage: Storage, folder: GuardedFolder, name: str):
         self.storage = storage
@@ -213,7 +211,7 @@ class _HashedSink:
     def write(self, data: Any) -> int:
         if self.broken:
             raise OSError("an earlier write of this file failed")
-        self.broken = True  # until this write has succeeded: a file with a hole in it is never finished
+        self.broken = True  # until this write has succeeded: a file with a gap is never finished
         self.storage.write(self.file, memoryview(data))
         self.broken = False
         self.hash.update(data)
@@ -235,11 +233,11 @@ class _HashedSink:
         return False
 
     def close(self) -> None:
-        """pyarrow closes what it wrote into; the file stays open until it is synced."""
+        """pyarrow closes its output; the file stays open until it is synced."""
 
 
 class _OpenPart:
-    """One Parquet file being written aside."""
+    """One Parquet file being written under a temporary name."""
 
     def __init__(self, folder: GuardedFolder, name: str, schema: Any, storage: Storage):
         import pyarrow as pa
@@ -280,7 +278,7 @@ class _OpenPart:
         return Part(f"{FOLDER}/{self.name}", self._sink.hash.hexdigest(), self.rows, self._sink.size)
 
     def abandon(self) -> None:
-        """Let go of the file and remove it, as far as that goes."""
+        """Close the file and remove it, as far as possible."""
         self._sink.broken = True
         try:
             with contextlib.suppress(Exception):
@@ -312,10 +310,10 @@ def _cut(block: Block, start: int, stop: int) -> Block:
 
 
 class SegmentData:
-    """The samples of one part: its bytes, held against the journal's digest, and what they say of themselves.
+    """The samples of one part: its bytes, checked against the digest in the journal, and its footer.
 
-    folder: the run folder. Raises `IntegrityError` when the file is missing, differs from its digest or is not a part as this
-    version writes it.
+    folder: the run folder. Raises `IntegrityError` if the file is missing, differs from its digest, or does not have the form that this
+    version writes.
     """
 
     def __init__(self, folder: GuardedFolder, part: Part):
@@ -363,7 +361,7 @@ class SegmentData:
             )
 
     def _check_shape(self, part: Part, schema: Any) -> None:
-        """By the footer alone: rows as the journal counts them, columns of 64-bit floats, no more of both than a part can hold."""
+        """Checks the footer: number of rows as in the journal, columns of 64-bit floats, and no more of both than a part can have."""
         import pyarrow as pa
 
         about: pq.FileMetaData = self._file.metadata
@@ -386,7 +384,7 @@ class SegmentData:
                     raise self._foreign("its samples would need more memory than a part may use")
 
     def _later(self, time: NDArray[np.float64], last: float) -> float:
-        """The last time of a block whose times are finite and increase from `last` on, as the writer takes them."""
+        """The last time of a block, after checking that its times are finite and increase from `last` on, as the writer requires."""
         if len(time) == 0:
             return last
         if not (time[0] > last and np.isfinite(time[-1]) and bool(np.all(time[1:] > time[:-1]))):
@@ -403,7 +401,7 @@ def read_part(folder: GuardedFolder, part: Part, channels: Sequence[str] | None 
 
 
 def rows_of(data: bytes) -> int:
-    """How many rows a Parquet file says that it holds. Raises ValueError when it is none."""
+    """Number of rows of a Parquet file according to its footer. Raises ValueError if it is not a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -414,12 +412,12 @@ def rows_of(data: bytes) -> int:
 
 
 def check_part(folder: GuardedFolder, part: Part) -> None:
-    """Hold a part against the journal, its samples undecoded. Raises `IntegrityError`."""
+    """Check a part against the journal without decoding its samples. Raises `IntegrityError`."""
     SegmentData(folder, part)
 
 
 def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
-    """The bytes of a part, which have the journal's digest. Raises `IntegrityError`."""
+    """The bytes of a part, checked against the digest in the journal. Raises `IntegrityError`."""
     path = folder.path / part.file
     try:
         data = folder.folder(FOLDER).read(part.file.removeprefix(f"{FOLDER}/"), MOST_BYTES)

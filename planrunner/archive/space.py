@@ -1,4 +1,4 @@
-"""Disk space: what a run will need, asked before anything moves."""
+"""Disk space that a run needs, checked before anything moves."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ RESERVE = 16 * 2**20  # analyses and reports
 
 
 def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> int:
-    """Bytes that a run of `schedule` will write at most.
+    """Maximum number of bytes that a run of `schedule` writes.
 
-    sample_rate: Hz, the sensor's own, for segments that do not give one; channels: columns beside time. Segments that
-    last as long as a recording being played back are counted as nothing.
+    sample_rate: Hz, of the sensor, for segments without one; channels: number of columns without time. Segments whose length is set by a
+    recording that is played back count as zero.
     """
     values = sum(
         (segment.dwell or 0.0) * (segment.sample_rate or sample_rate) * (channels + 1) for segment in schedule.segments
@@ -27,8 +27,7 @@ def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> in
 
 
 def require_space(folder: Path, needed: int) -> None:
-    """Raises `InputError` when the disk that holds `folder` (or its nearest existing parent) has less than `needed`
-    bytes."""
+    """Raises `InputError` if the disk that holds `folder` (or its nearest existing parent) has less than `needed` bytes."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
     if free < needed:

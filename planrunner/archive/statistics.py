@@ -1,10 +1,9 @@
 """Statistics of a segment, made in one pass over its samples.
 
-Samples that count are taken in chunks of a fixed number from the segment's beginning, so the result does not depend on
-how they were cut into blocks, row groups or files. Means and covariances of chunks are merged by the
-formula of Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances"
-(1979). The standard error of the mean comes from the scatter of consecutive batch means (Law, "Simulation Modeling
-and Analysis", 5th ed., section 9.5.3), which accounts for noise that is correlated over less than a batch.
+Valid samples are processed in chunks of fixed size from the beginning of the segment, so the result does not depend on the division into
+blocks, row groups or files. Means and covariances of chunks are merged by the formula of Chan, Golub and LeVeque, "Updating formulae and a
+pairwise algorithm for computing sample variances" (1979). The standard error of the mean comes from the scatter of consecutive batch means
+(Law, "Simulation Modeling and Analysis", 5th ed., section 9.5.3), which allows for noise that is correlated over less than a batch.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ Array = NDArray[np.float64]
 
 CHUNK = 65_536
 UNSHARED = 8_192
-"""BLAS shares the inner product of more than 10 000 numbers out to threads."""
+"""BLAS uses threads for inner products of more than 10 000 numbers."""
 LARGEST = 1e100
-"""A larger sample is not a measurement: its square could not be distinguished from infinity."""
+"""A larger sample is not a measurement: its square could overflow to infinity."""
 
 
 def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -> Statistics:
-    """Statistics of `blocks`, which together have `rows` rows (known from the files before the pass).
+    """Statistics of `blocks`, which have `rows` rows in total (known from the files before the pass).
 
-    A row with a value that is not finite in any channel is left out of everything and counted in `rejected`. With one
-    sample, covariance and standard error are NaN; with none, the mean too.
+    A row with a non-finite value in any channel is left out and counted in `rejected`. With one sample, covariance and standard error are
+    NaN; with none, the mean too.
     """
     gathered = _Gathered(len(channels), rows)
     for block in blocks:
@@ -41,8 +40,8 @@ def statistics_of(blocks: Iterable[Block], channels: Sequence[str], rows: int) -
 
 
 def _products(values: Array) -> Array:
-    """values @ values.T, (k, k), as inner products of short pieces: threads' waiting for each other would cost more than the sums, and
-    as a matrix product of a few long rows it is slower too."""
+    """values @ values.T, (k, k), as inner products of short pieces. Longer pieces would start threads that cost more than the sums, and
+    a matrix product of a few long rows is slower too."""
     channels, rows = values.shape
     whole = rows - rows % UNSHARED
     out = np.zeros((channels, channels))
@@ -56,15 +55,15 @@ def _products(values: Array) -> Array:
 
 
 def _range(columns: list[Array]) -> tuple[Array, Array]:
-    """The smallest and the largest sample of each column, NaN where there is one."""
+    """The smallest and largest sample of each column; NaN if the column contains NaN."""
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 
 
 class _Gathered:
-    """What one pass keeps: a chunk of samples and a few numbers a channel and a batch, whatever the length.
+    """State of one pass: a chunk of samples and a few numbers per channel and batch, independent of the length.
 
-    Samples wait in the chunk as deviations from its first one. No sample is further than √n standard deviations from the mean of n, so
-    that bringing sums of products from it to the mean costs at most n roundings.
+    The chunk holds samples as deviations from its first sample. Of n samples none is further than √n standard deviations from their mean,
+    so referring sums of products to the mean loses at most a factor n in rounding.
     """
 
     def __init__(self, channels: int, rows: int):
@@ -76,24 +75,24 @@ class _Gathered:
         self.chunk = np.empty((channels, max(1, min(CHUNK, rows))))
         self.filled = 0
         self.first = np.zeros(channels)  # the chunk's first sample
-        self.merged = 0  # samples, without those that wait in the chunk
+        self.merged = 0  # number of samples, without those in the chunk
         self.origin = np.zeros(channels)  # the segment's first sample: means and batch sums are of deviations from it
         self.mean = np.zeros(channels)
         self.squares = np.zeros((channels, channels))  # sum of products of deviations from the mean
         batches = max(1, min(BATCHES, rows))
         self.edges = np.linspace(0, rows, batches + 1).round().astype(np.int64)
-        self.begins = np.full(batches + 1, np.iinfo(np.int64).max)  # the edges, counted in samples that are used
+        self.begins = np.full(batches + 1, np.iinfo(np.int64).max)  # edges of batches, counted in valid samples
         self.begins[0] = 0
         self.batch_sum = np.zeros((channels, batches))
         self.batch_count = np.zeros(batches)
 
     def add(self, time: Array, columns: list[Array]) -> None:
-        """Take the next rows in, one or more."""
+        """Add the next rows, one or more."""
         here = np.flatnonzero((self.edges[:-1] > self.row) & (self.edges[:-1] <= self.row + len(time)))
         at = self.edges[here] - self.row
         self.row += len(time)
         low, high = _range(columns)
-        if not (low.min() > -LARGEST and high.max() < LARGEST):  # neither holds where there is a NaN
+        if not (low.min() > -LARGEST and high.max() < LARGEST):  # both comparisons are False for NaN
             good = np.all([np.abs(column) < LARGEST for column in columns], axis=0)
             at = np.concatenate(([0], np.cumsum(good)))[at]
             time, columns = time[good], [column[good] for column in columns]
@@ -131,7 +130,7 @@ class _Gathered:
                 self._merge()
 
     def _merge(self) -> None:
-        """Take up what waits in the chunk."""
+        """Merge the chunk into the totals."""
         values, count, shift = self.chunk[:, : self.filled], self.filled, self.first - self.origin
         at = np.minimum(np.maximum(self.begins - self.merged, 0), count)
         sizes = at[1:] - at[:-1]

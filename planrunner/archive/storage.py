@@ -1,8 +1,8 @@
-"""The few ways in which a run folder is written, all in one place.
+"""All write operations on a run folder.
 
-Every write of the archive goes through a `Storage`, which knows whether a write must survive a power cut (`durable`:
-fsync of the file and of the folder that names it) or only the end of the process (`flushed`: handed to the operating
-system). Where it writes is a `GuardedFolder`, so that no link leads a write elsewhere.
+Every write of the archive goes through a `Storage`, which knows whether a write must survive a power failure (`durable`: fsync of the file
+and of the folder that names it) or only the end of the process (`flushed`: handed to the operating system). It writes to a `GuardedFolder`,
+so that no link redirects a write.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Storage:
         folder.remove(name)
 
     def write_whole(self, folder: GuardedFolder, name: str, data: bytes) -> None:
-        """Write a file so that it is there whole or not at all, whenever the power goes."""
+        """Write a file atomically: it exists completely or not at all, even after a power failure."""
         aside = name + ASIDE
         try:
             with self.open_new(folder, aside) as file:

@@ -1,7 +1,7 @@
-"""Verifying a run folder: what stands in it, held against every digest, schema and chain that it carries.
+"""Verifying a run folder: its contents are checked against all of its digests, schemas and chains.
 
-One look for all commands: `examine` gives what was verified, and what is wrong with it as findings. An error means that the folder is not
-as it was written; a warning, that it is not sealed, so that less can be said of it.
+All commands use `examine`, which returns the verified contents and the faults as findings. An error means that the folder differs from what
+was written. A warning means that it is not sealed, so that less can be verified.
 """
 
 from __future__ import annotations
@@ -31,25 +31,24 @@ from planrunner.bench.watchdog_report import NAME as WATCHDOG
 
 RUN, PLAN, BENCH = "run.json", "plan.yaml", "bench.yaml"
 MOST_GIVEN = 2**20
-"""Bytes that run.json, the plan and the bench have at most."""
+"""Maximum size in bytes of run.json, the plan and the bench."""
 FILES = {RUN, PLAN, BENCH, JOURNAL, seals.NAME, LOCK, pausing.NAME, ORIGIN, WATCHDOG}
-FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # what they leave in every folder that is looked at
+FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # files that they create in every folder that is opened
 MENDED = ("run-seal-missing", "run-journal-torn")
-"""Codes of errors that are mended when a run is opened again to go on: planrunner was ended before the seal was written, or in the
-middle of the first event after it."""
+"""Codes of errors that reopening a run repairs: planrunner ended before the seal was written, or during the first event after it."""
 
 MOST_SHOWN = 20
-"""Errors that one message names at most."""
+"""Maximum number of errors in one message."""
 
 Recorded = dict[str, Entry]
 
 
 @dataclass
 class Examined:
-    """A run folder as far as it is as it was written. findings: what is wrong, and what is to be known.
+    """The verified part of a run folder. findings: errors, warnings and notes.
 
-    seal_digest: SHA-256 of seal.json. sealed_before: whether it was sealed once, by what stands in it. state, scan: None where the journal
-    cannot be read; then nothing is verified. unknown: what planrunner did not put there.
+    seal_digest: SHA-256 of seal.json. sealed_before: whether it was sealed before, according to its contents. state, scan: None if the
+    journal cannot be read; then nothing is verified. unknown: entries that planrunner did not write.
     """
 
     folder: GuardedFolder
@@ -66,7 +65,7 @@ class Examined:
 
     @property
     def basis(self) -> Basis:
-        """What an analysis that is made now is made from."""
+        """The data that a new analysis is made from."""
         assert self.scan is not None
         return Basis(self.scan.count, self.scan.head, self.seal_digest)
 
@@ -86,16 +85,16 @@ class Examined:
 
 
 def verify(run: Path, *, samples: bool = True) -> list[Finding]:
-    """Everything that is wrong with a run folder or must be known of it; an empty list for one that is sealed and as it was written.
+    """All errors, warnings and notes about a run folder; empty for a sealed folder without changes.
 
-    samples: hold the samples of every segment against their digests too, which takes the time to read them. Raises `InputError` when
-    there is no run folder.
+    samples: also check the samples of every segment against their digests, which takes the time to read them. Raises `InputError` if there
+    is no run folder.
     """
     return list(examine(open_run(run), samples=samples).findings)
 
 
 def open_run(path: Path) -> GuardedFolder:
-    """The folder of a run, as a user named it. Raises `InputError` when it is none."""
+    """The folder of a run, as named by the user. Raises `InputError` if it is not a run folder."""
     try:
         folder = GuardedFolder.open(path)
         known = folder.entry(JOURNAL) is not None or folder.entry(RUN) is not None
@@ -109,9 +108,10 @@ def open_run(path: Path) -> GuardedFolder:
 
 
 def examine(folder: GuardedFolder, *, samples: bool = False) -> Examined:
-    """Look a run folder over. samples: those of every segment too; else only that their files are there and as long as they were.
+    """Examine a run folder. samples: also verify the samples of every segment; otherwise check only that their files exist and have the
+    right size.
 
-    A run that is being written may be looked over too: what is listed first may only have become more since.
+    A run that is being written can be examined too: files are listed before the journal is read, so the journal can only know more.
     """
     found = Examined(folder)
     standing = _entries(found)
@@ -141,7 +141,8 @@ def _entries(found: Examined) -> Recorded | None:
 
 
 def _recorded(found: Examined, standing: Recorded) -> Recorded:
-    """What stands in the folder of samples, before the journal is read: a file that is there has its event then, or none."""
+    """Entries in the folder of samples, listed before the journal is read. The journal then contains the event of every listed file that
+    has one."""
     if SEGMENTS not in standing:
         found.error("run-changed", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}
@@ -164,7 +165,7 @@ def _read_seal(found: Examined, standing: Recorded) -> None:
 
 
 def _read_analyses(found: Examined, standing: Recorded) -> None:
-    """The analyses that are there, each with what is wrong with its files."""
+    """The existing analyses, each with the faults of its files."""
     if stored.FOLDER not in standing:
         return
     path = found.folder.path / stored.FOLDER
@@ -205,7 +206,7 @@ def _read_journal(found: Examined) -> bool:
 
 
 def _check_given(found: Examined) -> None:
-    """What the run was made from, against the journal's first event."""
+    """Checks plan, bench and run.json against the first event of the journal."""
     assert found.state is not None
     for name, expected in found.state.created["files"].items():
         if name not in (RUN, PLAN, BENCH):
@@ -264,7 +265,7 @@ def _check_seal(found: Examined, standing: Recorded) -> None:
 
 
 def _written(found: Examined) -> bool:
-    """Whether a process writes the run now, so that its seal may be on its way."""
+    """Whether a process is writing the run, so that its seal may follow."""
     try:
         return pausing.is_written(found.folder)
     except OSError:
@@ -272,7 +273,7 @@ def _written(found: Examined) -> bool:
 
 
 def _check_chain(found: Examined) -> None:
-    """Each analysis against the one before it, the journal and the seal."""
+    """Checks each analysis against the previous one, the journal and the seal."""
     assert found.scan is not None
     before: StoredAnalysis | None = None
     for analysis in found.analyses:
@@ -303,12 +304,12 @@ def _check_chain(found: Examined) -> None:
 
 
 def _follows_seal(found: Examined, basis: Basis) -> bool:
-    """Whether the present seal stood when the analysis was made; an earlier one may have, in a run that was opened again."""
+    """Whether the analysis was made after the present seal. In a reopened run it may belong to an earlier seal."""
     return found.seal is not None and basis.events >= int(found.seal["journal"]["events"])
 
 
 def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
-    """Every file of samples that the journal knows: there, as long as it was and, if asked for, with its digest."""
+    """Checks every file of samples in the journal: that it exists, has the recorded size and, on request, the recorded digest."""
     assert found.state is not None
     known: dict[str, Part] = {}
     for part in found.state.files():
@@ -352,7 +353,7 @@ def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
 
 
 def _check_names(found: Examined, standing: Recorded) -> None:
-    """What belongs into no run folder, and what stands where something else belongs."""
+    """Reports entries that do not belong in a run folder, and entries of the wrong kind."""
     for name, entry in standing.items():
         path = found.folder.path / name
         if name in FILES:
@@ -365,7 +366,7 @@ def _check_names(found: Examined, standing: Recorded) -> None:
 
 
 def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
-    """Something that planrunner did not write: an error once the folder was sealed, and where it is no plain file or folder."""
+    """Reports an entry that planrunner did not write: an error if the folder was sealed, or if it is not a plain file or folder."""
     if entry.kind == "file" and path.name in FILE_MANAGERS:
         return
     message = f"{path}: {entry.what} that planrunner did not write"
@@ -376,7 +377,7 @@ def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
 
 
 def _aside(name: str, entry: Entry, kind: str) -> bool:
-    """Whether it is what a write that was cut short left: it counts for nothing."""
+    """Whether an entry is the remainder of an interrupted write; such entries are ignored."""
     return name.endswith(ASIDE) and entry.kind == kind
 
 
@@ -393,10 +394,10 @@ def _read(found: Examined, name: str, limit: int) -> bytes | None:
 
 @contextmanager
 def _collecting(found: Examined) -> Iterator[None]:
-    """What raises `IntegrityError` or `OSError` within becomes a finding."""
+    """Turns `IntegrityError` and `OSError` raised inside into findings."""
     try:
         yield
-    except IntegrityError as error:  # which says what to do
+    except IntegrityError as error:  # its message says what to do
         found.error("run-changed", str(error), hint="")
     except OSError as error:
         found.error("run-changed", f"{error.filename or found.folder.path}: {error.strerror or error}")

@@ -1,1 +1,1 @@
-"""Benches: with what and where a plan runs. Bench files, the models that they give, the connected bench and its clock."""
+"""Benches: the equipment and site that a plan runs on. Bench files, the models made from them, the connected bench and its clock."""

@@ -1,4 +1,4 @@
-"""Whether a plan can run without anybody there: prompts on a real bench need an operator at a terminal."""
+"""Checks if a plan can run unattended: prompts on a real bench need an operator at a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from planrunner.plan.schedule import Schedule
 
 
 def check_unattended(bench: Bench, schedule: Schedule, log: Findings) -> None:
-    """An error at every prompt that nobody would answer; a simulated bench asks nobody."""
+    """Adds an error at every prompt that nobody could answer. A simulated bench asks nobody."""
     if runs_on_virtual_clock(bench):
         return
     seen = set()

@@ -13,11 +13,11 @@ from planrunner.plan.kinds import ListOf, Record, Text, key
 
 LINE = r"[^\x00-\x1f]{1,200}"
 _DATE = r"[0-9]{4}-[0-9]{2}-[0-9]{2}"
-SOON = timedelta(days=30)  # from here on `check` reminds of a calibration that will be due
+SOON = timedelta(days=30)  # time before the due date from which `check` gives a reminder
 
 
 class Calibration(Record):
-    """Where figures come from and how long they hold."""
+    """Source of uncertainties and how long they are valid."""
 
     certificate: str = key(
         Text(LINE, "a certificate"), "Certificate or report that gives the values.", "RT-0042 / 2026-117"
@@ -35,12 +35,12 @@ class Calibration(Record):
 
     @property
     def words(self) -> str:
-        """Certificate and laboratory, for the source of a stated uncertainty."""
+        """Certificate and laboratory, as the source of a stated uncertainty."""
         return self.certificate + (f" ({self.laboratory})" if self.laboratory else "")
 
 
 def check_dates(calibration: Calibration, log: Findings) -> None:
-    """Errors for a date that the calendar does not have, and for a due date before the calibration."""
+    """Adds errors for dates that do not exist, and for a due date before the calibration."""
     days = {name: _day(getattr(calibration, name)) for name in ("date", "due")}
     for name, day in days.items():
         if day is None and getattr(calibration, name) is not None:
@@ -53,10 +53,10 @@ def check_dates(calibration: Calibration, log: Findings) -> None:
 
 
 def check_validity(calibrations: Iterable[tuple[str, Calibration]], today: date, seconds: float, log: Findings) -> None:
-    """Findings where a calibration does not hold on the day of a run, or will not for long.
+    """Adds findings for calibrations that are invalid on the day of a run or expire soon.
 
-    calibrations: what is calibrated, in words, and its record; seconds: how long the run will last. Dates that are none are passed over:
-    `check_dates` names them.
+    calibrations: name of the calibrated object and its record; seconds: planned duration of the run. Invalid dates are skipped;
+    `check_dates` reports them.
     """
     lasts = math.ceil(seconds / 86400)  # days; added to today they may be beyond the calendar
     for what, calibration in calibrations:

@@ -1,4 +1,4 @@
-"""Clocks: simulated and real time behind the same three methods; the executor does not know which it has."""
+"""Clocks: simulated and real time with the same methods, so that the executor need not know which it uses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class VirtualClock:
-    """Time that passes only when somebody sleeps, at once."""
+    """Simulated time: it advances only by sleeping, which returns at once."""
 
     def __init__(self, start: float = 0.0):
         self._now = start
@@ -21,18 +21,18 @@ class VirtualClock:
             self._now += seconds
 
     def set(self, seconds: float) -> None:
-        """Go to a time, when a run is resumed."""
+        """Set the time when a run is resumed."""
         self._now = seconds
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Nobody needs to be attended to during a sleep that takes no time."""
+        """Does nothing, because a sleep takes no real time."""
 
 
 class WallClock:
     """Real time, monotonic: it does not jump when the computer's clock is set.
 
-    A sleep is interruptible: about every `slice` seconds the attending callback is called, and the sleep ends early
-    when it returns True. speed: seconds of this clock in one of the wall, for a bench whose simulated instruments hasten.
+    A sleep is interruptible: about every `slice` seconds the callback given to `attend` is called, and the sleep ends early when it returns
+    True. speed: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.
     """
 
     def __init__(self, slice: float = 0.1, speed: float = 1.0):
@@ -42,7 +42,7 @@ class WallClock:
         self._attend: Callable[[], bool] | None = None
 
     def now(self) -> float:
-        """Seconds since the run began; the time for which it lay interrupted is not counted."""
+        """Seconds since the run began, without the time during which it was interrupted."""
         return (time.monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:
@@ -53,9 +53,9 @@ class WallClock:
             time.sleep(min(left, self._slice))
 
     def set(self, seconds: float) -> None:
-        """Go on from a time, when a run is resumed."""
+        """Continue from a time when a run is resumed."""
         self._origin = time.monotonic() - seconds / self.speed
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
-        """Call `callback` during sleeps; it returns whether to end the sleep. None: nobody."""
+        """Call `callback` during sleeps; it returns whether to end the sleep. None: call nothing."""
         self._attend = callback

@@ -1,7 +1,7 @@
-"""What a cycle of turns and stops asks of the table axis that makes it, and what it leaves of a horizontal sensor error.
+"""Checks of a cycle of turns and stops: requirements on the table axis, and the residual of a horizontal sensor error.
 
-A cycle that is to modulate constant errors away leaves nothing over its stops, nothing over its turns, and has a mean angle of zero. The
-figures are those of `planrunner.physics.rotation_cycle`.
+A cycle that cancels constant errors has zero residual over its stops, zero residual over its turns, and a mean angle of zero. The figures
+come from `planrunner.physics.rotation_cycle`.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 def check_cycle(
     axis: TableAxis, start: float, motion: Cycle, dwell: float | None, site: Site, at: Place, log: Findings
 ) -> tuple[float, float]:
-    """Findings about a cycle that begins with the joint at `start` [rad]; returns the joint's angle [rad] when it has come to rest after
-    the dwell, and how long [s] coming to rest takes."""
+    """Adds findings about a cycle that begins with the joint at `start` [rad]. Returns the angle [rad] of the joint at rest after the
+    dwell, and the time [s] to come to rest."""
     excess = cycle_excess(axis, start, motion)
     for one in excess:
         if one.kind == "rate":
@@ -81,7 +81,7 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
 
 
 def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
-    """Names what is held longer than its opposite."""
+    """Reports stops that last longer than the opposite ones."""
     angles = {name: round(math.degrees(angle) % 360, 6) % 360 for name, angle in motion.positions.items()}
     names: dict[float, str] = {}
     held: dict[float, float] = {}
@@ -126,7 +126,7 @@ def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) 
 
 
 def seconds_of_error(left: complex) -> str:
-    """A residual in words: along the error and, where there is any, across it (positive to its left, seen from above)."""
+    """A residual in words: along the error and, if not zero, across it (positive to its left, seen from above)."""
     across = f"{left.imag:+.2f} s across" if abs(left.imag) > 5e-3 else ""
     if abs(left.real) <= 5e-3:
         return across or "0 s"

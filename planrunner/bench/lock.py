@@ -1,9 +1,9 @@
-"""One run a bench: every real instrument is locked, by all names of its address, for all processes of the computer.
+"""One run per bench: every real instrument is locked for all processes of the computer, under all names of its address.
 
-Locks are files in one place of the computer, the same for every process whatever its folder for temporary files; the operating system
-gives them back when a process ends, however it ends. Beside the lock of a run stands that of its watchdog, from before the first
-instrument is connected: when a run is killed, nobody gets the bench until its watchdog has made it safe. A second computer that reaches
-the same instrument sees neither.
+Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating system
+releases them when a process ends for any reason. Besides the lock of the run there is a lock of its watchdog, taken before the first
+instrument is connected. If a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect on a
+second computer that uses the same instrument.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from planrunner.bench.same_instrument import names_of
 from planrunner.instruments.interfaces import Addressed
 
 FOLDER = "PLANRUNNER_LOCKS"
-"""Environment variable that names another folder for the locks."""
+"""Environment variable for a different folder for the locks."""
 PLACES = {
     "darwin": ("/Users/Shared", "/private/tmp"),
     "linux": ("/run/planrunner-locks", "/run/lock", "/tmp"),
 }
-"""Where locks lie, by platform: the first of these that its users share, whatever the environment says. The first of Linux only an
-administrator can make."""
+"""Folders for locks by platform: the first one that all users share is used, independent of the environment. On Linux only an
+administrator can create the first one."""
 ELSEWHERE = ("/tmp",)
 RESCUE_PATIENCE = 30.0
-"""Seconds that a new run waits for the watchdog of one that was killed."""
+"""Seconds that a new run waits for the watchdog of a killed run."""
 
 
 @contextmanager
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
-    """Hold the bench's real instruments alone; a bench without any is shared by all.
+    """Lock the bench's real instruments. A bench without real instruments needs no lock.
 
-    shown: the bench's file, for messages; purpose: of holding it, for whoever finds it held. Raises `InputError` when another process
-    holds one of them; the watchdog of a run that has ended is waited for.
+    shown: the bench's file, for messages; purpose: why it is locked, shown to others who want it. Raises `InputError` if another process
+    holds one of the instruments. Waits for the watchdog of a run that has ended.
     """
     instruments = _names(bench)
     with ExitStack() as stack:
@@ -65,7 +65,7 @@ def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[Non
 
 @contextmanager
 def watchdog_lock(bench: Bench, shown: str) -> Iterator[None]:
-    """Keep every other run from the bench's real instruments for as long as the watchdog of this one lives. Raises `InputError`."""
+    """Lock the bench's real instruments against every other run while the watchdog of this run lives. Raises `InputError`."""
     with ExitStack() as stack:
         _hold_all(stack, _names(bench), "watchdog", shown, "the watchdog of a run, which makes it safe")
         yield
@@ -76,7 +76,7 @@ class InUseError(InputError):
 
 
 def lock_folder() -> Path:
-    """Where locks lie on this computer. Raises `OSError` and `UntrustedFolderError`."""
+    """The folder for locks on this computer. Raises `OSError` and `UntrustedFolderError`."""
     named = os.environ.get(FOLDER)
     if named:
         return _named(Path(named))
@@ -93,7 +93,7 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """The folder that the environment names; made when absent, for all users by an administrator, for the user alone else."""
+    """The folder named in the environment. It is created if absent: by an administrator for all users, otherwise for the user alone."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:
@@ -112,8 +112,8 @@ def _named(folder: Path) -> Path:
 
 
 def _names(bench: Bench) -> Mapping[str, str]:
-    """Every name of every real instrument → how the bench file writes it; in one order for all, so that two runs never wait for each
-    other."""
+    """Every name of every real instrument → its spelling in the bench file. The order is the same for all runs, so that two runs never
+    wait for each other."""
     if runs_on_virtual_clock(bench):
         return {}
     found: dict[str, str] = {}
@@ -129,7 +129,7 @@ def _names(bench: Bench) -> Mapping[str, str]:
 
 
 def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
-    """Hold the locks of a kind until the stack is left; all of them or none."""
+    """Hold all locks of a kind until the stack is closed, or none of them."""
     if not instruments:
         return
     folder = _usable_folder(shown)

@@ -1,7 +1,7 @@
-"""The bench as data: where it stands and which instruments it carries, each key with its description and an example.
+"""The bench as data: its site and instruments, each key with a description and an example.
 
-These records are the one source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`. An
-instrument's own keys are declared by its driver.
+These records are the single source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`. An instrument's own keys
+are declared by its driver.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, 
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
-SINGLE_ROLES = ("table", "chamber", "sensor")  # that drivers have a model for
+SINGLE_ROLES = ("table", "chamber", "sensor")  # roles that drivers have a model for
 
 
 class MagneticFieldSpec(Record):
@@ -104,7 +104,8 @@ class SiteSpec(Record):
 
 
 def astronomic_latitude(site: SiteSpec) -> Quantity:
-    """The latitude of the plumb line, by which the Earth's rate stands to gravity: Φ = φ + ξ where the geodetic one is stated."""
+    """The latitude of the plumb line, rad, which gives the direction of the Earth's rotation relative to gravity: Φ = φ + ξ if the
+    geodetic latitude is stated."""
     stated, deviation = site.latitude, site.deviation_of_vertical
     if deviation is None or site.latitude_kind == "astronomic":
         return stated
@@ -113,7 +114,7 @@ def astronomic_latitude(site: SiteSpec) -> Quantity:
 
 
 def geodetic_latitude(site: SiteSpec) -> float:
-    """The latitude of the ellipsoid, in which positions are navigated, rad: φ = Φ − ξ where the astronomic one is stated."""
+    """The latitude on the ellipsoid, rad, which is used for navigated positions: φ = Φ − ξ if the astronomic latitude is stated."""
     deviation = site.deviation_of_vertical
     known = site.latitude_kind == "astronomic" and deviation is not None
     return site.latitude.value - (deviation.north.value if known and deviation is not None else 0.0)
@@ -229,7 +230,7 @@ class Bench(Record):
     )
 
     def calibrations(self) -> tuple[tuple[str, Calibration], ...]:
-        """What is calibrated, in words, with its record."""
+        """Name of each calibrated object with its record."""
         fixed = self.fixture.calibration if self.fixture else None
         found = [("the site's survey", self.site.survey), ("the fixture", fixed)]
         found += [(f"'{name}'", entry.calibration) for name, entry in self.instruments.items()]
@@ -238,11 +239,11 @@ class Bench(Record):
 
 @dataclass(frozen=True, slots=True)
 class BenchModels:
-    """What is known of a bench without connecting to it.
+    """Properties of a bench that are known without connecting to it.
 
-    replays: the sensor plays back a recording, so that orientations, rates and temperatures are those of the
-    recording and need no table or chamber. measures: whether some instrument has live readings; counts: whether the sensor counts its
-    lost and corrupt frames. Where time is simulated both count as given. origin: where the samples come from.
+    replays: the sensor plays back a recording, so orientations, rates and temperatures come from the recording and need no table or
+    chamber. measures: whether some instrument has live readings; counts: whether the sensor counts its lost and corrupt frames. With
+    simulated time both are True. origin: source of the samples.
     """
 
     site: Site
@@ -256,7 +257,7 @@ class BenchModels:
 
 
 def driver_of(entry: InstrumentEntry) -> Any:
-    """The driver class of an instrument. Raises `InputError` when it is not installed."""
+    """The driver class of an instrument. Raises `InputError` if it is not installed."""
     return plugins.load(plugins.INSTRUMENTS, entry.driver)
 
 
@@ -275,7 +276,7 @@ def site_of(bench: Bench) -> Site:
 
 
 def models(bench: Bench) -> BenchModels:
-    """The models that the bench's drivers declare, kept to the bench's protection."""
+    """The models that the bench's drivers declare, limited by the bench's protection."""
     found: dict[str, Any] = {}
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
     for name, driver in drivers.items():
@@ -293,7 +294,8 @@ def models(bench: Bench) -> BenchModels:
 
 
 def _origin(bench: Bench, drivers: Iterable[Any], replays: bool) -> Origin:
-    """Simulated where one instrument is: in this program (its state comes back after a crash), or in the process behind its address."""
+    """The origin is simulated if one instrument is: in this program (its state is restored after a crash), or in the process behind its
+    address."""
     inside = any(issubclass(driver, Resumable) and not getattr(driver, "replays", False) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
@@ -301,12 +303,12 @@ def _origin(bench: Bench, drivers: Iterable[Any], replays: bool) -> Origin:
 
 
 def real_instruments(bench: Bench) -> tuple[str, ...]:
-    """Names of the instruments that are no simulation within this program, in the order in which they are made safe."""
+    """Names of the instruments that are not simulated within this program, in the order in which they are made safe."""
     return tuple(name for name in safe_order(bench) if not issubclass(driver_of(bench.instruments[name]), Resumable))
 
 
 def runs_on_virtual_clock(bench: Bench) -> bool:
-    """As the bench says; where it says nothing, only a recording is played back faster than it was made."""
+    """Whether time is simulated: as the bench states. By default only played-back recordings use simulated time."""
     return _virtual(bench, any(getattr(driver_of(entry), "replays", False) for entry in bench.instruments.values()))
 
 
@@ -315,7 +317,7 @@ def _virtual(bench: Bench, replays: bool) -> bool:
 
 
 def safe_order(bench: Bench) -> tuple[str, ...]:
-    """Names of the instruments in the order they are made safe: as declared, else table, chamber, others."""
+    """Names of the instruments in the order they are made safe: as declared; by default table, chamber, others."""
     if bench.safe_order:
         return bench.safe_order
     ranks = {"table": 0, "chamber": 1}
@@ -326,10 +328,10 @@ def safe_order(bench: Bench) -> tuple[str, ...]:
 
 
 def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, bytes, str]:
-    """A bench, the exact bytes of its file, and the name that findings show for it.
+    """A bench, the exact bytes of its file, and its name in findings.
 
-    A bare word names a shipped bench; anything else is a file, relative to the folder `beside`. Raises `InputError`
-    with every finding in the file.
+    A bare word names a shipped bench. Anything else is a file, relative to the folder `beside`. Raises `InputError` with every finding in
+    the file.
     """
     path, shown = locate(name_or_path, beside)
     try:
@@ -344,7 +346,7 @@ def read_bench(name_or_path: str, beside: Path | None = None) -> tuple[Bench, by
 
 @lru_cache(maxsize=16)
 def bench_of(data: bytes, shown: str) -> Bench:
-    """The bench that a file's bytes hold, kept because many plans name the same one. Raises `InputError`."""
+    """The bench in a file's bytes, cached because many plans name the same bench. Raises `InputError`."""
     bench, log = parse_bench(source.parse(source.decode(data, shown), shown))
     if bench is None or log.errors:
         raise InputError(log)
@@ -352,7 +354,7 @@ def bench_of(data: bytes, shown: str) -> Bench:
 
 
 def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
-    """The bench that a document holds, as far as it can be read, and what is wrong with it."""
+    """The bench in a document, as far as it can be read, and findings about it."""
     log = Findings()
     if root.get("planrunner_bench") is None and root.get("planrunner") is not None:
         log.error(
@@ -367,13 +369,13 @@ def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
 
 @cache
 def shipped_benches() -> Mapping[str, Path]:
-    """Name → file of the benches that planrunner ships."""
+    """Name → file of the shipped benches."""
     return {path.stem: path for path in sorted((shipped("plans") / "benches").glob("*.yaml"))}
 
 
 @lru_cache(maxsize=16)
 def benches_for(kind: str) -> tuple[str, ...]:
-    """The shipped benches that carry a sensor of this kind."""
+    """The shipped benches with a sensor of this kind."""
     found = []
     for name in shipped_benches():
         sensor = models(read_bench(name)[0]).sensor
@@ -383,7 +385,7 @@ def benches_for(kind: str) -> tuple[str, ...]:
 
 
 def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
-    """The file of a bench and the name to show for it. Raises `InputError` for an unknown shipped name."""
+    """The file of a bench and its name in messages. Raises `InputError` for an unknown shipped name."""
     if re.fullmatch(NAME, name_or_path):
         known = shipped_benches()
         if name_or_path not in known:
@@ -401,7 +403,7 @@ def locate(name_or_path: str, beside: Path | None) -> tuple[Path, str]:
 
 
 def _check(bench: Bench, log: Findings) -> None:
-    """Meaning that concerns several keys."""
+    """Checks that concern several keys."""
     if abs(bench.site.latitude.value) > math.pi / 2 + 1e-12:
         log.error(
             "meaning-range",

@@ -1,7 +1,7 @@
-"""What a motion asks of the table and of the sensor's sampling, and how long the table takes to be in motion and to come to rest.
+"""Checks of a motion against the table and the sensor's sampling, with the time to start the motion and to come to rest.
 
-A spin and rocking are checked here; the turns and stops of a cycle in `planrunner.bench.cycle_checks`. What the axes can give is worked in
-`planrunner.physics.table_motion`, which the tables themselves refuse by.
+Spins and rocking are checked here; cycles of turns and stops in `planrunner.bench.cycle_checks`. The limits of the axes are checked by
+`planrunner.physics.table_motion`, which the tables use too.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from planrunner.physics.kinematics import Array, Unreachable
 from planrunner.physics.table_motion import Excess, SpinCourse, about_one_axis, rock_excess, spin_excess
 from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 
-# A part of a turn left over biases the mean rate by the horizontal Earth rate; below this share of the rate nobody notices.
+# A fraction of a turn biases the mean rate by the horizontal Earth rate; below this fraction of the rate it is negligible.
 WHOLE_TURN_TOLERANCE = 100e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """What a motion is held for: settling and dwell, s; dwell: None for as long as a recording lasts; sampled: Hz, None where the sensor
-    is not known."""
+    """How long a motion is held. settle, dwell: s; dwell is None for the length of a recording. sampled: sample rate, Hz; None if the
+    sensor is not known."""
 
     settle: float
     dwell: float | None
@@ -37,10 +37,10 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class TableState:
-    """Where the table is: joint angles [rad], outermost first, and how long [s] it takes to come to rest.
+    """State of the table: joint angles [rad], outermost first, and the time [s] to come to rest.
 
-    roughly: index of a joint that was stopped out of a motion and so stands only roughly there, until an orientation is taken; None where
-    every joint stands where it was sent.
+    roughly: index of a joint that stopped after a motion and is only approximately at its angle, until the next orientation; None if every
+    joint is at its commanded angle.
     """
 
     joints: Array
@@ -57,10 +57,11 @@ def start_motion(
     at: Place,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Seconds until the table is in motion, and its state after the dwell. What it cannot do is a finding where the plan says so.
+    """Seconds until the table is in motion, and its state after the dwell. A motion that it cannot execute becomes a finding at its place
+    in the plan.
 
-    input_axes: (n, 3), where the sensor's input axes point as the motion begins, East-North-Up; None where that is not known. at: the mark
-    of one of the motion's keys, or, for an empty one, of the motion.
+    input_axes: (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not known. at: the mark of one
+    of the motion's keys, or, for an empty one, of the motion.
     """
     table, mark = models.table, at("")
     if isinstance(motion, Rest):
@@ -89,7 +90,7 @@ def no_table(what: str, mark: Mark, log: Findings) -> None:
 
 
 def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
-    """What the axes cannot give, as errors at the mark."""
+    """Adds what the axes cannot do, as errors at the mark."""
     for one in excess:
         if one.kind == "rings":
             log.error("physics-axes", mark, one.message, "give a phase for each ring at most")
@@ -103,7 +104,7 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
 
 
 def _check_sampled(motion: Rock, sampled: float | None, mark: Mark, log: Findings) -> None:
-    """Shannon: a sine of half the sample rate or more is recorded as one of another frequency."""
+    """Sampling theorem: a sine at half the sample rate or above is recorded with a wrong frequency."""
     if sampled is None or motion.frequency < sampled / 2 * (1 - 1e-9):
         return
     alias = abs(motion.frequency - sampled * round(motion.frequency / sampled))
@@ -132,7 +133,7 @@ def _spin(
         log.error("physics-rate-axis", mark, f"the table cannot turn about that direction: {error}", "spin about up")
         return 0.0, state
     if state.roughly is not None and course.joint > state.roughly:
-        # Where an axis points follows from the joints that carry it.
+        # The direction of an axis follows from the joints that carry it.
         carrier, axis = table.axes[state.roughly].name, table.axes[course.joint].name
         message = f"the {axis} axis is along that direction only if the {carrier} axis is at the planned end of the previous motion"
         log.error(
@@ -162,7 +163,7 @@ def _turned(table: TableModel, course: SpinCourse, angle: float, state: TableSta
 def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
-    """Warns where part of a turn leaves Earth rate in the mean of an axis that is tilted from the rotation axis."""
+    """Warns if a fraction of a turn biases the mean of an axis that is tilted from the rotation axis by Earth rate."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return
@@ -182,9 +183,9 @@ def _whole_turns(
 
 
 def mean_left(turns: float) -> float:
-    """The largest mean that a sine wave of amplitude one can have over so many turns, whatever the angle at which it begins.
+    """The largest possible mean of a sine wave of amplitude one over this many turns, over all starting angles.
 
-    (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN): at most |sin πN|/(πN), nothing after whole turns.
+    (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN): at most |sin πN|/(πN), and zero after whole turns.
     """
     return abs(math.sin(math.pi * turns)) / (math.pi * turns)
 
@@ -196,7 +197,7 @@ def _rock(
         hint = "give its driver a command for rocking in the bench file, or use another table"
         log.error("physics-motion", mark, "the table of this bench has no rocking motion", hint)
     _complain(rock_excess(table.axes, state.joints, motion), mark, log)
-    # It fades out over a period when its time or the dwell is over.
+    # Rocking fades out over one period at the end of its time or of the dwell.
     left = motion.period if dwell is None else min(motion.period, max(0.0, motion.over - dwell))
     return motion.lead_in, replace(state, stopping=left)
 

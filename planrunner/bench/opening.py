@@ -1,8 +1,8 @@
 """The connected bench: its instruments by role and name, its clock, and the way to make it safe.
 
-What is made safe is what this process took control of, instrument by instrument, and nothing else: to connect is not to command, and an
-instrument that somebody else set going is not ours to stop. Making safe tries each of them in the bench's order, whatever the others do.
-Connecting stops at the first instrument that fails, after those already connected were let go.
+Only the instruments that this process took control of are made safe. Connecting is not commanding, and an instrument that someone else
+started must not be stopped. Making safe tries each instrument in the bench's order, even if others fail. Connecting stops at the first
+instrument that fails and releases those already connected.
 
 For a run the bench is locked against other runs, guarded by a watchdog, connected, and left safe, in this order. Without real instruments
 it needs neither lock nor watchdog.
@@ -54,9 +54,9 @@ class SafetyFailure:
 class OpenBench:
     """A bench whose instruments are connected. A context manager: leaving it makes safe what was taken control of, then closes everything.
 
-    table, chamber, sensor: the instrument of that role, or None. monitors: every other instrument by name. instruments: all of them
-    by name. limits: what the instruments are to keep to by themselves. watchdog: of a guarded bench. safe: whether all that is
-    controlled was brought to its safe state when that was last asked.
+    table, chamber, sensor: the instrument of that role, or None. monitors: every other instrument by name. instruments: all of them by
+    name. limits: limits that the instruments enforce themselves. watchdog: of a guarded bench. safe: whether the last attempt brought all
+    controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: Clock, site: Site):
@@ -82,7 +82,7 @@ class OpenBench:
             self.watchdog.sign_of_life()
 
     def add(self, name: str, role: str, instrument: Any) -> None:
-        """Take in a connected instrument."""
+        """Add a connected instrument."""
         self.instruments = {**self.instruments, name: instrument}
         if role in SINGLE_ROLES:
             setattr(self, role, instrument)
@@ -90,8 +90,8 @@ class OpenBench:
             self.monitors = {**self.monitors, name: instrument}
 
     def take_control(self, *names: str) -> None:
-        """From now on this process commands these instruments, all of them without names: it makes them safe, and so does its watchdog
-        when it no longer can. To be called before the first command. Raises `InstrumentError` when the watchdog is gone."""
+        """From now on this process commands these instruments (by default all). It makes them safe; if it no longer can, its watchdog
+        does. Call this before the first command. Raises `InstrumentError` if the watchdog is gone."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)
@@ -99,11 +99,11 @@ class OpenBench:
 
     @property
     def untouched(self) -> tuple[str, ...]:
-        """The instruments that were never commanded, and so are left as they were found."""
+        """The instruments that were never commanded and are therefore left as found."""
         return tuple(name for name in self.instruments if name not in self._controlled)
 
     def make_safe(self) -> list[SafetyFailure]:
-        """Bring every instrument that is controlled to its safe state, in the bench's order; returns those that failed."""
+        """Bring every controlled instrument to its safe state in the bench's order; returns the failures."""
         self.safe = False
         failures = self._each("make_safe", self._controlled)
         self.safe = not failures
@@ -121,11 +121,11 @@ class OpenBench:
         for name in safe_order(self.bench):
             if name not in self.instruments or name not in names:
                 continue
-            with contextlib.suppress(InstrumentError):  # a lost watchdog is no reason to stop here
+            with contextlib.suppress(InstrumentError):  # continue although the watchdog is lost
                 self.sign_of_life()
             try:
                 getattr(self.instruments[name], action)()
-            except Exception as error:  # whatever a driver raises, the next instrument has its turn
+            except Exception as error:  # a driver may raise anything; continue with the next instrument
                 failures.append(SafetyFailure(name, f"{error}" or type(error).__name__))
         return failures
 
@@ -143,7 +143,7 @@ class OpenBench:
 
 
 def real_clock(bench: Bench) -> WallClock:
-    """The wall's, or that of the process which simulates the bench."""
+    """A real-time clock, or the clock of the process that simulates the bench."""
     if bench.simulation is None:
         return WallClock()
     drivers = {name: driver_of(entry) for name, entry in bench.instruments.items()}
@@ -160,9 +160,9 @@ def open_bench(
 ) -> OpenBench:
     """Connect the instruments of a bench in the order of its file.
 
-    data_root: folder that recordings must lie beneath. seed: of all that a simulated bench draws, the bench's own
-    without it. clock: instead of the one that the bench names. Raises `InstrumentError` naming the instrument that
-    could not be connected; those before it are then closed, as they were found.
+    data_root: folder that must contain the recordings. seed: seed of all random numbers of a simulated bench, by default the one in the
+    bench. clock: replaces the clock that the bench names. Raises `InstrumentError` with the name of the instrument that could not be
+    connected; those connected before are closed without being commanded.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))
@@ -191,10 +191,10 @@ def open_bench(
 def guarded_bench(
     bench: Bench, bench_file: bytes, shown: str, *, data_root: Path | None = None, seed: int | None = None
 ) -> Iterator[OpenBench]:
-    """The bench, connected, for the length of a `with` block; safe and closed afterwards.
+    """The connected bench for the duration of a `with` block; safe and closed afterwards.
 
-    bench_file: the exact bytes of its file, from which the watchdog connects; shown: its name in messages. Raises `InputError` when
-    another run holds the bench, `InstrumentError` when the watchdog or an instrument fails.
+    bench_file: the exact bytes of its file, which the watchdog uses to connect; shown: its name in messages. Raises `InputError` if another
+    run holds the bench, and `InstrumentError` if the watchdog or an instrument fails.
     """
     with bench_lock(bench, shown):
         watchdog = None
@@ -203,7 +203,7 @@ def guarded_bench(
             watchdog = Watchdog(bench_file, shown, data_root, silence)
         safe = False
         try:
-            # Until the bench is controlled, the watchdog answers for nothing, whatever ends this process.
+            # Until the bench is controlled, the watchdog does nothing if this process ends.
             opened = open_bench(bench, data_root=data_root, seed=seed)
             opened.watchdog = watchdog
             try:

@@ -1,6 +1,6 @@
-"""What a bench is kept to whatever happens: limits that its instruments hold by themselves and that plans may not ask beyond.
+"""Protection of a bench: limits that its instruments enforce themselves and that plans must not exceed.
 
-Instruments that support limits receive them before the first move; the computer holds what it reads against them too.
+Instruments that support limits receive them before the first move. planrunner also checks its readings against them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SHORTEST_SILENCE, LONGEST_SILENCE = 5.0, 3600.0
 
 
 class Protection(Record):
-    """Limits of the bench. What is not stated, every instrument takes from its own keys."""
+    """Limits of the bench. Limits that are not stated come from the keys of each instrument."""
 
     rate: Quantity | None = key(
         QuantityOf("angular rate", "positive"), "Largest rate of any axis of the table.", "320 deg/s", default=None
@@ -89,7 +89,7 @@ def kept_chamber(chamber: ChamberModel, protection: Protection) -> ChamberModel:
 
 
 def own_limits(protection: Protection) -> OwnLimits:
-    """The limits that the instruments shall enforce."""
+    """The limits that the instruments must enforce."""
 
     def si(quantity: Quantity | None) -> float | None:
         return None if quantity is None else quantity.value

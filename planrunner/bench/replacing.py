@@ -1,4 +1,4 @@
-"""Whether a bench file may stand in for the one that a run began with: one that says otherwise only how its instruments are reached."""
+"""Checks if a bench file may replace the one that a run began with: they may differ only in the addresses of instruments."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from planrunner.instruments.interfaces import Addressed
 from planrunner.plan import source
 
 REACHED_BY = ("address", "port", "baud", "timeout")
-"""Keys of an instrument that say how it is reached: what differs from computer to computer, and nothing that results depend on."""
+"""Keys of an instrument that describe its connection. They may differ between computers, and results do not depend on them."""
 
 
 def other_than_reached(first: bytes, second: bytes, shown: tuple[str, str]) -> list[str]:
-    """Keys, such as instruments.table.axes, in which two bench files differ beside those. shown: their names, for findings. Raises
-    `InputError` for a file that cannot be read."""
+    """Keys in which two bench files differ, such as instruments.table.axes, apart from connections. shown: their names, for findings.
+    Raises `InputError` for a file that cannot be read."""
     one, other = (
         source.plain(source.parse(source.decode(data, name), name))
         for data, name in zip((first, second), shown, strict=True)
@@ -23,7 +23,7 @@ def other_than_reached(first: bytes, second: bytes, shown: tuple[str, str]) -> l
 
 
 def addresses(bench: Bench) -> dict[str, str]:
-    """Real instrument → what it is reached by, of those that have an address."""
+    """Real instrument → its connection, for instruments with an address."""
     found = {}
     for name in real_instruments(bench):
         driver, parameters = driver_of(bench.instruments[name]), bench.instruments[name].parameters

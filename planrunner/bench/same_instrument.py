@@ -1,8 +1,8 @@
-"""What an address means on this computer: two addresses that lead to the same instrument have a name in common.
+"""Names of an address on this computer: two addresses of the same instrument have a name in common.
 
-A serial port has many names (`/dev/ttyUSB0`, a link in `/dev/serial/by-id`, `ASRL/dev/ttyUSB0::INSTR`; `COM3` and `ASRL3::INSTR`), and so
-has a host in a network. An instrument that is reached in two ways, over GPIB and over the network, or at two ports of one host, has no
-name in common there, and nobody can know.
+A serial port has several names (`/dev/ttyUSB0`, a link in `/dev/serial/by-id`, `ASRL/dev/ttyUSB0::INSTR`; `COM3` and `ASRL3::INSTR`), and
+so has a network host. If an instrument has two connections, such as GPIB and network or two ports of a host, their addresses have no name
+in common and cannot be matched.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _HOST_AND_PORT = re.compile(r"\[?([^\]/]+)\]?:(\d+)/?")
 
 
 def names_of(address: str) -> frozenset[str]:
-    """Every name of what `address` leads to: a VISA resource, a serial port as pyserial names it, or a text that only its driver
-    understands, which is its own name. Never empty; a host that nobody knows keeps its name."""
+    """All names of the instrument at `address`: a VISA resource, a serial port as pyserial names it, or a text that only its driver
+    understands, which is then the name. Never empty; an unknown host keeps its name."""
     text = address.strip()
     if found := _SOCKET.fullmatch(text):
         return _of_host(found[1], f"port {int(found[2])}")
@@ -45,7 +45,7 @@ def _of_host(host: str, where: str) -> frozenset[str]:
 
 
 def _addresses(host: str) -> set[str]:
-    """Its addresses in the network, however it is written."""
+    """All network addresses of a host."""
     try:
         found = {str(entry[4][0]).partition("%")[0] for entry in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
@@ -67,13 +67,13 @@ def _number(text: str) -> str:
 
 
 def _of_port(name: str, numbered: bool = False) -> frozenset[str]:
-    """numbered: whether a number alone is a port of Windows'."""
+    """numbered: whether a plain number is a Windows port."""
     if url := _URL.fullmatch(name):
         return _of_url(name, url[1].lower(), url[2])
     if sys.platform == "win32":
         return windows_port(name, numbered)
     if not os.path.isabs(name) and not os.path.exists(name):
-        return frozenset({name})  # no port, but what only its driver understands
+        return frozenset({name})  # not a port, but a text that only its driver understands
     path = os.path.abspath(name)
     real = os.path.realpath(path)
     names = {path, real, _calling_out(path), _calling_out(real)}
@@ -93,7 +93,7 @@ def windows_port(name: str, numbered: bool = False) -> frozenset[str]:
 
 
 def _calling_out(path: str) -> str:
-    """macOS has two devices for each port, one of which waits for a carrier."""
+    """macOS has two devices for each port; one of them waits for a carrier."""
     return path.replace("/dev/tty.", "/dev/cu.", 1)
 
 

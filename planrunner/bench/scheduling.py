@@ -1,10 +1,10 @@
-"""Plan × bench → schedule: transitions worked out, and every state held against what the bench can do.
+"""Plan × bench → schedule: computes transitions and checks every state against the capabilities of the bench.
 
-The findings added here are those of physics: reach and sampling; what a motion asks is checked in `planrunner.bench.motion_checks`, what
-a temperature asks in `planrunner.bench.temperature_checks`.
+The findings added here concern physics: reach and sampling. Motions are checked in `planrunner.bench.motion_checks`, temperatures in
+`planrunner.bench.temperature_checks`.
 
 Settling and limits while recording become SI units and are held against what the bench can measure. On a simulated clock nothing is
-measured: a simulated state is steady when its instrument says so.
+measured: a simulated state is steady when its instrument reports it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Add = Callable[[str, Mark, str, str], None]
 
 
 def wait_of(state: Mapping[str, Any], name: str) -> tuple[float, Stability | None]:
-    """Planned seconds of `settle` or `soak`, and what must have settled after it, if the plan says so."""
+    """Planned seconds of `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
     stated: Quantity | holding_spec.Stability | None = state.get(name)
     if not isinstance(stated, holding_spec.Stability):
         return (0.0 if stated is None else stated.value), None
@@ -58,7 +58,7 @@ def watch_of(state: Mapping[str, Any]) -> Watch | None:
 
 
 def check_measured(state: Mapping[str, Any], marks: Mapping[str, Mark], models: BenchModels, add: Add) -> None:
-    """A limit on something that no instrument of the bench can measure is an error; `add` takes code, place, message and hint."""
+    """Adds an error for each limit on a quantity that no instrument of the bench can measure. add: takes code, place, message and hint."""
     for name in ("soak", "settle", "watch"):
         stated = state.get(name)
         if isinstance(stated, holding_spec.Tolerated) and stated.stated() and not models.measures:
@@ -82,9 +82,9 @@ def build_schedule(
     log: Findings,
     mounting: Mapping[str, model.MountedAxis] | None = None,
 ) -> Schedule:
-    """The schedule of the sound segments; each segment with an error is left out, the others are still checked.
+    """The schedule of the valid segments. A segment with an error is left out; the others are still checked.
 
-    mounting: how the sensor's input axes stand in its frame, where the plan says so; otherwise they are taken for the frame's own.
+    mounting: directions of the sensor's input axes in its frame, if stated in the plan; by default the axes of the frame.
     """
     planner = _Planner(models, log, mounting or {})
     segments: list[Segment] = []
@@ -98,14 +98,14 @@ def build_schedule(
 
 
 LONGEST = 366 * 86400.0
-"""s, of a schedule: longer than any test of a sensor, and short enough for calendars and counters of time."""
+"""Maximum duration of a schedule, s: longer than any test of a sensor, and short enough for dates and time counters."""
 
 MOST_SAMPLES = 10_000_000_000
-"""Of a schedule: a channel of them takes 80 GB."""
+"""Maximum number of samples of a schedule: one channel of them takes 80 GB."""
 
 
 def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
-    """Whether a schedule can be planned further: findings where it takes more than a year or gives more samples than can be kept."""
+    """Whether planning can continue. Adds findings if the schedule takes more than a year or gives more samples than can be stored."""
     if not schedule.segments:
         return True
     before = log.raised
@@ -136,12 +136,12 @@ def _days(seconds: float) -> str:
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:
-    """Where the first of some segments stands, and what all of them lack; segments as place → label."""
+    """The place of the first of some segments, and the key that all of them lack; segments as place → label."""
     first, label = next(iter(segments.items()))
     return first, f"the segment '{label}' has no {key}{elsewhere(list(segments), first)}"
 
 
-_ELSEWHERE = 1e-3  # rad from where a joint is expected, to see whether an orientation depends on that
+_ELSEWHERE = 1e-3  # rad from the expected angle of a joint, to test whether an orientation depends on it
 
 
 class _Planner:
@@ -155,7 +155,7 @@ class _Planner:
         self.temperatures = Temperatures(models, log)
         axes = models.table.axes if models.table else ()
         self.state = TableState(np.zeros(len(axes)))
-        self._timed = True  # until a segment is left out: how long the sensor has soaked is not known after it
+        self._timed = True  # until a segment is left out, because the soak time of the sensor is unknown after it
         self._soaked: float | None = None
         self._mounted: Orientation | None = None
         self._reached: dict[Any, Array] = {}
@@ -219,7 +219,7 @@ class _Planner:
         )
 
     def report_missing(self) -> None:
-        """One finding for what segments lack, however many: a key missing in `defaults` is missing in each of them."""
+        """One finding for each missing key, regardless of the number of segments: a key missing in `defaults` is missing in all of them."""
         if self._without_orientation:
             hint = "add for example `orientation: {x: up, y: north, z: west}` there or to `defaults`, or `orientation: unknown`"
             self.log.error("meaning-no-orientation", *_lacking(self._without_orientation, "orientation"), hint)
@@ -231,7 +231,7 @@ class _Planner:
         """From the last segment to the safe state: the chamber back at ambient, the table at rest where it is."""
         return max(self.state.stopping, self.temperatures.return_time())
 
-    # -- what a segment states -----------------------------------------------------------------------------------
+    # -- keys of a segment ---------------------------------------------------------------------------------------------
 
     def _orientation(self, item: StatedSegment) -> Orientation | None:
         orientation: Orientation | None = item.state.get("orientation")
@@ -260,7 +260,7 @@ class _Planner:
             return None
         motion = motion_of(item.state, item.marks, None, Findings())
         if motion is None:
-            return None  # `segment` says what is wrong with it
+            return None  # `segment` reports the error
         stated = dwell.turns or dwell.cycles or 1
         if dwell.turns and isinstance(motion, Spin):
             period = 2 * math.pi / abs(motion.rate)
@@ -284,10 +284,10 @@ class _Planner:
             return None, stated.ramp_to.value
         return (stated.value if stated is not None else None), None
 
-    # -- what the bench can do -----------------------------------------------------------------------------------
+    # -- capabilities of the bench -----------------------------------------------------------------------------------
 
     def _once(self, code: str, mark: Mark, message: str, hint: str) -> None:
-        """One finding a place: a sweep over a wrong state says so once."""
+        """One finding per place: a sweep over a wrong state reports it once."""
         if (code, mark) not in self._complained:
             self._complained.add((code, mark))
             self.log.error(code, mark, message, hint)
@@ -340,7 +340,7 @@ class _Planner:
         return seconds
 
     def _still_roughly(self, attitude: Array, target: Array) -> int | None:
-        """The joint that keeps standing where a motion left it, as one may whose axis lies along that of another."""
+        """The joint that stays where a motion stopped it. This can happen if its axis is parallel to another."""
         table, joint = self.models.table, self.state.roughly
         if table is None or joint is None:
             return None
@@ -366,7 +366,7 @@ class _Planner:
         return stopping + seconds
 
     def _sampled(self, item: StatedSegment) -> float | None:
-        """Sample rate, Hz; None where the sensor is not known."""
+        """Sample rate, Hz; None if the sensor is not known."""
         rate, sensor = item.state.get("sample_rate"), self.models.sensor
         if rate is not None:
             return float(rate.value)

@@ -1,8 +1,7 @@
-"""A bench whose instruments are simulated by a process of their own: which virtual bench stands behind its addresses, and where that
-process is told things.
+"""A bench whose instruments are simulated by a separate process: the virtual bench behind its addresses, and requests to that process.
 
-A run on such a bench takes its clock from the process, which may hasten: real instruments never answer there, so that nothing real is ever
-driven by a clock that is not the wall's.
+A run on such a bench uses the clock of the process, which may run faster than real time. Real instruments never answer at these addresses,
+so nothing real is ever controlled by such a clock.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _PATIENCE = 5.0  # s for an answer
 
 
 class Simulation(Record):
-    """What `planrunner simulate-bench` puts behind the addresses of a bench."""
+    """The bench that `planrunner simulate-bench` serves at the addresses."""
 
     bench: str = key(
         Text(),
@@ -44,8 +43,8 @@ class Simulation(Record):
 
 
 def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> dict[str, Any]:
-    """What a simulated bench answers to one request. token: from its readiness file, for a request that changes something. Raises
-    `InstrumentError` when none answers or it refuses."""
+    """The answer of a simulated bench to one request. token: from its readiness file, for requests that change something. Raises
+    `InstrumentError` if nothing answers or the request is refused."""
     host, _, port = control.rpartition(":")
     request = dict(request) if token is None else {**request, "token": token}
     try:
@@ -63,8 +62,8 @@ def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> d
 
 
 def attach(simulation: Simulation, addresses: Mapping[str, str]) -> WallClock:
-    """A clock that goes as fast as the simulated bench. addresses: of the bench's instruments by name. Raises `InstrumentError` where the
-    process does not run, or does not serve all of them."""
+    """A clock at the speed of the simulated bench. addresses: of the bench's instruments by name. Raises `InstrumentError` if the
+    process does not run or does not serve all of them."""
     told = ask(simulation.control, {"ask": "bench"})
     for name, address in addresses.items():
         served = told["addresses"].get(name)

@@ -1,6 +1,5 @@
-"""What a temperature asks of the chamber, and of the time that it is given: reach, ramps that end before they arrive, soaks too short for a
-sensor that lags behind the air.
-"""
+"""Checks of temperatures: range of the chamber, ramps that end before the target, and soaks too short for a sensor that lags behind the
+air."""
 
 from __future__ import annotations
 
@@ -8,28 +7,28 @@ from planrunner.base.findings import Findings, Mark
 from planrunner.bench.model import BenchModels
 from planrunner.plan.units import ZERO_CELSIUS
 
-_FORGOTTEN = 40.0  # time constants after which nothing is left of a change
+_FORGOTTEN = 40.0  # time constants after which the rest of a change is negligible
 
 
 class Temperatures:
-    """Follows the chamber from command to command, and the sensor behind it."""
+    """Follows the chamber from command to command, and the sensor that lags behind it."""
 
     def __init__(self, models: BenchModels, log: Findings):
         self._chamber, self._replays, self._log = models.chamber, models.replays, log
         self._lag = models.sensor.thermal_lag if models.sensor else 0.0
         self._set = models.chamber.ambient if models.chamber else 0.0  # K, the last setpoint
         self._changes: list[tuple[float, float]] = []  # when [s] and by how much [K] it changed
-        self._reached = 0.0  # s, when the air was within tolerance of it
-        self._warned: float | None = None  # of which change a soak was found too short, by when it was reached
+        self._reached = 0.0  # s, when the air came within tolerance of it
+        self._warned: float | None = None  # time of the change whose soak was reported as too short
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
-        """Seconds until the air is there, from `now` [s]."""
+        """Seconds from `now` [s] until the air has reached the setpoint."""
         if kelvin is None or not self._within_reach(kelvin, mark):
             return 0.0
         return self._head_for(kelvin, now)
 
     def ramp(self, kelvin: float, now: float, dwell: float | None, mark: Mark) -> None:
-        """A ramp that is recorded while it happens, from `now` [s] on."""
+        """A ramp that is recorded, beginning at `now` [s]."""
         if not self._within_reach(kelvin, mark):
             return
         assert self._chamber is not None
@@ -55,8 +54,9 @@ class Temperatures:
             self._log.warning("physics-ramp", mark, message, f"dwell for {_minutes(seconds)}")
 
     def check_soaked(self, label: str, now: float, soak: float, mark: Mark) -> None:
-        """Warns where the sensor's declared lag leaves it further from the setpoint than the chamber's tolerance as the dwell begins; once
-        for each change of the setpoint, since the soak that the first segment needs is enough for those after it."""
+        """Warns if, at the beginning of the dwell, the sensor with its declared lag is further from the setpoint than the chamber's
+        tolerance. The warning is given once per change of the setpoint, because a soak that is long enough for the first segment
+        suffices for the following ones."""
         if self._chamber is None or not self._lag or self._warned == self._reached:
             return
         left = self._behind(now)
@@ -99,7 +99,7 @@ class Temperatures:
         return seconds > abs(kelvin) / self._chamber.ramp + _FORGOTTEN * (self._lag + self._chamber.lag)
 
     def _behind(self, now: float) -> float:
-        """How far [K] the sensor is from the setpoint: what is left of every change adds up."""
+        """Distance [K] of the sensor from the setpoint: the sum of the remainders of all changes."""
         assert self._chamber is not None
         return sum(self._chamber.behind(kelvin, self._lag, now - begun) for begun, kelvin in self._changes)
 

@@ -1,9 +1,9 @@
-"""The watchdog, as planrunner sees it: a process of its own that makes the bench safe when planrunner no longer can.
+"""The watchdog from planrunner's side: a separate process that makes the bench safe if planrunner no longer can.
 
-It is started before the first instrument is connected, receives the instruments that the run takes control of, receives a heartbeat about
-every second, and ends when the run reports that the bench is safe. Whatever else ends the connection (planrunner killed or crashed, the
-bench not brought to its safe state), or a silence longer than the bench allows, which ends planrunner, makes it act, on the instruments
-that the run controlled and no others: `planrunner.bench.watchdog_process`.
+It is started before the first instrument is connected. It receives the names of the instruments that the run takes control of and a
+heartbeat about every second, and ends when the run reports that the bench is safe. It acts (`planrunner.bench.watchdog_process`) if the
+connection ends in any other way, because planrunner crashed, was killed or could not make the bench safe. If the heartbeat stops for longer
+than the bench allows, it ends planrunner and acts. It acts only on the instruments that the run controlled.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from planrunner.instruments.interfaces import InstrumentError
 STARTING = 60.0
 LEAVING = 5.0
 ENDING = 120.0
-"""Seconds that the watchdog may take to start, to leave on request, and to make a bench safe that planrunner could not."""
+"""Time limits for the watchdog, s: to start, to end on request, and to make a bench safe that planrunner could not."""
 EVERY = 1.0
-"""Seconds between two signs of life."""
+"""Seconds between two heartbeats."""
 _GONE = (
     "the watchdog process has ended, or made the bench safe after a silence: check whether the computer hung or "
     "another user ended the process, then resume the run"
@@ -35,7 +35,7 @@ _GONE = (
 
 
 class Watchdog:
-    """A running watchdog process. Raises `InstrumentError` when it cannot be started."""
+    """A running watchdog process. Raises `InstrumentError` if it cannot be started."""
 
     def __init__(self, bench_file: bytes, shown: str, data_root: Path | None, silence: float):
         self._told = 0.0
@@ -58,7 +58,7 @@ class Watchdog:
             raise InstrumentError(
                 f"the watchdog, which makes the bench safe if planrunner is killed, does not start: {answer}"
             )
-        with contextlib.suppress(OSError, AttributeError):  # a watchdog that stands still must not hold planrunner up
+        with contextlib.suppress(OSError, AttributeError):  # a watchdog that hangs must not block planrunner
             os.set_blocking(self._stdin.fileno(), False)
 
     @property
@@ -77,26 +77,26 @@ class Watchdog:
             raise InstrumentError(_GONE) from None
 
     def answer_for(self, instruments: Collection[str]) -> None:
-        """These are commanded from now on: it makes them safe when planrunner no longer can. Raises `InstrumentError` when the watchdog
-        is gone, so that nothing is commanded unguarded."""
+        """Announces instruments that are commanded from now on, so that the watchdog can make them safe. Raises `InstrumentError` if the
+        watchdog is gone, so that nothing is commanded unguarded."""
         try:
             self._tell(json.dumps({"answer_for": sorted(instruments)}))
         except OSError:
             raise InstrumentError(_GONE) from None
 
     def report_to(self, folder: Path) -> None:
-        """The run folder that it reports in, should it have to act."""
+        """Sets the run folder for its report, in case it acts."""
         with contextlib.suppress(OSError):  # the next heartbeat reports it
             self._tell(json.dumps({"report": str(folder.absolute())}))
 
     def stand_down(self) -> None:
-        """The bench is safe: nothing is left to be done."""
+        """The bench is safe; the watchdog ends without acting."""
         with contextlib.suppress(OSError):
             self._tell("safe")
         self._part(LEAVING)
 
     def let_act(self) -> None:
-        """The bench could not be made safe from here: let the watchdog try over connections of its own, and wait for it."""
+        """The bench could not be made safe from here: let the watchdog try with new connections, and wait for it."""
         self._part(ENDING)
 
     @property
@@ -105,7 +105,7 @@ class Watchdog:
         return self._process.stdin
 
     def _tell(self, line: str) -> None:
-        """Raises `OSError` when nobody reads, or nobody has read for long."""
+        """Send a line. Raises `OSError` if the watchdog is gone or has not read for too long."""
         data = memoryview(f"{line}\n".encode())
         while data:
             written = self._stdin.write(data)
@@ -122,9 +122,9 @@ class Watchdog:
 
 
 def _start() -> subprocess.Popen[bytes]:
-    apart: dict[str, Any] = {"start_new_session": True}  # Ctrl-C in the terminal is not for it
+    apart: dict[str, Any] = {"start_new_session": True}  # Ctrl-C in the terminal must not reach the watchdog
     if os.name == "nt":  # pragma: no cover (not the platform of continuous integration)
-        # Nor is the closing of the console, which ends every process that is attached to it.
+        # Nor must closing the console, which ends every process attached to it.
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW  # type: ignore[attr-defined,unused-ignore]
         apart = {"creationflags": flags}
     command = [sys.executable, "-m", "planrunner.bench.watchdog_start"]
@@ -136,7 +136,7 @@ def _start() -> subprocess.Popen[bytes]:
 
 
 def _first_line(process: subprocess.Popen[bytes], patience: float) -> str:
-    """What it says first, or why it says nothing; waited for in a thread, since a pipe cannot be waited on everywhere."""
+    """The first line of the watchdog, or the reason why there is none. Read in a thread, because not every system can wait on a pipe."""
     assert process.stdout is not None
     found: list[bytes] = []
     reader = threading.Thread(target=lambda: found.append(process.stdout.readline()), daemon=True)  # type: ignore[union-attr]

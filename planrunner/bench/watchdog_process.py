@@ -1,10 +1,10 @@
 """The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
-It reads what to guard from its standard input, then signs of life, and which instruments planrunner takes control of. When the signs stay
-away for too long, it ends planrunner, which may hold connections that only one can have, and might go on commanding. Then, and when they
-end without the word `safe`, it connects to every real instrument that planrunner controlled anew, from the bench file alone, makes it safe,
-and reports to the run folder and to standard error. Instruments that planrunner had only connected to are left as they are. An instrument
-that hangs or fails does not keep it from the next. From its start to its end no other run gets the bench (`bench.lock`).
+From standard input it reads what to guard, then heartbeats and the names of the instruments that planrunner takes control of. If the
+heartbeat stops for too long, it ends planrunner, which may hold exclusive connections and might continue to send commands. Then, and also
+if the input ends without the word `safe`, it connects to every real instrument that planrunner controlled, using only the bench file, makes
+it safe, and reports to the run folder and to standard error. Instruments that planrunner only connected to are left as they are. If an
+instrument hangs or fails, the watchdog continues with the next. While it lives, no other run gets the bench (`bench.lock`).
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ ATTEMPTS = 3
 BETWEEN = 1.0
 """Tries with each instrument, and seconds between them."""
 PATIENCE = 30.0
-"""Seconds after which an instrument that does not return is left, so that the next has its turn."""
+"""Seconds after which the watchdog gives up on an instrument that hangs and continues with the next."""
 ENDED_WITHIN = 5.0
-"""Seconds that the system may take to end planrunner."""
+"""Maximum time [s] for the system to end planrunner."""
 
 
 @dataclass(slots=True)
 class Charge:
-    """What is guarded. parent: planrunner's process; report: the run folder, once there is one; controlled: the instruments that
+    """The guarded run. parent: process of planrunner; report: the run folder, once it exists; controlled: the instruments that
     planrunner commands."""
 
     bench: Bench
@@ -73,7 +73,7 @@ def main() -> int:
 
 
 def _listen(lines: queue.SimpleQueue[bytes]) -> None:
-    """Every line, and an empty one when nobody is left to write."""
+    """Every line of input, and an empty line when the input ends."""
     for line in iter(sys.stdin.buffer.readline, b""):
         lines.put(line)
     lines.put(b"")
@@ -90,8 +90,8 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Wait until the bench is safe (None) or must be made so: why. Silence counts from the first sign of life on: connecting takes its
-    time, and nothing has moved."""
+    """Wait until the bench is safe (returns None) or must be made safe (returns the reason). Silence counts only after the first
+    heartbeat, because connecting takes time and nothing has moved yet."""
     begun = False
     while True:
         try:
@@ -114,8 +114,8 @@ def _hear(charge: Charge, told: dict[str, Any]) -> None:
 
 
 def _ended(parent: int) -> str:
-    """End planrunner; how that went, in words. Its pipe is open, so that the number is still its own."""
-    number = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process by either name
+    """End planrunner; returns the outcome in words. Its pipe is still open, so the process number is still valid."""
+    number = getattr(signal, "SIGKILL", signal.SIGTERM)  # on Windows both signals end a process
     try:
         os.kill(parent, number)
     except OSError as error:
@@ -127,7 +127,7 @@ def _ended(parent: int) -> str:
 
 
 def rescue(charge: Charge) -> list[str]:
-    """Make every real instrument that planrunner controlled safe, in the bench's order; a line for each."""
+    """Make every real instrument that planrunner controlled safe, in the bench's order; returns a line for each."""
     return [
         f"{name}: {_made_safe(charge, name) if name in charge.controlled else 'left as it was, never commanded'}"
         for name in real_instruments(charge.bench)
@@ -159,7 +159,7 @@ def _make_safe(charge: Charge, name: str, done: list[str]) -> None:
             instrument.make_safe()
         finally:
             instrument.close()
-    except BaseException as error:  # whatever a driver raises, the next one has its turn
+    except BaseException as error:  # a driver may raise anything; continue with the next one
         done.append(f"NOT SAFE, {error or type(error).__name__}")
     else:
         done.append("safe")
@@ -168,14 +168,14 @@ def _make_safe(charge: Charge, name: str, done: list[str]) -> None:
 def _clock(bench: Bench) -> WallClock:
     try:
         return real_clock(bench)
-    except InstrumentError:  # the process that simulates the bench is gone, or others answer at its addresses
+    except InstrumentError:  # the process that simulates the bench is gone, or other programs use its addresses
         return WallClock()
 
 
 def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
     when = datetime.now().astimezone().isoformat(timespec="seconds")
     text = "\n".join([f"{when} watchdog: {reason}", *(f"  {line}" for line in lines)]) + "\n"
-    with contextlib.suppress(OSError, ValueError):  # nobody may be there to read it
+    with contextlib.suppress(OSError, ValueError):  # standard error may be closed
         sys.stderr.write(text)
     if charge.report is not None:
         with contextlib.suppress(OSError):
@@ -183,8 +183,8 @@ def _tell(charge: Charge, reason: str, lines: list[str]) -> None:
 
 
 def live() -> NoReturn:
-    """Be the watchdog process to its end."""
+    """Run the watchdog process to its end."""
     code = main()
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()
-    os._exit(code)  # whatever an instrument's driver, or the thread that listens, still does
+    os._exit(code)  # even if a driver or the listening thread is still busy

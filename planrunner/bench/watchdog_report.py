@@ -10,15 +10,15 @@ from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 
 NAME = "watchdog.txt"
 MOST_BYTES = 2**18
-"""Bytes that a report has at most."""
+"""Maximum size of a report in bytes."""
 _ASIDE = "watchdog.partial"
 
 
 def append_report(run: Path, text: str) -> None:
-    """Add to the report, so that whoever finds it finds it whole. Raises `OSError`."""
+    """Add to the report atomically. Raises `OSError`."""
     folder = GuardedFolder.open(run)
     before = b""
-    with contextlib.suppress(FileNotFoundError, NotOrdinaryError):  # what is no report gives way to this one
+    with contextlib.suppress(FileNotFoundError, NotOrdinaryError):  # an entry that is not a report is replaced
         before = folder.read(NAME, MOST_BYTES)
     with folder.open_new(_ASIDE) as file:
         file.write(before + text.encode("utf-8", "backslashreplace"))
@@ -27,7 +27,7 @@ def append_report(run: Path, text: str) -> None:
 
 
 def read_report(run: GuardedFolder) -> str | None:
-    """The report; None when there is none. Raises `OSError`."""
+    """The report; None if there is none. Raises `OSError`."""
     if run.entry(NAME) is None:
         return None
     return run.read(NAME, MOST_BYTES).decode("utf-8", "replace")

@@ -1,4 +1,5 @@
-"""`python -m planrunner.bench.watchdog_start`: the watchdog process, deaf to the signals that end planrunner from its first import on."""
+"""`python -m planrunner.bench.watchdog_start`: the watchdog process. It ignores the signals that end planrunner from its first import
+on."""
 
 from planrunner.base.interruption import be_deaf
 

@@ -1,1 +1,1 @@
-"""Carrying out a schedule on a bench: the executor, stopping on request and progress."""
+"""Executing a schedule on a bench: the executor, stopping on request, and progress."""

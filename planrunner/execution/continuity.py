@@ -1,6 +1,6 @@
-"""What must come back after a crash: the state of simulated instruments and what the executor knows, stored with every segment.
+"""State to restore after a crash: the states of simulated instruments and of the executor, stored with every segment.
 
-The state of a real bench stands in the laboratory; after a break nothing of it is taken for granted.
+The state of a real bench is in the laboratory; after an interruption nothing about it is assumed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from planrunner.instruments.interfaces import Resumable
 
 
 class Continuity:
-    """States of a bench and of `reaching` to go on from."""
+    """States of a bench and of `reaching` from which a run continues."""
 
     def __init__(self, bench: Any, reaching: Reaching):
         self._bench = bench
@@ -41,18 +41,18 @@ class Continuity:
         }
 
     def states_if_known(self) -> dict[str, Any]:
-        """After a failure, with nothing taken for granted."""
+        """The states after a failure, as far as they are known."""
         self._reaching.forget()
         try:
             return self.states()
-        except BaseException:  # a driver that has failed need not know its state
+        except BaseException:  # a driver that has failed may not know its state
             return {}
 
     def restore(self, point: ResumePoint) -> None:
-        """Go back to where a run broke off."""
+        """Restore the state at which a run was interrupted."""
         self._bench.clock.set(point.clock)
         self._reaching.forget()
-        # What is simulated is as it was, to the second: as new, when nothing was acknowledged.
+        # Simulated instruments get back their exact state; without an acknowledged segment they start anew.
         simulated_table = isinstance(self._bench.table, Resumable)
         simulated_chamber = isinstance(self._bench.chamber, Resumable)
         self._reaching.moving_perhaps = not simulated_table

@@ -1,9 +1,9 @@
-"""The executor: carries a schedule out on a bench and leaves a recording.
+"""The executor: runs a schedule on a bench and makes a recording.
 
-For each segment it brings the bench to the state (temperature, orientation, motion), settles, lets the sensor's
-samples through to the run folder, takes readings and comes to rest. It knows instruments only by what they can do,
-and time only by the bench's clock. A segment during which a limit of the plan is passed is set aside and taken again, as often as the
-plan allows. Whatever happens, the bench is brought to its safe state before anything else.
+For each segment it brings the bench to the required state (temperature, orientation, motion), waits for settling, writes the samples of the
+sensor to the run folder, takes readings, and ends the motion. It uses instruments only through their capabilities, and time only through
+the clock of the bench. A segment during which a limit of the plan is exceeded is rejected and repeated, as often as the plan allows. On any
+failure the bench is brought to its safe state before anything else.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ SAFE_ATTEMPTS = 3
 
 
 class OpenBench(Protocol):
-    """A bench whose instruments are connected. `instruments` holds all of them by name, those named by role
-    included; `limits` is what they shall keep to by themselves."""
+    """A bench with connected instruments. instruments: all of them by name, including those with a role. limits: limits that the
+    instruments enforce themselves."""
 
     @property
     def clock(self) -> Any: ...
@@ -64,18 +64,18 @@ class OpenBench(Protocol):
     def limits(self) -> OwnLimits: ...
 
     def take_control(self, *names: str) -> None:
-        """These instruments are commanded from now on, all of them without names, and so are to be made safe. Called before the first
-        command; raises `InstrumentError` when nobody guards the bench."""
+        """From now on these instruments (by default all) are commanded and must be made safe. Called before the first command. Raises
+        `InstrumentError` if no watchdog guards the bench."""
 
     @property
     def untouched(self) -> Sequence[str]:
-        """Names of the instruments that nobody took control of."""
+        """Names of the instruments that were never controlled."""
 
     def make_safe(self) -> list[Any]:
-        """Bring every instrument that was taken control of to its safe state; returns what failed."""
+        """Bring every controlled instrument to its safe state; returns the failures."""
 
     def sign_of_life(self) -> None:
-        """Called often; raises `InstrumentError` when nobody guards the bench any more."""
+        """Called often. Raises `InstrumentError` if no watchdog guards the bench any more."""
 
 
 def execute(
@@ -89,11 +89,10 @@ def execute(
     patience: Patience | None = None,
     operator: Operator | None = None,
 ) -> Outcome:
-    """Carry out the segments of `schedule` from `start_at` that `writer` has not acknowledged.
+    """Execute the segments of `schedule` from `start_at` that `writer` has not acknowledged.
 
-    operator: who is asked what the plan prompts for; without one nobody is, as on a simulated bench.
-    Never raises for what instruments or the disk do: failures are in the outcome, and the bench is safe. A finished
-    run is sealed.
+    operator: receives the prompts of the plan; None on a simulated bench, where nobody is asked. Failures of instruments or of the disk
+    raise nothing: they are in the outcome, and the bench is safe. A finished run is sealed.
     """
     return _Execution(schedule, bench, writer, stop, progress, start_at, patience or Patience(), operator).carry_out()
 
@@ -143,7 +142,7 @@ class _Execution:
             pass
         except KeyboardInterrupt:
             self.stop.request(at_once=True, reason="interrupted")
-        except BaseException as error:  # whatever a driver raises
+        except BaseException as error:  # a driver may raise anything
             failures.append(Failure.of(error, self._where()))
         finally:
             unsafe += _make_safe(self.bench)
@@ -151,7 +150,7 @@ class _Execution:
         return self._account(failures, unsafe)
 
     def _account(self, failures: list[Failure], unsafe: list[str]) -> Outcome:
-        """Write down how it ended; the bench is safe already."""
+        """Record how the run ended; the bench is safe already."""
         complete = self._complete() and not failures
         cut, self.segment = self.segment, None
         stopped = None if complete or not self.stop.after_segment else self._how()
@@ -171,7 +170,9 @@ class _Execution:
             else:
                 self.writer.finish()
                 finished = True
-        except BaseException as error:  # the disk, or a driver's checkpoint; resuming settles what is missing
+        except (
+            BaseException
+        ) as error:  # the disk or the checkpoint of a driver failed; resuming completes what is missing
             failures.append(Failure.of(error, self.doing))
         count = len(self.schedule.segments)
         return Outcome(self.completed, count, finished, stopped, tuple(failures), tuple(unsafe), untouched)
@@ -183,7 +184,7 @@ class _Execution:
         return index < self.start_at or self.writer.acknowledged(index)
 
     def _complete(self) -> bool:
-        """Whether the run has all its segments, those from before this start included."""
+        """Whether the run has all its segments, including those recorded before this start."""
         return self.through and all(self.writer.acknowledged(index) for index in range(self.start_at))
 
     def _prepare(self) -> None:
@@ -213,7 +214,7 @@ class _Execution:
         self.writer.note("started", segments=count, start_at=self.start_at, clock=self.clock.now(), resumed=resumed)
 
     def _protect(self) -> dict[str, list[str]]:
-        """Sets the limits of every instrument that supports them; returns what each now enforces, by name."""
+        """Sets the limits of every instrument that supports them; returns the limits that each one enforces, by name."""
         told = {}
         for name, item in self.bench.instruments.items():
             if isinstance(item, SelfLimiting):
@@ -237,7 +238,7 @@ class _Execution:
         self.through = True
 
     def _segment(self, segment: Segment) -> None:
-        """Take it, again when a limit is passed, as often as the plan allows."""
+        """Record a segment, and repeat it when a limit is exceeded, as often as the plan allows."""
         self.segment = segment
         if self.meter is not None:
             self.meter.begin(segment, self.clock.now())
@@ -263,7 +264,7 @@ class _Execution:
             return
 
     def _in_mode(self, segment: Segment) -> dict[str, float]:
-        """As a reading: how long the sensor has been in the segment's mode as its record begins."""
+        """A reading: how long the sensor has been in the segment's mode when its record begins."""
         since = self.reaching.mode_since
         return {} if segment.mode is None or since is None else {IN_MODE: self.clock.now() - since}
 
@@ -303,7 +304,7 @@ class _Execution:
                 close()
 
     def _stand(self, segment: Segment, holding: Holding) -> None:
-        """A dwell of which nothing is streamed."""
+        """A dwell without recording."""
         if segment.dwell is None:
             message = f"'{segment.label}' lasts as long as its recording, but the sensor does not stream samples"
             raise InstrumentError(message)
@@ -313,7 +314,7 @@ class _Execution:
             holding.check()
 
     def _read(self) -> dict[str, float]:
-        """Readings of every instrument that has some, as `instrument.quantity_unit`."""
+        """Readings of all instruments, as `instrument.quantity_unit`."""
         if not self.readable:
             return {}
         self._say("taking readings")
@@ -321,7 +322,7 @@ class _Execution:
             f"{name}.{key}": float(value) for name, item in self.readable.items() for key, value in item.read().items()
         }
 
-    # -- words for people ----------------------------------------------------------------------------------------------
+    # -- messages to the operator @@@RULE ------------------------------------------------------------------------------
 
     def _say(self, activity: str) -> None:
         self.activity = activity
@@ -332,7 +333,7 @@ class _Execution:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
-        """Called by a real clock while it sleeps; ends the sleep when the run is to stop at once."""
+        """Called by a real clock while it sleeps; ends the sleep if the run must stop at once."""
         if self.meter is not None:
             self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
@@ -342,7 +343,7 @@ class _Execution:
         self.writer.note("noticed", instrument=instrument, text=text, **where)
 
     def _wait_safely(self) -> None:
-        """The safe state before somebody goes to the bench; what was commanded no longer holds."""
+        """Brings the bench to its safe state before someone goes there; earlier commands no longer apply."""
         self.reaching.forget()
         failures = [str(failure) for failure in self.bench.make_safe()]
         if failures:
@@ -361,7 +362,7 @@ def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:
 
 
 def _make_safe(bench: OpenBench) -> list[str]:
-    """Whatever was pressed or raised meanwhile: making safe is tried again, and failures are reported."""
+    """Makes the bench safe despite interruptions: after a signal or an exception it tries again, and failures are reported."""
     told = "the bench could not be made safe: switch the table and the chamber off by hand"
     for _ in range(SAFE_ATTEMPTS):
         try:

@@ -1,4 +1,4 @@
-"""Holding a segment's state while it records: every look at the bench is held against the plan's limits, and the frames at the end."""
+"""Supervision of a segment while it records: readings are checked against the limits of the plan, and the frame counts at the end."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from planrunner.plan.schedule import Segment, Watch
 
 
 class LimitPassedError(Exception):
-    """A limit that the plan sets was passed while a segment recorded. The message says which."""
+    """A limit of the plan was exceeded while a segment recorded. The message names the limit."""
 
 
 class Holding:
     """One attempt at one segment, from the beginning of its dwell."""
 
     def __init__(self, bench: Any, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None):
-        """counts: of the sensor's frames, where it counts them."""
+        """counts: frame counter of the sensor, if it has one."""
         self._clock, self._lookout = bench.clock, lookout
         self._counts = counts
         self._watch = segment.watch or Watch()
@@ -30,7 +30,7 @@ class Holding:
         self._seen: set[str] = set()
 
     def check(self, fresh: bool = False) -> None:
-        """Look after the bench, when it is time to or now. Raises `LimitPassedError`, and as `Lookout.look` does."""
+        """Check the bench if a check is due, or now. Raises `LimitPassedError` and the errors of `Lookout.look`."""
         self._lookout.look(fresh=fresh or not self._begun)
         self._begun = True
         if self._looks == self._lookout.looks:
@@ -50,8 +50,8 @@ class Holding:
             raise LimitPassedError("; ".join(passed))
 
     def finish(self) -> FrameCounts | None:
-        """What the sensor counted, after a last look, so that nothing counts during which something failed. Raises as `check` does, and
-        `LimitPassedError` when too many frames are lost or corrupt."""
+        """The frame counts of the sensor, after a last check that finds failures up to the end. Raises the errors of `check`, and
+        `LimitPassedError` if too many frames are lost or corrupt."""
         self.check(fresh=True)
         counts = self.counts()
         passed = [] if counts is None else frames_outside(self._watch, counts)
@@ -63,7 +63,7 @@ class Holding:
         return None if self._counts is None else self._counts()
 
     def unjudged(self) -> list[str]:
-        """In words, limited readings that were not seen during the dwell, on a bench that has readings."""
+        """In words, the limited quantities without a reading during the dwell, on a bench that has readings."""
         if not self._looks or self._moves:
             return []
         return unread(self._watch.limits, self._seen)

@@ -1,7 +1,6 @@
-"""Looking after the bench through every wait of a run: links, faults, the bench's own limits, the watchdog, and the operator's wish.
+"""Supervision of the bench during every wait of a run: links, faults, limits of the bench, the watchdog, and requests of the operator.
 
-About once a second, on the bench's clock, every instrument that can say something of itself is asked. What is out of the ordinary goes
-into the journal.
+About once a second, on the bench's clock, every instrument that can report its state is asked. Anything unusual goes into the journal.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ from planrunner.instruments.interfaces import (
 from planrunner.plan.units import ZERO_CELSIUS
 
 EVERY = 1.0
-"""Seconds between two looks."""
+"""Seconds between two checks."""
 Notice = Callable[[str, str], None]
 
 
 class StoppedAtOnceError(Exception):
-    """The operator wants the run to end now."""
+    """The operator requested an immediate stop."""
 
 
 class Lookout:
-    """notice: takes an instrument's name and what is out of the ordinary, in words."""
+    """notice: called with the name of an instrument and a description of anything unusual."""
 
     def __init__(self, bench: Any, stop: StopRequest, notice: Notice):
         self._clock = bench.clock
@@ -48,7 +47,7 @@ class Lookout:
         self._lost: InstrumentError | None = None
         self.conditions: Mapping[str, Condition] = {}
         self.looks = 0
-        """How often the instruments were asked."""
+        """Number of times that the instruments were asked."""
 
     @property
     def sees(self) -> bool:
@@ -56,7 +55,7 @@ class Lookout:
         return bool(self._watched)
 
     def pause(self, seconds: float) -> None:
-        """Sleep on the bench's clock, looking after the bench. Raises as `look` does."""
+        """Sleep on the bench's clock and supervise the bench. Raises the errors of `look`."""
         if not (self._watched or self._alive):
             if seconds > 0:
                 self._clock.sleep(seconds)
@@ -69,7 +68,7 @@ class Lookout:
         self.look()
 
     def look(self, fresh: bool = False) -> None:
-        """Ask the instruments when it is time to, or now. Raises `StoppedAtOnceError` and `InstrumentError`."""
+        """Ask the instruments if a check is due, or now. Raises `StoppedAtOnceError` and `InstrumentError`."""
         if self._stop.at_once:
             raise StoppedAtOnceError
         if self._lost is not None:
@@ -80,7 +79,7 @@ class Lookout:
         self._last = self._clock.now()
         conditions = {}
         for item in self._alive.values():
-            self._sign_of_life()  # each may take its time-outs
+            self._sign_of_life()  # each one may wait for its time-outs
             item.heartbeat()
         for name, watched in self._watched.items():
             self._sign_of_life()
@@ -92,7 +91,7 @@ class Lookout:
             self._judge(name, condition)
 
     def idle(self) -> None:
-        """Keep the links alive while the bench waits in its safe state, where an open interlock or a lost link is no fault."""
+        """Keep the links alive while the bench waits in its safe state. There an open interlock or a lost link is not a fault."""
         self._sign_of_life()
         if self._clock.now() - self._last < EVERY:
             return
@@ -106,13 +105,13 @@ class Lookout:
                 self._once(name, str(error))
 
     def hear(self) -> None:
-        """Take what the drivers had to do again into the journal."""
+        """Enter the retries of the drivers into the journal."""
         for name, item in self._remarking.items():
             for text in item.remarks():
                 self._notice(name, text)
 
     def tick(self) -> bool:
-        """Called by a real clock while it sleeps, also within a driver; returns whether the sleep is to end."""
+        """Called by a real clock while it sleeps, also within a driver; returns whether the sleep must end."""
         try:
             self._sign_of_life()
         except InstrumentError as error:
@@ -120,7 +119,7 @@ class Lookout:
         return self._stop.at_once or self._lost is not None
 
     def begin_segment(self) -> None:
-        """Doubts are reported again."""
+        """From now on doubts are reported again."""
         self._doubts.clear()
         self._last = -math.inf
 

@@ -1,6 +1,6 @@
-"""Waiting for a person at a segment's boundary: a prompt of the plan to be carried out, or a pause to end.
+"""Waiting for a person at a segment boundary: a prompt of the plan must be confirmed, or a pause must end.
 
-The bench is in its safe state meanwhile, so that a fixture can be mounted. On a simulated bench nobody is asked.
+Meanwhile the bench is in its safe state, so that a fixture can be mounted. On a simulated bench nobody is asked.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from planrunner.execution.stopping import StopRequest
 from planrunner.plan.schedule import Segment
 
 EVERY = 0.1
-"""Seconds of real time between two looks at whether the person is done."""
+"""Seconds of real time between two checks for an answer."""
 NOT_ASKED = "not asked: the bench is simulated"
 
 
 class Operator(Protocol):
     def ask(self, prompt: str) -> Callable[[], bool]:
-        """Put the prompt to the operator; the answer says whether it is done, at any time and at once."""
+        """Show the prompt to the operator. The result can be called at any time and returns at once whether it is done."""
 
     def tell(self, text: str) -> None:
-        """A line that needs no answer."""
+        """Show a line that needs no answer."""
 
 
 class Boundary:
-    """What happens between two segments. make_safe: brings the bench to its safe state and forgets what was commanded; go_on: what comes
-    before the first move after it."""
+    """Actions between two segments. make_safe: brings the bench to its safe state and forgets earlier commands. go_on: called before the
+    first move afterwards."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Boundary:
         self._make_safe, self._go_on = make_safe, go_on
 
     def wait(self, segment: Segment, now: Callable[[], float]) -> None:
-        """Before `segment`: the prompts and a pause, if any. Returns early when the run is to stop."""
+        """Handle the prompts and a pause, if any, before `segment`. Returns early if the run must stop."""
         if asked_to_pause(self._writer.folder):
             self._pause(now)
         if not segment.prompts or self._stop.after_segment:
@@ -71,7 +71,7 @@ class Boundary:
             self._writer.note("continued", clock=now())
 
     def _until(self, done: Callable[[], bool]) -> bool:
-        """Wait in real time, whatever clock the bench has; False when the run is to stop instead."""
+        """Wait in real time, regardless of the bench's clock. Returns False if the run must stop."""
         while not done():
             if self._stop.after_segment:
                 return False

@@ -1,4 +1,4 @@
-"""How carrying out a schedule ended."""
+"""The outcome of executing a schedule."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """completed: segments acknowledged now; segments: of the schedule. stopped: on request, and how. unsafe: what
-    could not be made safe; untouched: instruments that were never commanded, and so are left as they were found. finished: every segment
-    is acknowledged and the folder sealed."""
+    """completed: number of segments acknowledged in this execution; segments: number in the schedule. stopped: how the run was stopped
+    on request. unsafe: failures to make instruments safe. untouched: instruments that were never commanded and therefore left as found.
+    finished: every segment is acknowledged and the folder is sealed."""
 
     completed: int
     segments: int

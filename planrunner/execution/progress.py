@@ -1,4 +1,4 @@
-"""Progress of a run as typed events, by planned time."""
+"""Progress of a run as typed events, measured in planned time."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from planrunner.plan.schedule import Schedule, Segment
 
 EVERY = 0.05
-"""Seconds of real time between two `Advanced` events at least."""
+"""Minimum seconds of real time between two `Advanced` events."""
 
 
 @dataclass(frozen=True, slots=True)
 class SegmentBegun:
-    """fraction: of the whole run's planned time that lies behind, 0 to 1. time_left: s of real time, None while
-    unknown."""
+    """fraction: completed fraction of the planned time of the run, 0 to 1. time_left: s of real time, None while unknown."""
 
     index: int
     label: str
@@ -26,7 +25,7 @@ class SegmentBegun:
 
 @dataclass(frozen=True, slots=True)
 class Advanced:
-    """Within a segment; `activity` says what the bench does now."""
+    """Progress within a segment; activity: current activity of the bench."""
 
     index: int
     label: str
@@ -52,16 +51,15 @@ ProgressCallback = Callable[[ProgressEvent], None]
 
 
 def planned_seconds(segment: Segment) -> float:
-    """Planned time of one segment, s: getting there, soaking, settling, dwelling."""
+    """Planned time of one segment, s: transition, soak, settling and dwell."""
     return segment.transition + segment.soak + segment.settle + (segment.dwell or 0.0)
 
 
 class Meter:
-    """Turns where the executor stands into events.
+    """Turns the position of the executor into events.
 
-    Time left is the planned time left at the pace so far, so it is real time on a simulated bench too. A callback
-    that raises is not
-    called again: what is only shown must not end a run.
+    The time left is the remaining planned time at the pace so far, so it is real time on a simulated bench too. A callback that raises is
+    not called again, because a display must not end a run.
     """
 
     def __init__(self, schedule: Schedule, callback: ProgressCallback, behind: float):
@@ -79,7 +77,7 @@ class Meter:
         self._send(SegmentBegun, self._behind)
 
     def advance(self, clock: float, activity: str) -> None:
-        """Called often; sends an event now and then."""
+        """Called often; sends an event if one is due."""
         now = time.monotonic()
         if self._segment is None or now - self._shown < EVERY:
             return
@@ -107,6 +105,6 @@ class Meter:
 
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
-    """Planned time of the segments that are done already (their number, where nothing has a planned time)."""
+    """Planned time of the completed segments (or their number if no segment has a planned time)."""
     times = [planned_seconds(segment) for segment in schedule.segments if done(segment.index)]
     return sum(times) if any(planned_seconds(segment) for segment in schedule.segments) else float(len(times))

@@ -1,9 +1,8 @@
-"""Getting the bench into a segment's state and out of it again: temperature, orientation, motion, settling.
+"""Bringing the bench to the state of a segment and to rest again: temperature, orientation, motion, settling.
 
-Commands return at once with the seconds they are expected to take; these are slept on the bench's clock, then the
-instrument is asked until it holds, up to a time-out. Settling ends when the readings have settled, where the plan says
-of what and the instruments have readings. Temperature is set only when it changes, orientation only when it changes or
-after a motion.
+Commands return at once with their expected duration. After that time on the bench's clock the instrument is asked until it has arrived, up
+to a time-out. If the plan names quantities to settle and the instruments have readings of them, settling ends when they have settled.
+Temperature is set only when it changes, orientation only when it changes or after a motion.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long an instrument may take beyond what it expected, s, and how often it is asked."""
+    """How long an instrument may take beyond its expected duration, and how often it is asked, s."""
 
     table: float = 60.0
     chamber: float = 1800.0
@@ -39,7 +38,7 @@ class Patience:
 
 
 class Reaching:
-    """Knows what was last commanded, so that nothing is moved without need."""
+    """Remembers the last commands, so that nothing is moved without need."""
 
     def __init__(self, bench: Any, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
         self._bench = bench
@@ -57,14 +56,14 @@ class Reaching:
         self.attitude: Array | None = None
         self.mode: str | None = None
         self.mode_since: float | None = None
-        """When the mode was commanded, s of the bench's clock; None after a break."""
+        """Time of the mode command on the bench's clock, s; None after an interruption."""
         self.soak_again = True
-        """At first, and after a break, nobody knows how long the sensor has been at its temperature."""
+        """False at first and after an interruption, when the time of the sensor at its temperature is unknown."""
         self.moving_perhaps = False
-        """After a break nobody knows whether the table stands still."""
+        """False after an interruption, when the table may be moving."""
 
     def forget(self) -> None:
-        """What was commanded no longer holds: the bench was made safe."""
+        """Forget the last commands, because the bench was made safe."""
         self.temperature, self.attitude, self.mode, self.mode_since = None, None, None, None
         self.soak_again = self.moving_perhaps = True
 
@@ -80,7 +79,7 @@ class Reaching:
             settling = segment.stable.patience if segment.stable and self._lookout.sees else segment.settle
             self._begin_motion(segment, settling + dwell)
             self._settle(segment)
-        else:  # a profile is recorded from its beginning
+        else:  # a temperature profile is recorded from its beginning
             self._settle(segment)
             self._begin_motion(segment, dwell)
         if segment.ramp_to is not None and self._chamber is not None:
@@ -99,7 +98,7 @@ class Reaching:
         )
 
     def pause(self, seconds: float) -> None:
-        """Sleep on the bench's clock, looking after the bench; raises as `Lookout.look` does."""
+        """Sleep on the bench's clock and supervise the bench. Raises the errors of `Lookout.look`."""
         self._lookout.pause(seconds)
 
     def _settle(self, segment: Segment) -> None:
@@ -108,8 +107,8 @@ class Reaching:
             self._wait_until_settled(segment, segment.settle, segment.stable)
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
-        """Wait for a time, or, where the plan says of what and the instruments have readings, until these have stayed within their
-        limits for that time."""
+        """Wait for a time. If the plan names quantities to settle and the instruments have readings of them, wait until these have
+        stayed within their limits for that time."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return

@@ -1,4 +1,4 @@
-"""What the instruments read of the state that is held, in a plan's words, and whether it has settled or passes a limit."""
+"""Readings of the current state by the plan's names, with checks for settling and limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planrunner.instruments.interfaces import Condition, FrameCounts
 from planrunner.plan.schedule import Segment, Watch
 
 DRIFT_OVER = 60.0
-"""Seconds over which a temperature's drift is judged while a segment records."""
+"""Seconds over which the drift of a temperature is measured while a segment records."""
 SHOWN = {
     "position_error": ("arcsec", 180 * 3600 / math.pi),
     "rate_error": ("deg/s", 180 / math.pi),
@@ -25,8 +25,8 @@ SHOWN = {
 
 @dataclass(slots=True)
 class Readings:
-    """Follows the readings of one state. over: s that a drift is judged over; chamber: the name of the instrument whose temperature is
-    held against `setpoint` [K]; drifting: names of those whose temperature may not drift."""
+    """Follows the readings of one state. over: time over which a drift is measured, s; chamber: name of the instrument whose temperature
+    is compared with `setpoint` [K]; drifting: names of the instruments whose temperature must not drift."""
 
     over: float
     chamber: str | None = None
@@ -35,7 +35,7 @@ class Readings:
     _courses: dict[str, deque[tuple[float, float]]] = field(default_factory=dict)
 
     def take(self, now: float, conditions: Mapping[str, Condition]) -> dict[str, float]:
-        """Reading → value now, SI, of those that are known: the worst of the instruments that say it."""
+        """Reading → current value, SI, for all known readings. If several instruments report one, the worst value is taken."""
         found: dict[str, float] = {}
         for name, condition in conditions.items():
             for reading in ("position_error", "rate_error"):
@@ -52,7 +52,7 @@ class Readings:
         return found
 
     def _drift(self, name: str, now: float, kelvin: float) -> float | None:
-        """|dT/dt| [K/s], a straight line through the last `over` seconds; None until they have passed."""
+        """|dT/dt| [K/s] of a straight line fitted to the last `over` seconds; None before that time has passed."""
         course = self._courses.setdefault(name, deque())
         course.append((now, kelvin))
         while course and now - course[0][0] > self.over * (1 + 1e-9) and now - course[1][0] >= self.over:
@@ -65,7 +65,7 @@ class Readings:
 
 
 def readings_of(bench: Any, segment: Segment, over: float) -> Readings:
-    """Readings of a segment's state. A temperature that is to move has no error and no drift."""
+    """Readings of the state of a segment. A temperature that follows a profile has no error and no drift."""
     if segment.ramp_to is not None:
         return Readings(over)
     names = {id(item): name for name, item in bench.instruments.items()}
@@ -74,7 +74,7 @@ def readings_of(bench: Any, segment: Segment, over: float) -> Readings:
 
 
 def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
-    """In words, what is beyond its limit; a reading that is not known is left out."""
+    """In words, the readings beyond their limits; unknown readings are left out."""
     return [
         f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
         for name, limit in limits.items()
@@ -83,12 +83,12 @@ def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[st
 
 
 def unread(limits: Mapping[str, float], values: Iterable[str]) -> list[str]:
-    """In words, the limited readings that no instrument has said."""
+    """In words, the limited readings that no instrument has reported."""
     return [f"no instrument reports the {name.replace('_', ' ')}" for name in limits if name not in values]
 
 
 def frames_outside(watch: Watch, counts: FrameCounts) -> list[str]:
-    """In words, which share of a segment's frames is beyond its limit; what the computer dropped is lost as well."""
+    """In words, which fractions of lost or corrupt frames exceed their limits. Frames dropped by the computer count as lost."""
     whole = counts.received + counts.lost + counts.corrupt + counts.overflowed
     shares = {
         "lost": (watch.lost, counts.lost + counts.overflowed),

@@ -1,7 +1,7 @@
-"""Stopping by request: the first Ctrl-C ends the run after the segment, the second or a termination signal at once.
+"""Stopping on request: the first Ctrl-C ends the run after the segment, the second or a termination signal at once.
 
-Handlers only take note; the executor looks at the note between steps and leaves the bench safe. A third Ctrl-C raises
-KeyboardInterrupt, for a driver that does not return; the executor makes the bench safe then too.
+Handlers only record the request; the executor checks it between steps and leaves the bench safe. A third Ctrl-C raises KeyboardInterrupt,
+in case a driver does not return; the executor makes the bench safe then too.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ AT_ONCE_SIGNALS = ("SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class StopRequest:
-    """Whether and how the run is to stop. As a context manager it listens to signals and restores their handlers
-    afterwards.
+    """Whether and how the run must stop. As a context manager it handles signals and restores the previous handlers afterwards.
 
     notify: called with a line of text for the operator at every request (from the signal handler, so it must be quick).
     """
@@ -38,7 +37,7 @@ class StopRequest:
         self.reason = reason
         if self._notify is None:
             return
-        with contextlib.suppress(Exception):  # what is only shown must not keep the run from stopping
+        with contextlib.suppress(Exception):  # a failing display must not prevent the run from stopping
             self._notify(
                 "stopping at once" if at_once else "stopping after this segment; press Ctrl-C again to stop at once"
             )

@@ -1,7 +1,7 @@
-"""The words for directions of the site, in East-North-Up. A new word is declared here, and nowhere else.
+"""The words for directions of the site, in East-North-Up. A new word is declared only here.
 
 Parsing, suggestions, the schemas, the reference of keys, reports and the diagnosis follow from `DIRECTIONS`. Designs and proposals search
-among `CARDINAL` alone, so that a new word does not change what they choose.
+only among `CARDINAL`, so that a new word does not change their choices.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ CARDINAL: dict[str, Direction] = {
 DIRECTIONS: dict[str, Direction] = {**CARDINAL}
 """Every word that a plan or a bench file may use, with its unit vector."""
 RIGHT_ANGLE = 1e-9
-"""Directions whose scalar product is smaller stand at right angles."""
+"""Directions with a smaller scalar product count as perpendicular."""
 
 
 def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:
-    """The word for a unit vector, None where no word's vector is as near. within: length of the difference."""
+    """The word for a unit vector; None if no word is near enough. within: maximum length of the difference."""
     given = tuple(direction)
     word, vector = min(DIRECTIONS.items(), key=lambda item: math.dist(item[1], given))
     return word if math.dist(vector, given) < within else None

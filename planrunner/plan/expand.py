@@ -13,7 +13,7 @@ from planrunner.plan.model import Plan
 from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, SegmentSpec, State
 from planrunner.plan.sweep import SweepValue
 
-# What a night's plan needs at most, with room; a file of a few lines can ask for any number.
+# More than any overnight plan needs; without a limit a file of a few lines could ask for any number.
 MAX_SEGMENTS = 10_000
 
 _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
@@ -21,12 +21,11 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class StatedSegment:
-    """One segment with all that it inherited: key → value as read, and where each value stands.
+    """One segment with all inherited keys: key → value as read, and the place of each value.
 
-    prompts: what the operator is asked before it, in order, and where that stands.
-    conditioning: whether the plan says that it only brings the sensor to a state.
-    sound: False where it would inherit a value from `defaults` that could not be read, or where its label names a key that is not swept, so
-    that its state is not known.
+    prompts: prompts to the operator before the segment, in order, with their places. conditioning: whether the plan declares that the
+    segment only brings the sensor to a state. sound: False if its state is not known, because it inherits a value from `defaults` that
+    could not be read or its label names a key that is not swept.
     """
 
     label: str
@@ -39,7 +38,7 @@ class StatedSegment:
 
 
 def expand(plan: Plan, log: Findings) -> list[StatedSegment]:
-    """Every sound segment in order. Findings: too many, repeated or empty labels, keys that make no sense together."""
+    """Every sound segment in order. Adds findings about too many segments, repeated or empty labels, and contradictory keys."""
     count = sum(_count(spec) for spec in plan.segments)
     if count > MAX_SEGMENTS:
         longest = max(plan.segments, key=_count)
@@ -72,12 +71,12 @@ def _stated(label: str, state: dict[str, Any], marks: dict[str, Mark], mark: Mar
     return StatedSegment(label, readable, marks, mark, sound)
 
 
-# Without these, what else is said of a segment cannot be judged.
+# Without these, the other keys of a segment cannot be judged.
 _DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisive)
 
 
 def _count(spec: SegmentSpec) -> int:
-    """How many segments a spec stands for; one that will be left out counts as well, since it is walked over."""
+    """Number of segments of a spec, including those that will be left out, because they are visited too."""
     own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
     return own * (sum(_count(step) for step in spec.steps) or 1)
 
@@ -94,7 +93,7 @@ def _inherit(own: State, state: dict[str, Any], marks: dict[str, Mark]) -> None:
 
 
 def _set(name: str, value: Any, mark: Mark, state: dict[str, Any], marks: dict[str, Mark]) -> None:
-    """A rate replaces an inherited motion and the other way round: both say what the table does."""
+    """Sets a key. A rate replaces an inherited motion and vice versa, because both define the motion of the table."""
     other = STATE_TRAITS[name].replaces
     if other is not None:
         state.pop(other, None)
@@ -112,7 +111,7 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Whether nothing is swept that is also given beside the sweep, or swept twice as rate and motion."""
+    """Whether no swept key is also given next to the sweep, and rate and motion are not both swept."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name
@@ -148,7 +147,7 @@ def _expand(
                 _set(name, value.value, value.mark, own_state, own_marks)
             before = log.raised
             own = path + _label_parts(spec, keys, row, turn, log)
-            swept = log.raised == before  # else a sweep is missing, and with it what would be stated
+            swept = log.raised == before  # else a sweep is missing, and with it the keys that it would set
             prompts = _prompts(spec, keys, row, turn, log)
             if spec.steps:
                 for step in spec.steps:
@@ -185,7 +184,7 @@ def _label_parts(
 def _filled(
     spec: SegmentSpec, key: str, values: Mapping[str, SweepValue], turn: int, used: set[str], log: Findings
 ) -> str:
-    """The text of `key` with its {placeholders} replaced; `used` takes in what they named."""
+    """The text of `key` with its {placeholders} replaced; `used` collects their names."""
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]
@@ -213,7 +212,7 @@ def _prompts(
 
 
 def _check_unique(segments: list[StatedSegment], log: Findings) -> None:
-    """One finding for each place that repeats labels, however many."""
+    """One finding for each place that repeats labels, regardless of their number."""
     first: dict[str, Mark] = {}
     repeated: dict[Mark, list[str]] = {}
     for segment in segments:

@@ -1,8 +1,8 @@
 """Kinds of value: one declaration that both reads a node and describes itself as JSON Schema.
 
-A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. From that one declaration come the
-reader (with findings at file:line:column), the JSON Schema that editors use, and the reference in `docs/`. Plug-ins declare their
-parameters in the same way. A kind's `read` returns None when it has added a finding.
+A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. The reader (with findings at file:line:column),
+the JSON Schema for editors, and the reference in `docs/` are made from this single declaration. Plug-ins declare their parameters in the
+same way. The `read` method of a kind returns None if it has added a finding.
 
     class Chamber(Record):
         lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature the chamber reaches.", "-55 degC")
@@ -61,11 +61,11 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a record stands in its file, key by key. Empty for records made in code.
+    """Places of the keys of a record in its file. Empty for records made in code.
 
-    keys: `report` is where that key's value begins, `report[1]` where the second entry of its list does, `limits.x` where the value
-    of `x` in its mapping does. broken: the keys of whose values not all could be read. meant: absent key → the unknown keys that it may
-    be hidden in, being misspelt.
+    keys: `report` is the place where the value of that key begins, `report[1]` that of the second entry of its list, `limits.x` that of the
+    value of `x` in its mapping. broken: keys with values that could not be read completely. meant: absent key → unknown keys that may be
+    misspellings of it.
     """
 
     mark: Mark = field(default_factory=lambda: Mark("<code>"))
@@ -74,11 +74,11 @@ class Origin:
     meant: Mapping[str, tuple[Mark, ...]] = field(default_factory=dict)
 
     def parts(self, key: str) -> tuple[Mark, ...]:
-        """What the value of a key rests on: where it is written, or else the unknown keys that may be meant for it."""
+        """The places that determine the value of a key: where it is written, or the unknown keys that may be misspellings of it."""
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:
-        """The mark of a key or of an entry of its list or mapping; that of the key, else of the record, where there is none."""
+        """The mark of a key or of an entry of its list or mapping. If there is none: the mark of the key, or else of the record."""
         if key in self.keys:
             return self.keys[key]
         return self.keys.get(key.partition("[")[0].partition(".")[0], self.mark)
@@ -98,10 +98,9 @@ def key(
     fallback: Any = None,
     traits: object = None,
 ) -> Any:
-    """A dataclass field that is also a key of the language. Every key has a description and an example; `name` is its
-    spelling in YAML where that is not a Python name; `fallback` stands in for a required value that is missing or wrong, so that the
-    rest of the record can still be checked. traits: what the record's own module needs to
-    know of the key, such as whether it may be swept."""
+    """A dataclass field that is also a key of the language. Every key has a description and an example; name: its spelling in YAML if
+    that is not a Python name. fallback: replaces a required value that is missing or wrong, so that the rest of the record can still be
+    checked. traits: properties that the module of the record needs, such as whether the key may be swept."""
     metadata = {
         "kind": kind,
         "description": description,
@@ -148,7 +147,7 @@ def is_required(item: dataclasses.Field[Any]) -> bool:
 def read_keys(
     node: source.Mapping, fields: Mapping[str, dataclasses.Field[Any]], log: Findings, passed: Iterable[str] = ()
 ) -> tuple[dict[str, Any], Origin]:
-    """The given keys' values by Python name, and where they stand; unknown and missing keys are findings. `passed` keys are read
+    """Values of the given keys by Python name, and their places. Unknown and missing keys become findings. Keys in `passed` are read
     elsewhere."""
     values: dict[str, Any] = {}
     broken: set[str] = set()
@@ -159,7 +158,7 @@ def read_keys(
         if name.text in fields:
             before = log.raised
             value = fields[name.text].metadata["kind"].read(item, log)
-            if log.raised > before or value is None:  # what an alias repeats was found where it stands first
+            if log.raised > before or value is None:  # faults in aliased nodes are reported where the node is defined
                 broken.add(name.text)
             if value is not None:
                 values[fields[name.text].name] = value
@@ -178,10 +177,10 @@ def read_keys(
 def _meant(
     node: source.Mapping, known: Sequence[str], missing: Sequence[str]
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
-    """Absent key → the unknown keys that may be meant for it; and what to say of each unknown key.
+    """Absent key → unknown keys that may be misspellings of it; and the message for each unknown key.
 
-    An unknown key is meant for the absent one that it resembles. One that resembles none may be meant for any optional key, and for a
-    missing one where no more are missing than there are such keys.
+    An unknown key counts as a misspelling of the absent key that it resembles. If it resembles none, it may mean any optional key; it may
+    also mean a missing key, if there are at least as many such unknown keys as missing keys.
     """
     unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
     if not unknown:
@@ -216,7 +215,7 @@ def _meant(
 
 
 def inline(example: Any) -> str:
-    """An example as one would write it in a plan, on one line."""
+    """An example as written in a plan, on one line."""
     if isinstance(example, Mapping):
         return "{" + ", ".join(f"{name}: {inline(value)}" for name, value in example.items()) + "}"
     if isinstance(example, list | tuple):
@@ -281,16 +280,16 @@ def object_schema(fields: Mapping[str, dataclasses.Field[Any]], closed: bool = T
 
 
 class Plugin(Protocol):
-    """What `Plugged` needs of a plug-in class: the record of its parameters."""
+    """Interface of a plug-in class for `Plugged`: the record of its parameters."""
 
     Parameters: type[Record]
 
 
 @dataclass(frozen=True, slots=True)
 class Plugged:
-    """A record whose further keys belong to the plug-in that `selector` names.
+    """A record whose additional keys belong to the plug-in that `selector` names.
 
-    The plug-in's keys stand beside the common ones; they are read into the record's field `parameters`.
+    The keys of the plug-in are in the same mapping as the common ones and are read into the field `parameters` of the record.
     """
 
     record: type[Record]
@@ -306,7 +305,7 @@ class Plugged:
         common = keys_of(self.record)
         plugin = self._chosen(node, log)
         if plugin is None:
-            # What all plug-ins share can be checked nevertheless; which other keys are right nobody knows.
+            # Common keys of all plug-ins can still be checked; the other keys cannot.
             others = [name.text for name, _ in node.entries if name.text not in common]
             read_keys(
                 node,
@@ -319,7 +318,7 @@ class Plugged:
         fields = {**common, **own}
         before = log.raised
         values, origin = read_keys(node, fields, log)
-        # A plug-in is not asked what it makes of parameters of which some are missing.
+        # Plug-ins do not check incomplete parameters.
         if log.raised > before or any(is_required(item) and item.name not in values for item in fields.values()):
             return None
         own_names = {item.name for item in own.values()}
@@ -333,7 +332,7 @@ class Plugged:
         chosen = node.get(self.selector)
         known = ", ".join(self.names())
         if chosen is None:
-            # Which other keys are right depends on the plug-in; one that resembles the selector is taken for it.
+            # The other valid keys depend on the plug-in; a key that resembles the selector counts as a misspelling of it.
             alike = [name for name, _ in node.entries if nearest(name.text, [self.selector]) is not None]
             for name in alike:
                 message = f"unknown key '{name.text[:60]}'"

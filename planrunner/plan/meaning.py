@@ -18,7 +18,7 @@ from planrunner.plan.selection import Detection, Labels
 def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iterable[str], log: Findings) -> None:
     """Adds findings on estimates, limits and reports. `templates`: the names of reports that can be written.
 
-    What refers to a part that could not be read is not called unknown: one mistake gives one finding.
+    A reference to a part that could not be read is not reported as unknown, so that one mistake gives one finding.
     """
     names = [key.removeprefix("estimates.") for key in plan.origin.keys if key.startswith("estimates.")] or list(
         plan.estimates
@@ -32,7 +32,7 @@ def check_meaning(plan: Plan, segments: Sequence[StatedSegment], templates: Iter
         selections: list[EstimateSpec | DiagnosisSpec] = list(plan.estimates.values())
         if plan.diagnosis is not None:
             selections.append(plan.diagnosis)
-        # A label that is missing or repeated may be the one that an estimate names.
+        # An estimate may refer to a label that is missing or repeated.
         with log.resting_on(*plan.origin.parts("segments")):
             used = _check_selections(selections, labels, log)
         if plan.estimates:
@@ -58,7 +58,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
     for index, other in enumerate(spec.uses):
         at = spec.at(f"uses[{index}]")
         if other not in names:
-            continue  # `_check_names` says so
+            continue  # `_check_names` reports it
         if other in spec.uses[:index]:
             log.error("meaning-estimate-twice", at, f"'{name}' uses '{other}' twice", "name each estimate once")
         elif other == name:
@@ -69,7 +69,7 @@ def _check_uses(name: str, spec: EstimateSpec, names: list[str], log: Findings) 
 
 
 def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
-    """One finding for each name that is no estimate, however often it is used."""
+    """One finding for each name that is not an estimate, regardless of how often it is used."""
     unknown: dict[str, list[Mark]] = {}
     for spec in plan.estimates.values():
         for index, other in enumerate(spec.uses):
@@ -86,11 +86,11 @@ def _check_names(plan: Plan, names: list[str], log: Findings) -> None:
 
 
 def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Labels, log: Findings) -> set[int]:
-    """The segments chosen; a pattern that means none of them is one finding, however often it is written."""
+    """The selected segments. A pattern that matches none is one finding, regardless of how often it is written."""
     chosen: set[int] = set()
     undefined: dict[str, list[Mark]] = {}
     for spec in specs:
-        # The record that holds the patterns, and under which key.
+        # The record with the patterns, and their key.
         holder, key = (spec.segments, "within") if isinstance(spec.segments, Detection) else (spec, "segments")
         patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
         for index, pattern in enumerate(patterns):
@@ -108,7 +108,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
 
 
 def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
-    """One warning for each place that makes unused segments, however many."""
+    """One warning for each place that defines unused segments, regardless of their number."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
         if index not in used and not segment.conditioning:
@@ -168,10 +168,10 @@ def _check_limit(limit: Limit, log: Findings) -> None:
 
 
 def check_channels(parameters: Record, outputs: Collection[str] | None, log: Findings) -> None:
-    """Findings about channels that the sensor does not have or that are named twice.
+    """Adds findings about channels that the sensor does not have or that are named twice.
 
-    outputs: of the sensor; None where it is not known what will be recorded. Channels that a plan does not name itself, an estimator's
-    defaults, may be missing: the estimator knows whether it can do without them.
+    outputs: outputs of the sensor; None if it is not known what will be recorded. Default channels of an estimator, which the plan does not
+    name, may be missing: the estimator decides whether it needs them.
     """
     seen: set[str] = set()
     for key, place, channel in _named(parameters):
@@ -187,7 +187,7 @@ def check_channels(parameters: Record, outputs: Collection[str] | None, log: Fin
 
 
 def channels_of(parameters: Record) -> tuple[str, ...]:
-    """The channels that parameters name, their defaults included."""
+    """The channels named in parameters, including defaults."""
     return tuple(dict.fromkeys(channel for _, _, channel in _named(parameters)))
 
 

@@ -1,6 +1,6 @@
 """The plan as data: the records of the language, each key with its description and an example.
 
-These records are the one source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`.
+These records are the single source of the reader, the JSON Schema in `schemas/` and the key reference in `docs/`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ NOMINAL_TERMS = (
     "accel_scale_factor",
     "accel_misalignment",
 )
-"""What a simulation can fit: a bias and a 3 by 3 matrix a triad, and the Earth rate that it knows."""
+"""Terms that a simulation can fit: a bias and a 3 by 3 matrix per triad, and the known Earth rate."""
 
 
 class DiagnosisSpec(Record):
@@ -156,7 +156,7 @@ class MountedAxis(Record):
         return across * math.cos(azimuth), across * math.sin(azimuth), math.cos(angle)
 
 
-# -- what is learnt --------------------------------------------------------------------------------------------------
+# -- results -----------------------------------------------------------------------------------------------------------
 
 
 class EstimateSpec(Record):
@@ -182,7 +182,7 @@ class EstimateSpec(Record):
 
 
 class SymmetricKind:
-    """A bound on both sides of zero, `±0.5 deg/h`, kept as it is written."""
+    """A symmetric bound, `±0.5 deg/h`, kept as written."""
 
     _form = Text(SYMMETRIC, "a limit such as ±0.5 deg/h", "write ± and one quantity, or use at_least and at_most")
 

@@ -1,7 +1,7 @@
-"""From the motion that a plan states to the motion of a schedule, with the checks that concern motion alone.
+"""Converts the motion in a plan to the motion of a schedule, with the checks that concern only motion.
 
-Cycles of turns and stops are followed move by move: each must start where the last ended and land where it says, and the cycle
-must not wind up cables.
+Cycles of turns and stops are followed move by move. Each move must start where the previous one ended and end at its stated position, and
+the cycle must not wind up cables.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TURN = 2 * math.pi
 _ANGLE_TOLERANCE = math.radians(1e-6)
 
 
-# Which keys of a motion belong to which form.
+# The keys of each form of motion.
 _KEYS = {
     "rate": {"rate", "about", "sense"},
     "rock": {"rock", "after", "for"},
@@ -124,7 +124,7 @@ def _cycle(motion: model.Motion, sign: float, log: Findings) -> Cycle | None:
 
 
 def _check_positions(moves: list[Move], positions: Mapping[str, float], motion: model.Motion, log: Findings) -> None:
-    """One finding for each name that is no position, however many moves use it."""
+    """One finding for each name that is not a position, regardless of the number of moves that use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
         for name in dict.fromkeys((move.start, move.end)):
@@ -167,6 +167,6 @@ def _degrees(angle: float) -> str:
 
 
 def _turns(positions: Mapping[str, float], move: Move) -> str:
-    """The turns that would land, the short way round and the long one."""
+    """The two turns that end at the position: the short way and the long way."""
     short = round(math.degrees(math.remainder(positions[move.end] - positions[move.start], TURN)), 6)
     return f"{short:+g} or {short - math.copysign(360, short):+g} deg"

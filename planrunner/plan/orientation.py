@@ -1,4 +1,4 @@
-"""Orientations: where the sensor's axes point on the site, in words or as rotations.
+"""Orientations: directions of the sensor's axes at the site, in words or as rotations.
 
 {x: up, y: north, z: west}                       words, at least two axes
 {from: {x: up, y: north}, rotate: [x 30 deg, z -45 deg]}   then turned about its own axes, in order
@@ -43,12 +43,12 @@ UNKNOWN = Orientation("unknown", None)
 
 
 def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
-    """`x up, y north, z west`; an axis along no direction that has a word as numbers."""
+    """`x up, y north, z west`; an axis in a direction without a word is given as numbers."""
     return ", ".join(f"{axis} {_pointing(row, tolerance)}" for axis, row in zip(AXES, attitude, strict=True))
 
 
 def as_mapping(attitude: Matrix) -> str | None:
-    """As a plan says it, `{x: up, y: north, z: west}`; None where an axis points along no direction that has a word."""
+    """As written in a plan, `{x: up, y: north, z: west}`; None if an axis points in a direction without a word."""
     words = [word_of(row) for row in attitude]
     return (
         None
@@ -62,7 +62,7 @@ def _pointing(row: Matrix | Direction, tolerance: float = 1e-9) -> str:
 
 
 def rotation(axis: int, angle: float) -> Matrix:
-    """Sensor-to-sensor rotation by `angle` [rad] about the sensor's own axis 0, 1 or 2: v_new = R @ v_old components."""
+    """Sensor-to-sensor rotation by `angle` [rad] about sensor axis 0, 1 or 2: v_new = R @ v_old components."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)
@@ -72,7 +72,7 @@ def rotation(axis: int, angle: float) -> Matrix:
 
 
 class OrientationKind:
-    """The kind of value an orientation is (see `planrunner.plan.kinds`)."""
+    """The kind of value for orientations (see `planrunner.plan.kinds`)."""
 
     def read(self, node: Node, log: Findings) -> Orientation | None:
         if isinstance(node, Scalar):
@@ -217,7 +217,7 @@ def _right_handed(given: dict[str, Direction], node: Mapping, log: Findings) -> 
 
 @lru_cache(maxsize=256)
 def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[float, ...], ...], str, bool]:
-    """The three axes that two or three at right angles make, in words, and whether they are right-handed."""
+    """The complete set of axes from two or three perpendicular ones, in words, and whether it is right-handed."""
     known = dict(given)
     rows = [np.array(known[axis], dtype=float) if axis in known else None for axis in AXES]
     for index in range(3):
@@ -228,7 +228,7 @@ def _completed(given: tuple[tuple[str, Direction], ...]) -> tuple[tuple[tuple[fl
 
 
 def _repairs(matrix: Matrix) -> list[str]:
-    """The right-handed orientations one slip away: two axes exchanged, or one reversed."""
+    """The right-handed orientations that differ by one mistake: two axes exchanged, or one reversed."""
     repairs = []
     for i, j in ((1, 2), (0, 1), (0, 2)):
         swapped = matrix.copy()

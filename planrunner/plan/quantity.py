@@ -18,7 +18,7 @@ from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan.source import Mapping, Node, Scalar
 from planrunner.plan.units import DIMENSIONS, EXAMPLES, Unit, UnknownUnitError, dimension_name, suggestion, unit
 
-# One grammar for the reader and for the JSON Schema. No-break and thin spaces come with text copied from documents.
+# One grammar for the reader and for the JSON Schema. Text copied from documents contains no-break and thin spaces.
 _SPACE = "[ \\t\\r\\n\\u00a0\\u2009\\u202f]*"
 _NUMBER = r"[-+−]?(?:[0-9]{1,30}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][-+−]?[0-9]{1,9})?"
 # A digit or an exponent at the end of a number is not the beginning of a unit.
@@ -46,7 +46,7 @@ _PARTS = re.compile(
 _UNITLESS = re.compile(rf"{_SPACE}(?:{_SIGN})?{_BARE}")
 _SIGNED = re.compile(rf"{_SPACE}({_SIGN})(.*)", re.DOTALL)
 _FITS_WITH_UNIT, _FITS_BARE = re.compile(WITH_UNIT), re.compile(_BARE)
-# Nothing that is measured lies outside; computing with larger figures would overflow.
+# No measured value lies outside this range; calculations with larger values would overflow.
 _SMALLEST, _LARGEST = 1e-30, 1e30
 
 # Divisors of a half-width that give a standard uncertainty (JCGM 100:2008, 4.3.7 to 4.3.9; U-shaped: F.2.3.3).
@@ -55,8 +55,8 @@ DISTRIBUTIONS = {"rectangular": math.sqrt(3), "triangular": math.sqrt(6), "u-sha
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. distribution: of the
-    uncertainty, one of `DISTRIBUTIONS`."""
+    """`value` and `standard_uncertainty` in SI-coherent units (rad, s, K, m/s^2 …); `unit` is the unit as written. distribution:
+    distribution of the uncertainty, one of `DISTRIBUTIONS`."""
 
     value: float
     unit: Unit
@@ -73,7 +73,7 @@ class Quantity:
 
     @property
     def shape(self) -> str:
-        """The distribution that a budget takes: Student's t of a normal one with finitely many degrees of freedom."""
+        """The distribution for a budget: Student's t for a normal distribution with finite degrees of freedom."""
         return "t" if math.isfinite(self.degrees_of_freedom) and self.distribution == "normal" else self.distribution
 
     def to(self, unit_text: str) -> float:
@@ -82,7 +82,7 @@ class Quantity:
 
 
 class QuantityError(ValueError):
-    """Why a text is no quantity: `code`, message and hint."""
+    """A text is not a quantity: `code`, message and hint."""
 
     def __init__(self, code: str, message: str, hint: str = ""):
         super().__init__(message)
@@ -91,7 +91,7 @@ class QuantityError(ValueError):
 
 
 def takes_bare_number(dimension: str | None) -> bool:
-    """Whether a number without a unit is a quantity of this dimension: a ratio, or where any dimension will do."""
+    """Whether a number without a unit is a quantity of this dimension: true for a ratio, and if any dimension is allowed."""
     return dimension in (None, "ratio")
 
 
@@ -116,7 +116,7 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
         kinds = dimension_name(own.dimension), dimension_name(resolved.dimension)
         message = f"'{own.text}' after ± is a unit of {kinds[0]}, the value is one of {kinds[1]}"
         raise QuantityError("meaning-dimension", message, f"give the uncertainty in {resolved.text}")
-    # An uncertainty is a difference: no offset of degC or degF enters.
+    # An uncertainty is a difference, so the offset of degC or degF is not applied.
     uncertainty = _in_range(_float(width) * own.factor, text, dimension)
     if uncertainty < 0:
         raise QuantityError(
@@ -128,8 +128,8 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
     """`±300, ±150 deg/s` or `10, 20, 30 deg` as quantities, ± giving + then −. Raises `QuantityError`.
 
-    A unit after the last value holds for those that have none. A comma is followed by a space, so that a decimal comma is not
-    taken for two values.
+    A unit after the last value applies to values without a unit. A comma must be followed by a space, so that a decimal comma does not
+    separate two values.
     """
     if re.search(r",[^ \t\r\n\u00a0\u2009\u202f]", text):
         hint = "write a decimal point (1.5 deg/s), or a space after the comma between two values (1, 5 deg/s)"
@@ -150,7 +150,7 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
-    """`±300 deg/s` as +300 and −300 deg/s, and a text without a leading sign of both as one quantity. Raises `QuantityError`."""
+    """`±300 deg/s` as +300 and −300 deg/s; a text without a leading ± as one quantity. Raises `QuantityError`."""
     signed = _SIGNED.fullmatch(text)
     quantity = parse_quantity(signed[2] if signed else text, dimension)
     if not signed or quantity.value == 0:
@@ -162,12 +162,12 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def is_signed(text: str) -> bool:
-    """Whether a text begins with the sign of both signs."""
+    """Whether a text begins with ±."""
     return _SIGNED.fullmatch(text) is not None
 
 
 def parse_symmetric(text: str, dimension: str | None = None) -> Quantity | None:
-    """The positive bound of `±0.5 deg/h`, or None when the text has no leading ±. Raises `QuantityError`."""
+    """The positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError`."""
     signed = _SIGNED.fullmatch(text)
     return parse_quantity(signed[2], dimension) if signed else None
 
@@ -223,10 +223,10 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
 def read_quantity(
     node: Node, dimension: str | None, log: Findings, uncertain: bool, elsewhere: str = ""
 ) -> Quantity | None:
-    """The quantity a node holds, text or mapping; findings go to `log`, and then the result is None.
+    """The quantity in a node, text or mapping. After a finding, which goes to `log`, the result is None.
 
-    uncertain: whether something uses an uncertainty; where nothing does, one that is stated is a finding. elsewhere: where such an
-    uncertainty is stated instead, in words; '' where nowhere.
+    uncertain: whether an uncertainty is used; if not, a stated uncertainty is a finding. elsewhere: in words, where to state it instead; ''
+    if nowhere.
     """
     if uncertain:
         return _read_rich(node, dimension, log) if isinstance(node, Mapping) else read_scalar(node, dimension, log)
@@ -239,19 +239,19 @@ def read_quantity(
 
 
 def states_uncertainty(text: str) -> bool:
-    """Whether something follows ± in the text of a quantity, even zero."""
+    """Whether the text of a quantity has a ± with something after it, even zero."""
     parts = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
     return parts is not None and parts[3] is not None
 
 
 def uncertain_piece(text: str) -> str | None:
-    """The first value of a sweep that states an uncertainty, without its leading ±; None where none does."""
+    """The first value of a sweep that states an uncertainty, without its leading ±; None if there is none."""
     pieces = [signed[2] if (signed := _SIGNED.fullmatch(piece)) else piece for piece in text.split(",")]
     return next((piece for piece in pieces if states_uncertainty(piece)), None)
 
 
 def refuse_uncertainty(text: str, elsewhere: str, mark: Mark, log: Findings) -> None:
-    """The finding about an uncertainty that nothing would use."""
+    """Adds the finding about an uncertainty that is not used."""
     log.error("form-uncertainty-unused", mark, _UNUSED, _plainly(text, elsewhere))
 
 
@@ -265,14 +265,14 @@ def _plainly(text: str, elsewhere: str) -> str:
 
 
 def without_uncertainty(text: str, dimension: str | None = None) -> Quantity:
-    """The quantity in `text`, as `parse_quantity`. Raises `QuantityError` for an uncertainty too, where nothing would use it."""
+    """The quantity in `text`, like `parse_quantity`. Also raises `QuantityError` for an uncertainty that is not used."""
     if states_uncertainty(text):
         raise QuantityError("form-uncertainty-unused", _UNUSED, _plainly(text, ""))
     return parse_quantity(text, dimension)
 
 
 def read_scalar(node: Node, dimension: str | None, log: Findings) -> Quantity | None:
-    """As `read_quantity`, for the text forms alone."""
+    """Like `read_quantity`, but only for the text forms."""
     if not isinstance(node, Scalar) or node.value is None or isinstance(node.value, bool):
         found = f", not '{node.text[:40]}'" if isinstance(node, Scalar) and node.text else ", as a text"
         log.error("form-type", node.mark, f"one quantity is expected here{found}", _example(dimension))
@@ -312,7 +312,7 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
     unknown = [key for key, _ in node.entries if key.text not in RICH_KEYS]
     for key in unknown:
         log.error("form-unknown-key", key.mark, f"unknown key '{key.text[:60]}'", closest(key.text, RICH_KEYS))
-    misspelt = [key.mark for key in unknown]  # what seems to be missing may be there under another name
+    misspelt = [key.mark for key in unknown]  # an apparently missing key may be there with a misspelt name
     value_node = node.get("value")
     value = read_scalar(value_node, dimension, log) if value_node is not None else None
     if value_node is None:
@@ -341,7 +341,7 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """The stated width and its distribution. misspelt: where unknown keys stand."""
+    """The stated width and its distribution. misspelt: places of unknown keys."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:
@@ -383,7 +383,7 @@ def _degrees(node: Mapping, log: Findings) -> float:
 
 
 def anchored(pattern: str) -> str:
-    """A pattern that matches all of a text, in JSON Schema's dialect as in Python's ('$' alone lets a final newline pass)."""
+    """A pattern that matches the whole text, in the dialects of JSON Schema and Python ('$' alone would allow a final newline)."""
     return rf"^(?:{pattern})$(?!\n)"
 
 
@@ -396,7 +396,7 @@ def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
 
 
 def schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
-    """JSON Schema of a quantity: as text, and, where an uncertainty may be stated, as a mapping too."""
+    """JSON Schema of a quantity: as text, and also as a mapping if an uncertainty may be stated."""
     if not uncertain:
         return text_schema(dimension, uncertain=False)
     text = text_schema(dimension, uncertain=True)

@@ -1,4 +1,4 @@
-"""Plan files to `Plan` records, with every finding of form and of the meaning of single values."""
+"""Reads plan files into `Plan` records, with all findings about form and about the meaning of single values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planrunner.plan.model import Plan
 
 
 def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
-    """The plan that a document holds, as far as it can be read, and what is wrong with it (added to `log`, if given).
+    """The plan in a document, as far as it can be read, and the findings about it (added to `log`, if given).
 
     A part with an error is left out (a segment is marked as not sound), so that all other parts can still be checked.
     """
@@ -23,7 +23,7 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """The plan that `text` holds and every finding on it; `shown` is the file's name in findings. Never raises for what it holds."""
+    """The plan in `text` and all findings about it. shown: file name in findings. Never raises because of the content."""
     log = Findings()
     try:
         root = source.parse(text, shown, log)
@@ -33,7 +33,7 @@ def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
 
 
 def load_plan(path: Path, shown: str | None = None) -> tuple[Plan | None, Findings]:
-    """As `parse_plan`, from a file."""
+    """Like `parse_plan`, from a file."""
     try:
         text = source.read_text(path, shown)
     except InputError as error:

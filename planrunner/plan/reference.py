@@ -1,6 +1,6 @@
-"""The reference of all keys, `docs/plan-keys.md`, written from the same records that read plans.
+"""Generates the reference of all keys, `docs/plan-keys.md`, from the records that read plans.
 
-`python -m planrunner.plan.reference docs` writes it; a test holds the file equal to what the records say.
+`python -m planrunner.plan.reference docs` writes it. A test checks that the file is up to date.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def _quantity_section() -> str:
 
 
 def type_words(kind: Any) -> str:
-    """What a kind takes, in words."""
+    """Accepted values of a kind, in words."""
     match kind:
         case Text():
             return kind.what

@@ -1,6 +1,6 @@
-"""A plan's text with other orientations, dwells, moves or rates: only the places that state them change; comments and layout stay.
+"""Rewrites orientations, dwells, moves or rates in the text of a plan. Only these places change; comments and layout stay.
 
-Orientations are written as the nearest orientation in words and turns about the sensor's own axes, so that a reviewer can picture them.
+Orientations are written as the nearest orientation in words plus turns about the sensor's axes, so that a reviewer can picture them.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from planrunner.plan.orientation import AXES, as_mapping, rotation
 Matrix = NDArray[np.float64]
 
 MOVES_A_LINE = 8
-DECIMALS = 2  # of turns in degrees: 0.005 deg is 18 arcsec, of second order near an optimum
+DECIMALS = 2  # decimals of turns in degrees: 0.005 deg is 18 arcsec, a second-order effect near an optimum
 
 
 class RewriteError(ValueError):
-    """The plan does not state what is to be changed in a form that can be changed in place. The message says where and what to do."""
+    """The plan states the value in a form that cannot be changed in place. The message gives the place and the remedy."""
 
 
 @functools.cache
 def cardinal_orientations() -> tuple[Matrix, ...]:
-    """The 24 right-handed attitudes whose axes lie along the site's axes, rows in East-North-Up."""
+    """The 24 right-handed attitudes with axes parallel to the site's axes, rows in East-North-Up."""
     found = []
     for first, second in itertools.permutations(CARDINAL.values(), 2):
         if np.dot(first, second) == 0:
@@ -41,7 +41,7 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 
 
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
-    """As a plan says it: words where the axes are cardinal, else the nearest words and turns about x, y and z in this order."""
+    """As written in a plan: words if the axes are cardinal, otherwise the nearest words and turns about x, y and z in this order."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"
@@ -54,7 +54,7 @@ def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
 
 
 def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
-    """The attitude that `orientation_text` says, rounding included."""
+    """The attitude described by `orientation_text`, including rounding."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     result = start
     for axis, angle in enumerate(_turns(start, attitude)):
@@ -63,7 +63,7 @@ def as_written(attitude: Matrix, decimals: int = DECIMALS) -> Matrix:
 
 
 def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
-    """Angles [deg] about x, y, z, one after the other, that take `start` to `end`.
+    """Angles [deg] of successive turns about x, y, z from `start` to `end`.
 
     With passive rotations end·startᵀ = Z·Y·X, so its transpose is the product of the active rotations about x, y and z.
     """
@@ -75,13 +75,13 @@ def _turns(start: Matrix, end: Matrix) -> tuple[float, float, float]:
 
 
 def _degrees(angle: float, decimals: int) -> str:
-    """With two decimals at least, more only where they say something."""
+    """With at least two decimals, and more only if they are not zero."""
     text = f"{round(angle, decimals):.{decimals}f}"
     return text[: len(text) - decimals + DECIMALS] + text[len(text) - decimals + DECIMALS :].rstrip("0")
 
 
 def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) -> str:
-    """The text with the values at (line, column) replaced; both count from 1. Raises `RewriteError` where no orientation begins there."""
+    """The text with the values at (line, column) replaced; both count from 1. Raises `RewriteError` if no orientation begins there."""
     spans = []
     known = {(node.start_mark.line + 1, node.start_mark.column + 1): node for node in _mappings(yaml.compose(text))}
     for place, new in replacements.items():
@@ -98,10 +98,10 @@ def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) ->
 
 
 def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: Mapping[tuple[int, int], str]) -> str:
-    """The text in which sweeps over nothing but orientations become segments of their own, each with its dwell.
+    """The text with sweeps over orientations split into separate segments, each with its dwell.
 
-    dwells, orientations: of the orientation that begins at (line, column); those that are not named stay.
-    Raises `RewriteError` where an orientation stands in another form.
+    dwells, orientations: new values for the orientation that begins at (line, column); others stay. Raises `RewriteError` if an orientation
+    is written in another form.
     """
     left = dict(dwells)
     spans = []
@@ -139,7 +139,7 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
 
 
 def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
-    """The text with the list of moves that begins at (line, column), both from 1, replaced. Raises `RewriteError` where none begins."""
+    """The text with the list of moves that begins at (line, column), both from 1, replaced. Raises `RewriteError` if none begins there."""
     for node in _sequences(yaml.compose(text)):
         if (node.start_mark.line + 1, node.start_mark.column + 1) == place and node.value:
             break
@@ -147,7 +147,7 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
         raise RewriteError(f"line {place[0]}: no moves are written here; write them as `moves: [A +180 C, C -180 A]`")
     rows = [", ".join(moves[first : first + MOVES_A_LINE]) for first in range(0, len(moves), MOVES_A_LINE)]
     joint = ",\n" + " " * (node.start_mark.column + 1)
-    # A list in lines of its own ends with its last entry; what follows may be a comment.
+    # A block list ends with its last entry; a comment may follow.
     end = node.end_mark.index if node.flow_style else node.value[-1].end_mark.index
     return text[: node.start_mark.index] + "[" + joint.join(rows) + "]" + text[end:]
 
@@ -155,8 +155,8 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
 def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: Sequence[int] | None = None) -> str:
     """The text with the sweep over rates that begins at (line, column), both from 1, replaced by others.
 
-    turns: a dwell in whole turns for each rate; the segment that holds the sweep is then written once a rate. Raises `RewriteError`
-    where no sweep begins there.
+    turns: a dwell in whole turns for each rate; the segment with the sweep is then written once for each rate. Raises `RewriteError` if no
+    sweep begins there.
     """
     for item in _mappings(yaml.compose(text)):
         node = _child(_child(item, "for_each"), "rate")
@@ -220,7 +220,7 @@ def _sequences(root: yaml.Node | None) -> Iterator[yaml.SequenceNode]:
 
 
 def _collections(root: yaml.Node | None) -> Iterator[yaml.Node]:
-    """Every mapping and sequence once, however often aliases refer to it."""
+    """Every mapping and sequence once, even if aliases refer to it."""
     waiting, seen = [root], set()
     while waiting:
         node = waiting.pop()

@@ -12,11 +12,12 @@ from planrunner.plan.model import Plan
 
 
 def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """Everything given, `--set name=value` before the file. Raises `InputError` for what is missing, unknown or unreadable."""
+    """All given run information; `--set name=value` takes precedence over the file. Raises `InputError` for missing, unknown or
+    unreadable items."""
     log = Findings()
     given = _read(settings, file, log)
     _check(plan.record, "add it under record: in the plan", given, log)
-    # Of what is given without a value or under a misspelt name, it is said already what is missing.
+    # Items without a value or with a misspelt name have already been reported as missing.
     attempted = {setting.partition("=")[0].strip() for setting in settings}
     meant = attempted | {nearest(name, plan.record) for name in (*given, *attempted) if name not in plan.record}
     for name, item in plan.record.items():
@@ -29,7 +30,7 @@ def gather(plan: Plan, settings: Sequence[str], file: Path | None) -> dict[str, 
 
 
 def gather_for_issue(names: Collection[str], settings: Sequence[str], file: Path | None) -> dict[str, str]:
-    """What is told when a report is issued, after the run; `names` are those that may be told. Raises `InputError`."""
+    """Information given when a report is issued, after the run. names: the permitted items. Raises `InputError`."""
     log = Findings()
     given = _read(settings, file, log)
     _check(names, "docs/certificates.md lists the names that a certificate uses", given, log)

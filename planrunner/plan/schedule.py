@@ -1,7 +1,7 @@
-"""The schedule: what a plan becomes on a bench, an ordered list of segments, each a state to reach and hold.
+"""The schedule: a plan on a bench, as an ordered list of segments. Each segment is a state to reach and hold.
 
-Pure data in SI units with radians. `planrunner.bench.scheduling` makes it; the executor carries it out; estimators, reports and
-design look at it.
+Pure data in SI units with radians. `planrunner.bench.scheduling` makes it; the executor executes it; estimators, reports and design read
+it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Rock:
     """angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad] on the table's rings, outermost first, for `duration` s.
 
     t: s since the record began. The rocking fades in over a period before `steady` and fades out over a period after `steady` + `duration`.
-    delay: s for which the table stands still at the beginning of the record; without one, the rocking fades in before the record begins.
+    delay: time at rest at the beginning of the record, s; without it, the rocking fades in before the record begins.
     """
 
     amplitude: float
@@ -77,7 +77,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """Turns and stops repeated over the dwell: stop `stop` s at each position, then turn at `rate` rad/s."""
+    """Turns and stops repeated during the dwell: stop for `stop` s at each position, then turn at `rate` rad/s."""
 
     positions: Mapping[str, float]
     moves: tuple[Move, ...]
@@ -90,8 +90,8 @@ Motion = Rest | Spin | Rock | Cycle
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """limits: reading → largest value, SI, such as `temperature_drift` in K/s. duration: s at a stretch within them; patience: s after
-    which the readings should have settled."""
+    """limits: reading → largest value, SI, such as `temperature_drift` in K/s. duration: uninterrupted time within the limits, s;
+    patience: time after which the readings should have settled, s."""
 
     limits: Mapping[str, float]
     duration: float
@@ -100,8 +100,8 @@ class Stability:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What must hold while a segment records. limits: as for `Stability`; lost, corrupt: share of the frames, None: any; doubts:
-    whether an instrument's doubts about its samples count as a passed limit; retakes: how often the segment is then taken again."""
+    """Conditions while a segment records. limits: as for `Stability`; lost, corrupt: permitted fraction of the frames, None for any;
+    doubts: whether an instrument's doubts about its samples count as an exceeded limit; retakes: how often the segment is then repeated."""
 
     limits: Mapping[str, float] = field(default_factory=dict)
     lost: float | None = None
@@ -115,15 +115,15 @@ class Segment:
     """One state to reach and hold while recording.
 
     attitude: shape (3, 3), rows are the sensor's x, y, z axes in site East-North-Up, so v_sensor = attitude @ v_site; at the start
-        of the motion; None where the plan says `unknown`.
-    temperature, ramp_to: K. soak, settle, dwell, transition, start: s; `dwell` is None for "as long as the recording lasts";
+        of the motion; None if the plan says `unknown`.
+    temperature, ramp_to: K. soak, settle, dwell, transition, start: s; `dwell` is None for the length of the recording;
         `transition` is the planned time to get there (moves, spin-up, temperature), `start` the planned beginning of the dwell since
         the run began. sample_rate: Hz, None for the sensor's own.
-    mode: of the sensor; None where the plan does not say.
-    on_break: what happens to a segment cut short by a crash: 'retake' it or 'keep' what there is.
-    stable, soaked: what must have settled after settling and soaking, where not the time alone says so; watch: what must hold during
-        the dwell; prompts: what the operator is asked before the segment.
-    marks: where the plan says so, by key, for messages.
+    mode: of the sensor; None if the plan does not set it.
+    on_break: what happens to a segment interrupted by a crash: 'retake' repeats it, 'keep' keeps the recorded part.
+    stable, soaked: readings that must have settled after settling and soaking, if the time alone is not enough; watch: conditions during
+        the dwell; prompts: prompts to the operator before the segment.
+    marks: places of the keys in the plan, for messages.
     """
 
     index: int

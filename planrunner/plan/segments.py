@@ -1,4 +1,4 @@
-"""What a plan says of segments: states to reach and hold, sweeps over them, and steps that share one."""
+"""Plan keys for segments: states to reach and hold, sweeps over them, and steps with a common state."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from planrunner.plan.state import RATE_UNCERTAINTY, STABILITY, WATCH, Motion, St
 from planrunner.plan.sweep import ForEachKind, StateTraits, Sweep, traits_of
 
 TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"
-"""Where the uncertainty of a segment's temperature is stated."""
+"""Where the uncertainty of a segment's temperature must be stated."""
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 
@@ -44,10 +44,10 @@ class Ramp(Record):
 
 
 class State(Record):
-    """A state to reach and hold. Nested steps inherit what they do not say.
+    """A state to reach and hold. Nested steps inherit the keys that they do not set.
 
-    A new key is declared here, with its traits: schema, reading, inheritance, sweeps, labels and the reference of keys follow. What the
-    bench does for it belongs to the schedule.
+    A new key is declared here, with its traits: schema, reading, inheritance, sweeps, labels and the reference of keys follow. The
+    behaviour of the bench is defined in the schedule.
     """
 
     orientation: Orientation | None = key(
@@ -143,7 +143,7 @@ class State(Record):
 
 
 class SegmentKind:
-    """A segment, whose steps are segments again."""
+    """A segment. Its steps are segments too."""
 
     def read(self, node: source.Node, log: Findings) -> Any:
         before = log.raised
@@ -202,12 +202,12 @@ class SegmentSpec(State):
         [{"label": "start-zero", "dwell": "60 s"}],
         default_factory=tuple,
     )
-    # Whether all of it could be read; whether all but its steps could; and how many errors it holds.
+    # Whether everything could be read; whether everything except the steps could; and the number of errors.
     sound: bool = field(default=True, compare=False)
     own_sound: bool = field(default=True, compare=False)
     trouble: int = field(default=0, compare=False)
 
 
 STATE_KEYS = tuple(keys_of(State))
-"""What a state says; nested steps inherit each."""
+"""Keys of a state; nested steps inherit each of them."""
 STATE_TRAITS = traits_of(State)

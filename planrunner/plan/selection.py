@@ -11,7 +11,7 @@ from planrunner.plan import source
 from planrunner.plan.kinds import Choice, ListOf, QuantityOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.quantity import Quantity
 
-# Each pattern is held against every label, so their number is bounded.
+# Each pattern is compared with every label, so their number is limited.
 _PATTERN = Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?")
 _PATTERNS = ListOf(_PATTERN, single=True, minimum=1, maximum=100)
 
@@ -52,27 +52,27 @@ class SelectionKind:
 
 
 def matches(label: str, pattern: str) -> bool:
-    """Whether a pattern means a label: one with '/' is held against all of it, one without against each of its parts."""
+    """Whether a pattern matches a label. A pattern with '/' is compared with the whole label, others with each of its parts."""
     if "/" in pattern:
         return fnmatchcase(label, pattern)
     return any(fnmatchcase(part, pattern) for part in label.split("/"))
 
 
 def select(labels: Sequence[str], patterns: Sequence[str]) -> list[int]:
-    """Indices of the labels that any pattern means, in their own order."""
+    """Indices of the labels that match any pattern, in the order of the labels."""
     return [index for index, label in enumerate(labels) if any(matches(label, pattern) for pattern in patterns)]
 
 
 def spelt_alike(recorded: str, planned: str) -> bool:
-    """Whether a recorded label is the planned one, or was made of the same value when sweeps put other signs into their labels."""
+    """Whether a recorded label equals the planned one, or was made from the same value by an older rule for signs in labels."""
     return recorded == planned or recorded.replace("+", "") == planned.replace("+", "")
 
 
 def closest_label(label: str, known: Iterable[str]) -> str:
-    """A hint naming the known label, or the pattern, that a label or pattern was most likely meant for.
+    """A hint with the known label or pattern that a label or pattern most likely means.
 
-    Labels that differ in plus signs alone are closest: a sweep's label may have a sign that the table of a recording, or a plan written
-    with another rule in mind, does not have. They are proposed, not matched.
+    Labels that differ only in plus signs are closest: the table of a recording, or a plan written for another rule, may lack the sign of a
+    sweep's label. Such labels are suggested, not matched.
     """
     names = list(known)
     bare = label.replace("+", "")
@@ -83,12 +83,12 @@ def closest_label(label: str, known: Iterable[str]) -> str:
     return f"did you mean '{signed}'?" if signed is not None else closest(label, names[:_MOST_COMPARED])
 
 
-# Comparing words is slow, and a plan may hold 10 000 labels.
+# Comparing words is slow, and a plan may have 10 000 labels.
 _MOST_COMPARED = 50
 
 
 class Labels:
-    """The labels of a plan, ready to be asked for many patterns: each distinct part is held against a pattern once."""
+    """The labels of a plan, prepared for many patterns: each distinct part is compared with a pattern only once."""
 
     def __init__(self, labels: Sequence[str]):
         self._whole: dict[str, list[int]] = {}
@@ -100,11 +100,11 @@ class Labels:
         self._found: dict[str, set[int]] = {}
 
     def closest(self, pattern: str) -> str:
-        """A hint for a pattern that means no label: what it was most likely meant for (as `closest_label`)."""
+        """A hint for a pattern that matches no label (see `closest_label`)."""
         return closest_label(pattern, [*self._parts, *(self._whole if "/" in pattern else ())])
 
     def meant_by(self, pattern: str) -> set[int]:
-        """Indices of the labels that a pattern means (as `matches`)."""
+        """Indices of the labels that match a pattern (see `matches`)."""
         if pattern not in self._found:
             known = self._whole if "/" in pattern else self._parts
             if any(sign in pattern for sign in "*?["):

@@ -1,7 +1,7 @@
-"""YAML text to nodes that know where they stand.
+"""Parses YAML text into nodes with source positions.
 
-YAML 1.2 core meaning (`1e-3` is a number; `no` and `12:30` are strings; duplicate keys are errors), read from libyaml's
-events without recursion, within limits on size, depth, nodes and aliases, so that no file can hurt the reader.
+YAML 1.2 core meaning (`1e-3` is a number; `no` and `12:30` are strings; duplicate keys are errors), read from libyaml's events without
+recursion, within limits on size, depth, nodes and aliases, so that no file can harm the reader.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ MAX_NODES = 20_000
 MAX_ALIASED_NODES = 10_000
 MAX_SCALAR = 10_000
 
-# What YAML 1.2 does not allow, and the line breaks of YAML 1.1 that editors do not count as such.
+# Characters that YAML 1.2 does not allow, and line breaks of YAML 1.1 that editors do not count as line breaks.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
 _BREAK = re.compile("\r\n|\r|\n")
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
-# Bounded repetitions, so that no text takes long and none that counts as a number is longer than a label may be.
+# Limited repetitions, so that matching is fast and no number is longer than the longest label.
 _INT = re.compile(r"[-+]?[0-9]{1,18}|0o[0-7]{1,18}|0x[0-9a-fA-F]{1,15}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]{1,30}|[0-9]{1,30}(\.[0-9]{0,30})?)([eE][-+]?[0-9]{1,9})?")
 _SPECIAL = {
@@ -67,7 +67,7 @@ class Mapping:
         return next((node for name, node in self.entries if name.text == key), None)
 
     def key_mark(self, key: str) -> Mark:
-        """Where `key` itself is written, or where the mapping begins when it is absent."""
+        """Where `key` itself is written, or where the mapping begins if it is absent."""
         return next((name.mark for name, _ in self.entries if name.text == key), self.mark)
 
 
@@ -75,7 +75,7 @@ Node = Scalar | Sequence | Mapping
 
 
 def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> bytes:
-    """What a regular file of at most `limit` bytes holds. Raises `InputError`, never `OSError`."""
+    """The contents of a regular file of at most `limit` bytes. Raises `InputError`, never `OSError`."""
     try:
         return read_regular(path, limit)
     except RefusedFileError as refused:
@@ -83,7 +83,7 @@ def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> 
 
 
 def refused_input(refused: RefusedFileError, name: str) -> InputError:
-    """The finding on a file that is not read; `name` is the name that it shows."""
+    """The finding about a file that is refused. name: file name in the finding."""
     mark, message, hint = Mark(name), str(refused), refused.hint
     match refused.kind:
         case "missing":
@@ -100,7 +100,7 @@ def refused_input(refused: RefusedFileError, name: str) -> InputError:
 
 
 def decode(data: bytes, name: str) -> str:
-    """The text of a UTF-8 file, with or without a byte-order mark. Raises `InputError`; `name` is what findings show."""
+    """The text of a UTF-8 file, with or without a byte-order mark. Raises `InputError`. name: file name in findings."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -117,14 +117,14 @@ def read_text(path: Path, shown: str | None = None) -> str:
 
 
 def load(path: Path, shown: str | None = None, log: Findings | None = None) -> Mapping:
-    """The mapping a file holds. Raises `InputError` with `file:line:column` for whatever prevents that (see `parse`)."""
+    """The mapping in a file. Raises `InputError` with `file:line:column` if it cannot be read (see `parse`)."""
     return parse(read_text(path, shown), shown or str(path), log)
 
 
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
-    """The mapping that `text` holds; `file` is the name findings show.
+    """The mapping in `text`. file: file name in findings.
 
-    Raises `InputError`. With `log`, duplicate keys and the like, which leave the rest readable, are added to it instead.
+    Raises `InputError`. With `log`, faults such as duplicate keys, after which the rest is still readable, are added to it instead.
     """
     forbidden = _FORBIDDEN.search(text) or MISLEADING.search(text)
     if forbidden:
@@ -164,7 +164,7 @@ def _mark_at(text: str, position: int, file: str) -> Mark:
     return Mark(file, len(breaks) + 1, position - (breaks[-1] if breaks else 0) + 1, text=text)
 
 
-# libyaml's words, and what a reader who has never heard of tokens needs to know instead.
+# Messages of libyaml, and what to show instead to readers who do not know what a token is.
 _PLAIN_WORDS = {
     "mapping values are not allowed in this context": "a ':' is at a place where no key can be: a text that contains "
     "': ' needs quotes",
@@ -210,7 +210,7 @@ def _syntax_error(error: yaml.MarkedYAMLError, text: str, file: str) -> InputErr
 
 @dataclass(slots=True)
 class _Open:
-    """A sequence or mapping whose end has not come yet."""
+    """A sequence or mapping that is not complete yet."""
 
     mark: Mark
     anchor: str | None
@@ -219,7 +219,7 @@ class _Open:
 
 
 class _Builder:
-    """Takes parser events, one by one, and builds nodes on a stack of its own."""
+    """Takes parser events, one by one, and builds nodes on an explicit stack."""
 
     def __init__(self, file: str, text: str):
         self.file = file
@@ -290,7 +290,7 @@ class _Builder:
         self._put(node, None, size)
 
     def _put(self, node: Node, anchor: str | None, size: int) -> None:
-        """`size`: how many nodes an alias of this one would stand for."""
+        """size: number of nodes in an alias of this node."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
             raise InputError.at(
@@ -345,7 +345,7 @@ def _resolve(text: str) -> str | int | float | bool | None:
 
 
 def plain(node: Node) -> Any:
-    """The node as ordinary Python data, as a JSON Schema validator wants it."""
+    """The node as plain Python data for a JSON Schema validator."""
     if isinstance(node, Scalar):
         return node.value
     if isinstance(node, Sequence):

@@ -1,7 +1,7 @@
-"""A stretch of time, half-open: [start, end). A sample at `start` belongs to it, one at `end` to the stretch that follows.
+"""A half-open interval of time: [start, end). A sample at `start` belongs to it, a sample at `end` to the next interval.
 
-Recordings that are played back, still spans and detected segments all use this one definition, so that neighbours share no sample
-and n samples with the period T last n·T.
+Played-back recordings, still spans and detected segments all use this definition, so that neighbours share no sample and n samples with the
+period T last n·T.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from planrunner.base.dataclass import dataclass
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-3
-"""Of the sample period: a time stamp that is nearer than this to a boundary counts as on it. Tables write boundaries in decimals, and
-time stamps in other units than seconds are scaled."""
+"""Fraction of the sample period: a time stamp nearer than this to a boundary counts as on it. It allows for boundaries rounded to
+decimals, and for time stamps scaled from other units than seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,11 @@ class Span:
 
     @property
     def seconds(self) -> float:
-        """How long it is."""
+        """Duration, s."""
         return self.end - self.start
 
     def of(self, time: Array, period: float) -> slice:
-        """Which of some increasing times, (n,) s, lie in it. period: s between samples, NaN where it is not known."""
+        """Which of the increasing times, (n,) s, lie in the interval. period: s between samples, NaN if not known."""
         rounding = 0.0 if math.isnan(period) else ROUNDING * period
         first, last = np.searchsorted(time, [self.start - rounding, self.end - rounding], side="left").tolist()
         return slice(first, last)

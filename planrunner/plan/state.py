@@ -38,7 +38,7 @@ class Tolerated(Record):
     )
 
     def stated(self) -> dict[str, Quantity]:
-        """Reading → largest value, of those that are given."""
+        """Reading → largest value, for the given readings."""
         return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
 
 
@@ -104,7 +104,7 @@ WATCH = RecordOf(Watch, _check_difference)
 RATE_UNCERTAINTY = (
     "`rate_uncertainty` of a scale-factor estimate, or as `rate_stability` of the table in the bench file"
 )
-"""Where the uncertainty of a rate is stated."""
+"""Where the uncertainty of a rate must be stated."""
 
 
 class RockSpec(Record):

@@ -4,15 +4,15 @@ for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
 for_each: {temperature: [-40 degC, 20 degC]}
 for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
 
-A label depends on its value alone, never on the values beside it, so that adding, removing or splitting values renames no segment:
-references to labels, tables of recordings and plans that a design writes stay valid. Hence one rule for signs:
+A label depends only on its value, never on the other values, so that adding, removing or splitting values renames no segment. References to
+labels, tables of recordings and plans written by a design stay valid. This gives one rule for signs:
 
 - a rate always has its sign, for it is the sense of rotation (`R+10`, `R-10`);
 - any other quantity has a sign below zero only, as engineers write it (`20degC`, `-40degC`);
 - zero has none (`R0`).
 
-A sign that stands only where a sweep holds both signs was rejected: it renames `20degC` once -40 degC is added, and turns `R+10` into
-`R10` where a design splits a sweep into one a rate.
+The alternative, signs only in sweeps that contain both signs, was rejected: it renames `20degC` when -40 degC is added, and turns `R+10`
+into `R10` when a design splits a sweep into one sweep per rate.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from planrunner.plan.quantity import (
 
 @dataclass(frozen=True, slots=True)
 class SweepValue:
-    """One value of a sweep: `name` is its part of the label, `short` what a label's {placeholder} becomes."""
+    """One value of a sweep: name: its part of the label; short: text that replaces a label's {placeholder}."""
 
     name: str
     short: str
@@ -70,7 +70,7 @@ class Sweep:
         return size
 
     def combinations(self, order: str, seed: int) -> Iterator[tuple[SweepValue, ...]]:
-        """Every combination, one value an axis, in the order asked for."""
+        """Every combination, one value per axis, in the given order."""
         rows = list(_product(self.axes, serpentine=order == "serpentine"))
         if order == "reversed":
             rows.reverse()
@@ -93,12 +93,12 @@ def _product(axes: tuple[SweepAxis, ...], serpentine: bool) -> Iterator[tuple[Sw
 
 @dataclass(frozen=True, slots=True)
 class StateTraits:
-    """What a key of a state means beside its own value.
+    """Properties of a key of a state in addition to its value.
 
-    swept: whether `for_each` takes it. directed: the sign of its quantity is a direction, so that a label shows + as well as −.
-    decisive: nothing else of a segment can be judged where its value could not be read. replaces: the key that says the same in another
-    form; a segment gives one of both, and what it gives replaces the other that it would inherit. sweep_example: where the example of
-    one value does not show how it is swept.
+    swept: whether `for_each` accepts it. directed: the sign of its quantity is a direction, so that labels show + as well as −. decisive:
+    if its value cannot be read, nothing else of the segment can be judged. replaces: the key that says the same in another form; a segment
+    has only one of the two, and setting one replaces an inherited value of the other. sweep_example: an example of a sweep, if the example
+    of one value does not show it.
     """
 
     swept: bool = False
@@ -115,7 +115,7 @@ def traits_of(state: type[Record]) -> dict[str, StateTraits]:
 
 @dataclass(frozen=True, slots=True)
 class SweptKey:
-    """A key of a state that `for_each` takes. quantity: the kind of its quantity, None where it is none."""
+    """A key of a state that `for_each` accepts. quantity: kind of its quantity; None if it is not a quantity."""
 
     name: str
     kind: Any
@@ -129,7 +129,7 @@ _NAME = r"[^/\x00-\x1f]{1,60}"
 
 @dataclass(frozen=True, slots=True)
 class ForEachKind:
-    """The kind of value of `for_each`, a sweep over those keys of `state` that may be swept."""
+    """The kind of value of `for_each`, a sweep over the keys of `state` that may be swept."""
 
     state: type[Record]
 
@@ -250,14 +250,14 @@ def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[Any, M
 
 
 def _quantity_kind(kind: Any) -> QuantityOf | None:
-    """What a swept key is as a quantity."""
+    """The kind of quantity of a swept key."""
     scalar = kind.other if isinstance(kind, WordOr) else kind
     inner = scalar.scalar if isinstance(scalar, ByShape) else scalar
     return inner if isinstance(inner, QuantityOf) else None
 
 
 def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
-    """Whether no value of a sweep states an uncertainty, which nothing would use; else that is a finding."""
+    """Whether no value of a sweep states an uncertainty; adds a finding otherwise, because it would not be used."""
     piece = uncertain_piece(text)
     if piece is not None:
         refuse_uncertainty(piece, quantity.elsewhere, node.mark, log)
@@ -267,7 +267,7 @@ def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Finding
 def _check_signs(
     key: SweptKey, quantities: list[Quantity], node: source.Scalar, log: Findings
 ) -> tuple[SweepValue, ...] | None:
-    """The values that the swept key itself would accept, such as no negative dwell."""
+    """The values that the swept key accepts: no negative dwell, for example."""
     sign = "any" if key.quantity is None else key.quantity.sign
     for quantity in quantities:
         if (sign == "positive" and quantity.value <= 0) or (sign == "not negative" and quantity.value < 0):
@@ -301,7 +301,7 @@ def _named(kind: Any, node: source.Mapping, log: Findings) -> tuple[SweepValue, 
 
 
 def _labelled(key: SweptKey, values: list[tuple[Any, Mark]]) -> tuple[SweepValue, ...]:
-    """The values with the labels that their figures and units give; one that stands twice is counted."""
+    """The values with labels made from their figures and units; repeated values are numbered."""
     rows: list[SweepValue] = []
     for index, (value, mark) in enumerate(values, start=1):
         if isinstance(value, Quantity):
@@ -319,7 +319,7 @@ def _labelled(key: SweptKey, values: list[tuple[Any, Mark]]) -> tuple[SweepValue
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """The figure of a swept quantity in its unit as written, as it stands in a label: signs as in the module's docstring."""
+    """The figure of a swept quantity for its label, in the unit as written. For signs see the docstring of the module."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

@@ -1,8 +1,8 @@
-"""Units: what a unit's text means. pint resolves it, within definitions of our own.
+"""Units: interpretation of unit texts by pint, with the project's definitions.
 
-Own definitions, because in this field `g` is standard gravity (not gram), an angle is a dimension (so that a frequency in Hz
-is not taken for a rate in deg/s), and outputs come in pulses. The units met daily are listed in `_DAILY` so that checking a
-plan need not start pint; a test holds the list equal to what pint resolves.
+The project has definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so that a frequency
+in Hz differs from a rate in deg/s; and outputs come in pulses. Common units are listed in `_DAILY`, so that checking a plan need not import
+pint; a test compares the list with pint.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Unit:
 
 
 class UnknownUnitError(ValueError):
-    """The text is not a unit; the message says so in the user's words."""
+    """The text is not a unit; the message explains it to the user."""
 
 
 _DEG = math.pi / 180
@@ -178,7 +178,7 @@ _DAILY = {
     )
 }
 
-# Names, products, quotients, sqrt(), parentheses, and small powers of a name alone: towers such as m^6^6^6^6 compute at length.
+# Names, products, quotients, sqrt(), parentheses, and small powers of a single name: towers such as m^6^6^6^6 would take long to compute.
 _POWER = r"(?:\^|\*\*)-?[1-6](?![0-9^]|\*\*)"
 _SHAPE = re.compile(rf"(?:(?:[A-Za-zµμ_]{{1,24}}|%)(?:{_POWER})?|1(?![0-9.])|\*(?!\*)|[/() ])+")
 _UNCLEAR = re.compile(r"[A-Za-zµμ%)] +[A-Za-zµμ%(]|// *|\) *\(|[A-Za-zµμ%]\((?<!sqrt\()|\)[A-Za-zµμ%]")
@@ -226,7 +226,7 @@ def unit(text: str) -> Unit:
     return Unit(text, float(factor), tuple(sorted(dimension.items())), float(offset))
 
 
-# Spellings that are common elsewhere.
+# Alternative spellings.
 _OTHERWISE = {
     **{
         "c": "degC",
@@ -253,9 +253,9 @@ _OTHERWISE = {
 
 
 def suggestion(text: str, dimension: Dimension | None = None) -> str:
-    """What was probably meant by a text that is no unit: the same letters in another case, or the closest daily unit; or ''.
+    """The unit that an invalid text probably means: the same letters in another case, or the closest common unit; or ''.
 
-    dimension: what is needed here; only units of it are suggested.
+    dimension: only units of this dimension are suggested.
     """
     if text.strip().lower() in _OTHERWISE:
         return f"did you mean '{_OTHERWISE[text.strip().lower()]}'?"
@@ -285,7 +285,7 @@ def convert(value: float, from_unit: str, to_unit: str) -> float:
 
 
 def dimension_name(dimension: Dimension) -> str:
-    """The field's word for a dimension, or its exponents written out."""
+    """The usual name of a dimension, or its exponents."""
     for name, known in DIMENSIONS.items():
         if known == dimension:
             return name

@@ -1,7 +1,7 @@
-"""Kinds of value: scalars and collections, each of which reads a node and describes itself as JSON Schema.
+"""Kinds of value: scalars and collections. Each kind reads a node and describes itself as JSON Schema.
 
-A kind's `read` returns None when it has added a finding. The reader gives a finding whose code begins with `form-` exactly where
-the schema refuses; what a schema cannot know (units, directions, references) has other codes.
+A kind's `read` returns None when it has added a finding. The reader adds a finding with a code beginning with `form-` exactly where the
+schema rejects the node. Faults that a schema cannot detect (units, directions, references) have other codes.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ Schema = dict[str, Any]
 
 
 class Kind(Protocol):
-    """What a value may be."""
+    """The permitted values of a key."""
 
     def read(self, node: source.Node, log: Findings) -> Any:
         """The value, or None after adding a finding to `log`."""
 
     def schema(self) -> Schema:
-        """The same as JSON Schema (draft 2020-12)."""
+        """The kind as JSON Schema (draft 2020-12)."""
 
 
 # -- scalars ---------------------------------------------------------------------------------------------------------
 
-# Spellings of numbers as YAML has them, the longest among them; a text whose pattern lets all of these pass may be a plain number.
+# Spellings of numbers in YAML, including the longest; a text whose pattern accepts all of them may be a plain number.
 _NUMBERS = (
     "0",
     "-1",
@@ -57,9 +57,9 @@ def _takes_numbers(pattern: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A text. `pattern` is matched against all of it; `what` says in words what it must be, `hint` how to write it.
+    """A text. pattern: must match the whole text; what: the required form in words; hint: how to write it.
 
-    A plain number is taken as it is written, except where the pattern would not let every number pass.
+    A plain number is accepted as written, unless the pattern rejects some numbers.
     """
 
     pattern: str = ""
@@ -87,7 +87,7 @@ class Text:
         return schema
 
 
-CHANNEL = Text("", "a channel's name")  # of the sensor; what a plan names so is held against the bench's sensor
+CHANNEL = Text("", "a channel's name")  # a channel of the sensor; such names are checked against the bench's sensor
 
 
 _WORDS_FOR = {
@@ -97,7 +97,7 @@ _WORDS_FOR = {
 
 
 def _in_words(pattern: str) -> str:
-    """What a name must look like, for people. Patterns that only bound the length need no more words."""
+    """The required form of a name in words. Patterns that only limit the length need no words."""
     if pattern.startswith(r"[^\x00-\x1f]"):
         limit = pattern.rpartition(",")[2].rstrip("}")
         return f"write it on one line, 1 to {limit} characters without control characters"
@@ -195,7 +195,7 @@ class Boolean:
 class QuantityOf:
     """A number with a unit of the named dimension (None: any). `sign` may be 'any', 'positive' or 'not negative'.
 
-    uncertain: whether an uncertainty may be stated, as it may where results use it. elsewhere: else, where it is stated instead, in words.
+    uncertain: whether an uncertainty may be stated, because results use it. elsewhere: otherwise, in words, where to state it.
     """
 
     dimension: str | None
@@ -229,7 +229,7 @@ class QuantityOf:
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list; with `single`, one item may stand alone. `maximum` 0 means any number."""
+    """A list. single: one item may be written without a list. maximum: 0 means any number."""
 
     item: Kind
     single: bool = False
@@ -299,9 +299,9 @@ class MapOf:
 
 @dataclass(frozen=True, slots=True)
 class ByShape:
-    """One kind for a scalar, another for a mapping, another for a list; whichever is absent is refused.
+    """Separate kinds for a scalar, a mapping and a list. A form without a kind is refused.
 
-    A mapping with the key `value` is a quantity where a scalar would be one.
+    A mapping with the key `value` counts as a quantity if a scalar would be one.
     """
 
     scalar: Kind | None = None

@@ -19,7 +19,7 @@ from planrunner.plan.schedule import Schedule
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """An instrument of the bench, or its site, and the calibration that stands behind it, if one is stated."""
+    """An instrument of the bench, or its site, with its calibration, if stated."""
 
     name: str
     role: str
@@ -28,7 +28,7 @@ class Reference:
 
 
 def references(bench: Bench) -> tuple[Reference, ...]:
-    """Site and instruments in the file's order, without the sensor, which is what is calibrated."""
+    """Site and instruments in the order of the file, without the sensor, because it is the device under test."""
     instruments = [
         Reference(name, driver_of(entry).role, entry.asset or "", entry.calibration)
         for name, entry in bench.instruments.items()
