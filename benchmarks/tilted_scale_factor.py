@@ -16,7 +16,8 @@ from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import EstimateRequest, Setup
-from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.physics.earth import Site

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.base import plugins
-from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Setup
+from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Setup, estimator_of
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, transition_time
+from planrunner.plan.model import EstimateSpec
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.selection import select
 
@@ -50,7 +49,7 @@ class Sight:
     """
 
     name: str
-    spec: Any
+    spec: EstimateSpec
     output: str
     others: tuple[str, ...]
     terms: tuple[str, ...]
@@ -103,7 +102,7 @@ def places(segments: Sequence[Segment], patterns: Sequence[str]) -> tuple[tuple[
 
 def sight(
     name: str,
-    spec: Any,
+    spec: EstimateSpec,
     found: Sequence[Place],
     site: Site,
     sensor: SensorModel,
@@ -159,16 +158,15 @@ def sight(
 
 def _design(
     name: str,
-    spec: Any,
+    spec: EstimateSpec,
     segments: tuple[Segment, ...],
     site: Site,
     sensor: SensorModel,
     uses: Mapping[str, Design],
     setup: Setup,
 ) -> Design | None:
-    estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
-    design: Design | None = estimator.design(DesignRequest(name, segments, spec.parameters, site, sensor, uses, setup))
-    return design
+    estimator = estimator_of(spec)
+    return estimator.design(DesignRequest(name, segments, spec.parameters, site, sensor, uses, setup))
 
 
 def _scaled(block: DesignBlock) -> Array:

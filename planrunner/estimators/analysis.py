@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.base import plugins
 from planrunner.base.findings import InputError
 from planrunner.estimators.basis_judgement import few_samples
 from planrunner.estimators.interface import (
@@ -19,18 +17,21 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Estimator,
     FindsSpans,
     Setup,
     UnfitDataError,
+    estimator_of,
 )
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.method import designed
-from planrunner.estimators.monte_carlo_validation import linear_chain, validated
+from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, validated
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
-from planrunner.plan.model import USUAL, MonteCarloSpec
+from planrunner.plan.kinds import Record
+from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection, select
 from planrunner.uncertainty.budget import Measured, combine
@@ -39,8 +40,8 @@ __all__ = ["LimitVerdict", "Results", "analyse", "design_of"]
 
 
 def analyse(
-    estimates: Mapping[str, Any],
-    limits: Sequence[Any],
+    estimates: Mapping[str, EstimateSpec],
+    limits: Sequence[Limit],
     recording: Sequence[RecordedSegment],
     site: Site,
     sensor: SensorModel,
@@ -48,8 +49,7 @@ def analyse(
 ) -> Results:
     """All estimates and limits of a plan.
 
-    estimates: name → `plan.model.EstimateSpec` (estimator, segments, uses, parameters); limits: of `plan.model.Limit`. Never raises for
-    what the data hold: failures are messages by the estimate's name, or by `limit on …`.
+    Never raises for what the data hold: failures are messages by the estimate's name, or by `limit on …`.
     """
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
@@ -86,7 +86,7 @@ def analyse(
 
 def design_of(
     name: str,
-    spec: Any,
+    spec: EstimateSpec,
     segments: Sequence[Segment],
     site: Site,
     sensor: SensorModel,
@@ -103,7 +103,7 @@ def design_of(
     chosen = [segments[index] for index in select([segment.label for segment in segments], _patterns(spec))]
     if not chosen:
         raise EstimationError(f"no segment has a label like {', '.join(_patterns(spec))}")
-    estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
+    estimator = estimator_of(spec)
     uses = {used: designs[used] for used in spec.uses}
     detection = _detection(spec, estimator)
     request = DesignRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, setup or Setup(), detection)
@@ -113,7 +113,7 @@ def design_of(
     return replace(design, remarks=(*design.remarks, *few_samples(request)))
 
 
-def _in_order(estimates: Mapping[str, Any]) -> list[str]:
+def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
     """Names such that what is used comes first; whatever waits for itself comes last and fails on its missing input."""
     order: list[str] = []
     waiting = list(estimates)
@@ -128,7 +128,7 @@ def _in_order(estimates: Mapping[str, Any]) -> list[str]:
     return order
 
 
-def _detection(spec: Any, estimator: object) -> Detection | None:
+def _detection(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
     """What is to be found in the data. Raises `EstimationError` where the estimator takes whole segments."""
     if not isinstance(spec.segments, Detection):
         return None
@@ -139,19 +139,18 @@ def _detection(spec: Any, estimator: object) -> Detection | None:
     return spec.segments
 
 
-def _patterns(spec: Any) -> tuple[str, ...]:
-    patterns: tuple[str, ...] = spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)
-    return patterns
+def _patterns(spec: EstimateSpec) -> tuple[str, ...]:
+    return spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)
 
 
 def _estimate(
     name: str,
-    spec: Any,
+    spec: EstimateSpec,
     recording: Sequence[RecordedSegment],
     site: Site,
     sensor: SensorModel,
     made: Mapping[str, Estimate],
-    estimates: Mapping[str, Any],
+    estimates: Mapping[str, EstimateSpec],
     setup: Setup,
 ) -> Estimate:
     for used in spec.uses:
@@ -161,16 +160,16 @@ def _estimate(
     chosen = [recording[index] for index in select([recorded.label for recorded in recording], _patterns(spec))]
     if not chosen:
         raise EstimationError(f"no recorded segment has a label like {', '.join(_patterns(spec))}")
-    estimator = plugins.load(plugins.ESTIMATORS, spec.estimator)()
+    estimator = estimator_of(spec)
     detection = _detection(spec, estimator)
     uses = {used: made[used] for used in spec.uses}
     request = EstimateRequest(name, tuple(chosen), spec.parameters, site, sensor, uses, detection, setup)
-    estimate: Estimate = combined(estimator.estimate(request))
-    if asked := getattr(spec, "validate", None):
-        chain = getattr(estimator, "chain", None)
-        draws = chain(request, estimate) if chain else linear_chain(estimate)
-        how = asked if isinstance(asked, MonteCarloSpec) else USUAL
-        estimate = validated(estimate, draws, how, first_order=chain is None)
+    estimate = combined(estimator.estimate(request))
+    if spec.validate is not None:
+        chained = isinstance(estimator, Chains)
+        draws = estimator.chain(request, estimate) if isinstance(estimator, Chains) else linear_chain(estimate)
+        how = spec.validate if isinstance(spec.validate, MonteCarloSpec) else USUAL
+        estimate = validated(estimate, draws, how, first_order=not chained)
     return replace(estimate, warnings=(*estimate.warnings, *lost_samples(chosen, sensor.sample_rate)))
 
 

@@ -51,7 +51,7 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
     )
 
 
-def planned_basis(request: DesignRequest, blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
+def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
     """The same of planned segments: an error where they are only just as many as the coefficients, or too short for their own noise. Fewer
     segments than coefficients are an error of rank."""
     for block in blocks:
@@ -74,7 +74,7 @@ def no_residual(count: int) -> str:
     return f"{count} segments for {count} coefficients leave no residual that could give an uncertainty"
 
 
-def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
+def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
     """A warning of segments too short for the scatter of their batch means, from which the noise within a segment is judged."""
     short = [(count, one.label) for one in request.segments if 0 < (count := planned_samples(request, one)) < BATCHES]
     if not short:
@@ -89,7 +89,7 @@ def few_samples(request: DesignRequest) -> tuple[Remark, ...]:
     return (Remark("physics-few-samples", message, f"dwell for {BATCHES} samples at least, or sample faster"),)
 
 
-def planned_samples(request: DesignRequest, segment: Segment) -> int:
+def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
     """How many samples a segment is planned to hold; 0 where its length is not known."""
     return max(1, round((segment.sample_rate or request.sensor.sample_rate) * segment.dwell)) if segment.dwell else 0
 

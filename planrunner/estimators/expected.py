@@ -65,7 +65,9 @@ class Expected:
     assumed: tuple[str, ...]
 
 
-def expected_recording(request: DesignRequest, known: Known, used: Sequence[str], assumption: Assumption) -> Expected:
+def expected_recording(
+    request: DesignRequest[object], known: Known, used: Sequence[str], assumption: Assumption
+) -> Expected:
     """known: what an estimator knows of the outputs; their names and units say the rest. used: the outputs that matter."""
     outputs = request.sensor.outputs
     felt, assumed = _felt(request, assumption)
@@ -100,7 +102,7 @@ def expected_recording(request: DesignRequest, known: Known, used: Sequence[str]
     return Expected(tuple(made), tuple(dict.fromkeys(assumed)))
 
 
-def _felt(request: DesignRequest, assumption: Assumption) -> tuple[Stimulus, list[str]]:
+def _felt(request: DesignRequest[object], assumption: Assumption) -> tuple[Stimulus, list[str]]:
     """The mean stimulus of each segment; of one that rocks or follows a cycle, that of its first attitude."""
     assumed: list[str] = []
     segments: list[Segment] = []
@@ -127,7 +129,7 @@ def _along(about: Sequence[float]) -> Array:
 
 
 def _means(
-    request: DesignRequest,
+    request: DesignRequest[object],
     output: OutputModel,
     known: Known,
     felt: Stimulus,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import EstimateRequest
@@ -11,11 +12,22 @@ from planrunner.estimators.table_effects import table_effects
 from planrunner.observation.flicker import flicker_effects
 from planrunner.observation.observation_effects import Array
 from planrunner.observation.observations import Observations
+from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
 
 
+class FittedFromPositions(Protocol):
+    """The keys that such an estimator has."""
+
+    @property
+    def uncertainty(self) -> str: ...
+
+    @property
+    def drift_span(self) -> Quantity: ...
+
+
 def fit_positions(
-    request: EstimateRequest,
+    request: EstimateRequest[FittedFromPositions],
     model: ErrorModel,
     segments: Sequence[Segment],
     observations: Observations,
@@ -23,7 +35,7 @@ def fit_positions(
     magnitudes: Array,
     pooled: bool = False,
 ) -> OutputsFit:
-    """Outputs against a linear model. matrix: (n, p), SI; magnitudes: (p,). The request's parameters have `uncertainty` and `drift_span`.
+    """Outputs against a linear model. matrix: (n, p), SI; magnitudes: (p,).
 
     How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
     """

@@ -25,7 +25,7 @@ _FELT = 0.05  # part of the rate below which an output's axis counts as lying ac
 UP = (0.0, 0.0, 1.0)  # about which cycles turn
 
 
-def beyond_full_scale(request: DesignRequest, outputs: Sequence[str], shares: Array) -> list[Remark]:
+def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
     """An error for each output whose declared full scale is less than what the fastest planned rate would show.
 
     shares: (n, m), the part of each segment's rate that each output's axis feels. An output in another unit than that of a rate needs a
@@ -55,7 +55,7 @@ def beyond_full_scale(request: DesignRequest, outputs: Sequence[str], shares: Ar
     return found
 
 
-def not_turned(request: DesignRequest, outputs: Sequence[str], shares: Array) -> list[Remark]:
+def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
     """A warning where none of the outputs feels the planned rates, as when a table spins about another axis than the one that is fitted.
 
     shares: (n, m), as for `beyond_full_scale`. Nothing is said of orientations that are not known, or of outputs of specific force.
@@ -79,7 +79,7 @@ def not_turned(request: DesignRequest, outputs: Sequence[str], shares: Array) ->
     return [Remark("physics-input-axis", message, hint, "outputs")]
 
 
-def _turns(request: DesignRequest, name: str) -> bool:
+def _turns(request: DesignRequest[object], name: str) -> bool:
     """Whether an output is one of rotation, as far as its unit says."""
     model = request.sensor.output(name)
     rotation = (unit("rad/s").dimension, unit("pulse/s").dimension)
@@ -90,13 +90,13 @@ def _turns(request: DesignRequest, name: str) -> bool:
     )
 
 
-def _nearest_axis(request: DesignRequest, row: int) -> str:
+def _nearest_axis(request: DesignRequest[object], row: int) -> str:
     segment = request.segments[row]
     assert segment.attitude is not None and isinstance(segment.motion, Spin)
     return _AXES[int(np.abs(np.asarray(segment.attitude) @ np.asarray(segment.motion.about)).argmax())]
 
 
-def shares_by_name(request: DesignRequest, outputs: Sequence[str]) -> Array:
+def shares_by_name(request: DesignRequest[object], outputs: Sequence[str]) -> Array:
     """What part of the rate each output feels, (n, m): its axis is that of the sensor that its name ends with (gyro_x: x), or of the
     plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
     shares = np.zeros((len(request.segments), len(outputs)))

@@ -5,8 +5,8 @@ An estimator is a class found through the entry-point group `planrunner.estimato
     class MyEstimator:
         summary = "one line"
         Parameters = MyParameters                     # a Record: its keys beside `estimator`, `segments`, `uses`
-        def design(self, request: DesignRequest) -> Design | None      # before anything moves
-        def estimate(self, request: EstimateRequest) -> Estimate       # from the recording
+        def design(self, request: DesignRequest[MyParameters]) -> Design | None      # before anything moves
+        def estimate(self, request: EstimateRequest[MyParameters]) -> Estimate       # from the recording
 
 Which coefficients `estimate` will give, and how well they will be known, `planrunner.estimators.method` finds out by the estimator's own
 formula. Values in an `Estimate` are in the field's units, each named.
@@ -18,25 +18,28 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from enum import StrEnum
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.models import SensorModel, TableModel
 from planrunner.observation.refusals import EstimationError as EstimationError
 from planrunner.observation.refusals import UnfitDataError as UnfitDataError
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
-from planrunner.plan.model import MountedAxis
+from planrunner.plan.model import EstimateSpec, MountedAxis
 from planrunner.plan.schedule import Segment
 from planrunner.plan.selection import Detection
 from planrunner.uncertainty.decision import CoefficientRole as CoefficientRole
 from planrunner.uncertainty.influences import Budget, Influence, Inputs
 
 Array = NDArray[np.float64]
+P = TypeVar("P", covariant=True)
+R = TypeVar("R", bound=Record)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,13 +195,13 @@ class Setup:
 
 
 @dataclass(frozen=True, slots=True)
-class EstimateRequest:
-    """name: of this estimate in the plan. uses: the estimates that it builds on, by their names in the plan. detection: where the plan
-    asks for spans to be found in the data (`planrunner.plan.selection.Detection`)."""
+class EstimateRequest(Generic[P]):
+    """name: of this estimate in the plan. parameters: the record of the estimator's keys. uses: the estimates that it builds on, by their
+    names in the plan. detection: where the plan asks for spans to be found in the data (`planrunner.plan.selection.Detection`)."""
 
     name: str
     segments: tuple[RecordedSegment, ...]
-    parameters: Any
+    parameters: P
     site: Site
     sensor: SensorModel
     uses: Mapping[str, Estimate] = field(default_factory=dict)
@@ -207,13 +210,13 @@ class EstimateRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class DesignRequest:
+class DesignRequest(Generic[P]):
     """The same before anything is recorded; where `detection` is given, spans are yet to be found. `uses` holds the designs of the
     estimates that this one builds on."""
 
     name: str
     segments: tuple[Segment, ...]
-    parameters: Any
+    parameters: P
     site: Site
     sensor: SensorModel
     uses: Mapping[str, Design] = field(default_factory=dict)
@@ -289,9 +292,17 @@ class FindsSpans(Protocol):
     finds_spans: bool
 
 
-class Estimator(Protocol):
-    summary: str
-    Parameters: type[Record]
+class Estimator(Protocol[R]):
+    """A plug-in. R: the record of its keys."""
 
-    def design(self, request: DesignRequest) -> Design | None: ...
-    def estimate(self, request: EstimateRequest) -> Estimate: ...
+    summary: str
+    Parameters: type[R]
+
+    def design(self, request: DesignRequest[R]) -> Design | None: ...
+    def estimate(self, request: EstimateRequest[R]) -> Estimate: ...
+
+
+def estimator_of(spec: EstimateSpec) -> Estimator[Record]:
+    """The plug-in that an estimate of a plan names. Raises `InputError`."""
+    estimator: Estimator[Record] = plugins.load(plugins.ESTIMATORS, spec.estimator)()
+    return estimator

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import Coefficient, Estimate, EstimationError
+from planrunner.plan.model import Limit
 from planrunner.plan.quantity import Quantity, parse_symmetric
 from planrunner.plan.units import UnknownUnitError, unit
 from planrunner.uncertainty.decision import CONFIDENCE, coverage_factor, decide
@@ -45,7 +46,7 @@ class LimitVerdict:
     producer_risk: float = math.nan
 
 
-def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
+def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
     """The verdict on one limit (`plan.model.Limit`). A circular coefficient is compared on the turn that is nearest to the middle of two
     bounds. Raises `EstimationError` when its quantity is missing or of another dimension."""
     coefficient = _coefficient(limit.quantity, estimates)
@@ -80,7 +81,7 @@ def hold(limit: Any, estimates: Mapping[str, Estimate]) -> LimitVerdict:
 
 
 def _global(
-    limit: Any, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
+    limit: Limit, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> GlobalRisk:
     """NaN without a prior, or where the uncertainty is not known."""
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
@@ -103,7 +104,7 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
         raise EstimationError(f"'{name}' has no coefficient '{wanted}': {closest(wanted, known)}") from None
 
 
-def bounds(limit: Any, coefficient: Coefficient) -> tuple[float, float]:
+def bounds(limit: Limit, coefficient: Coefficient) -> tuple[float, float]:
     """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit, infinite where there is none.
 
     Raises `EstimationError` for a limit of another dimension, without a bound, or that nothing can pass.
@@ -138,7 +139,7 @@ def _in_unit(bound: Quantity, coefficient: Coefficient) -> float:
     return bound.unit.from_si(bound.value) if bound.unit.text == own.text else own.from_si(bound.value)
 
 
-def _in_words(limit: Any) -> str:
+def _in_words(limit: Limit) -> str:
     if limit.within is not None:
         return f"within {limit.within}"
     parts = [

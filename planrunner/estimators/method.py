@@ -29,10 +29,12 @@ from planrunner.estimators.interface import (
     Estimate,
     EstimateRequest,
     EstimationError,
+    Estimator,
     Plot,
     Table,
     Unpredicted,
 )
+from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
@@ -66,28 +68,32 @@ class Words:
     segments: tuple[str, ...] = ()
 
 
+P = TypeVar("P", bound=Record)
 Q = TypeVar("Q", bound=Quantities)
 
 
-class Method(ABC, Generic[Q]):
-    """An estimator as a formula and its words."""
+class Method(ABC, Generic[P, Q]):
+    """An estimator as a formula and its words. P: the record of its keys; Q: what its formula gives."""
+
+    summary: str
+    Parameters: type[P]
 
     name: str
     """By which plans know it."""
 
     @abstractmethod
-    def quantities(self, request: EstimateRequest) -> Q:
+    def quantities(self, request: EstimateRequest[P]) -> Q:
         """The formula. Raises `EstimationError`."""
 
     @abstractmethod
-    def words(self, request: EstimateRequest, found: Q) -> Words:
+    def words(self, request: EstimateRequest[P], found: Q) -> Words:
         """What is said of it."""
 
-    def known(self, request: DesignRequest) -> Known:
+    def known(self, request: DesignRequest[P]) -> Known:
         """What this method knows of the outputs; their names and units say the rest."""
         return Known()
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def estimate(self, request: EstimateRequest[P]) -> Estimate:
         """Raises `EstimationError`."""
         found = self.quantities(request)
         words = self.words(request, found)
@@ -125,16 +131,19 @@ class Foresight:
         return bool(self.predicted or self.unpredicted)
 
 
+F = TypeVar("F", bound=Record, contravariant=True)
+
+
 @runtime_checkable
-class Foresees(Protocol):
+class Foresees(Protocol[F]):
     """An estimator with a foresight of its own."""
 
-    def foresee(self, request: DesignRequest) -> Foresight: ...
+    def foresee(self, request: DesignRequest[F]) -> Foresight: ...
 
 
-def designed(estimator: Any, request: DesignRequest) -> Design:
+def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
     """What an estimator says of planned segments, and what a run of them will give. Raises `EstimationError` where they make no sense."""
-    design: Design = estimator.design(request) or Design(())
+    design = estimator.design(request) or Design(())
     if design.known or any(remark.error for remark in design.remarks):
         return design
     seen = foresight(estimator, request)
@@ -147,14 +156,14 @@ def designed(estimator: Any, request: DesignRequest) -> Design:
     )
 
 
-def foresight(estimator: object, request: DesignRequest) -> Foresight:
+def foresight(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
     """What a run of the planned segments will give; nothing where the estimator cannot evaluate what they lead one to expect."""
     if isinstance(estimator, Foresees):
         return estimator.foresee(request)
     return by_expectation(estimator, request)
 
 
-def by_expectation(estimator: Any, request: DesignRequest) -> Foresight:
+def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
     """The general way, for any estimator: its formula on the expected recording."""
     used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
     known = estimator.known(request) if isinstance(estimator, Method) else Known()
@@ -190,7 +199,7 @@ def _alike(one: Coefficient, others: Sequence[Coefficient]) -> bool:
     )
 
 
-def _evaluated(estimator: Any, request: DesignRequest, expected: Expected, number: int) -> Estimate | None:
+def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Expected, number: int) -> Estimate | None:
     """The estimate of an expected recording, with all of its uncertainty; None where the estimator cannot make it."""
     uses = {
         name: design.expected[min(number, len(design.expected) - 1)]
@@ -212,8 +221,7 @@ def _evaluated(estimator: Any, request: DesignRequest, expected: Expected, numbe
     try:
         with np.errstate(all="ignore"):
             if not isinstance(estimator, Method):
-                made: Estimate = estimator.estimate(asked)
-                return made
+                return estimator.estimate(asked)
             found: Quantities = estimator.quantities(asked)
             return _whole(
                 Estimate(

@@ -2,7 +2,7 @@
 
 An estimator may say how draws of its data and of the stated inputs become coefficients, by a method
 
-    def chain(self, request: EstimateRequest, estimate: Estimate) -> Draws
+    def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
 with all that is not linear in it. Without one, the draws go through the estimate's own covariance and sensitivities: that tests the
 distributions and the effective degrees of freedom, and cannot test linearity.
@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from planrunner.estimators.interface import Cell, Estimate, Role, Table, TableColumn
+from planrunner.estimators.interface import Cell, Estimate, EstimateRequest, Role, Table, TableColumn
+from planrunner.plan.kinds import Record
 from planrunner.plan.model import MonteCarloSpec
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.monte_carlo import (
@@ -37,6 +39,16 @@ COLUMNS = (
     TableColumn("validated"),
 )
 _SHARE = 5.0  # the tolerance of validation over that at which draws end (JCGM 101:2008, 8.2)
+
+
+R = TypeVar("R", bound=Record, contravariant=True)
+
+
+@runtime_checkable
+class Chains(Protocol[R]):
+    """An estimator with draws of its own."""
+
+    def chain(self, request: EstimateRequest[R], estimate: Estimate) -> Draws: ...
 
 
 def linear_chain(estimate: Estimate) -> Draws:

@@ -36,7 +36,7 @@ def matrix_at_rest(
 
 
 def planned_blocks(
-    request: DesignRequest, outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
+    request: DesignRequest[object], outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
 ) -> tuple[DesignBlock, ...]:
     """The same matrix (n, p), SI, for each output, with the noise that the sensor declares for the planned dwells.
 
@@ -53,7 +53,7 @@ def planned_blocks(
     return tuple(blocks)
 
 
-def _sigma(request: DesignRequest, noise: NoiseModel) -> Array:
+def _sigma(request: DesignRequest[object], noise: NoiseModel) -> Array:
     return np.array(
         [
             noise.standard_error(segment.dwell or 1.0, segment.sample_rate or request.sensor.sample_rate)

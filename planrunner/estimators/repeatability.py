@@ -129,23 +129,23 @@ class Scatter(Quantities):
     splits: tuple[tuple[Repeats, Variance], ...]
 
 
-class Repeatability(Method[Scatter]):
+class Repeatability(Method[RepeatabilityParameters, Scatter]):
     """The plug-in."""
 
     name = "repeatability"
     summary = "Scatter of coefficients or means over repeats, and between days or switch-ons"
     Parameters = RepeatabilityParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[RepeatabilityParameters]) -> Design:
         """Whether there is anything to repeat. Raises `EstimationError`."""
-        parameters: RepeatabilityParameters = request.parameters
+        parameters = request.parameters
         names = _items(parameters, [segment.label for segment in request.segments], list(request.uses))
         _grouped(names, parameters.groups, bool(parameters.channels))
         return Design(())
 
-    def quantities(self, request: EstimateRequest) -> Scatter:
+    def quantities(self, request: EstimateRequest[RepeatabilityParameters]) -> Scatter:
         """Scatter of every quantity. Raises `EstimationError`."""
-        parameters: RepeatabilityParameters = request.parameters
+        parameters = request.parameters
         names = _items(parameters, [recorded.label for recorded in request.segments], list(request.uses))
         group = _grouped(names, parameters.groups, bool(parameters.channels))
         found = _channels(request, group) if parameters.channels else _coefficients(request, group)
@@ -154,7 +154,7 @@ class Repeatability(Method[Scatter]):
         spread = np.array([item.standard_uncertainty for item in coefficients])
         return Scatter(coefficients=coefficients, covariance=np.diag(spread**2), splits=splits)
 
-    def words(self, request: EstimateRequest, found: Scatter) -> Words:
+    def words(self, request: EstimateRequest[RepeatabilityParameters], found: Scatter) -> Words:
         """The values and their variances."""
         groups: Mapping[str, Sequence[str]] = request.parameters.groups
         tables = [(_values(one, list(groups)), _variances(one, split)) for one, split in found.splits]
@@ -212,7 +212,7 @@ def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: 
     return number
 
 
-def _channels(request: EstimateRequest, group: NDArray[np.int64]) -> list[Repeats]:
+def _channels(request: EstimateRequest[RepeatabilityParameters], group: NDArray[np.int64]) -> list[Repeats]:
     found = []
     for channel in request.parameters.channels:
         values, own, units = [], [], set()
@@ -234,7 +234,7 @@ def _channels(request: EstimateRequest, group: NDArray[np.int64]) -> list[Repeat
     return found
 
 
-def _coefficients(request: EstimateRequest, group: NDArray[np.int64]) -> list[Repeats]:
+def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDArray[np.int64]) -> list[Repeats]:
     patterns: Sequence[str] = request.parameters.coefficients
     each = [{item.name: item for item in estimate.coefficients} for estimate in request.uses.values()]
     shared = [name for name in each[0] if all(name in own for own in each)]

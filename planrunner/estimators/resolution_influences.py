@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def resolution_influences(
-    request: EstimateRequest, outputs: Sequence[str], functionals: Array
+    request: EstimateRequest[object], outputs: Sequence[str], functionals: Array
 ) -> tuple[Influence, ...]:
     """One for each of the m outputs with a stated resolution. functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n).
 

@@ -93,14 +93,14 @@ class LineQuantities(Quantities):
     common: bool
 
 
-class ScaleFactor(Method[LineQuantities]):
+class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
     """The plug-in."""
 
     name = "scale_factor"
     summary = "Scale factor, bias, nonlinearity and asymmetry from recordings at known rates"
     Parameters = ScaleFactorParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[ScaleFactorParameters]) -> Design:
         """A line through the planned rates, for each output. Raises `EstimationError`."""
         rates = _rates(request.segments)
         matrix = np.column_stack([np.ones(len(rates)), rates])
@@ -116,9 +116,9 @@ class ScaleFactor(Method[LineQuantities]):
         )
         return Design(blocks, remarks=remarks)
 
-    def quantities(self, request: EstimateRequest) -> LineQuantities:
+    def quantities(self, request: EstimateRequest[ScaleFactorParameters]) -> LineQuantities:
         """Lines through the means. Raises `EstimationError`."""
-        parameters: ScaleFactorParameters = request.parameters
+        parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
         outputs = parameters.outputs or request.segments[0].statistics.channels
@@ -140,9 +140,9 @@ class ScaleFactor(Method[LineQuantities]):
         require_basis(fit, parameters.uncertainty, request.name)
         return _found(request, observations, rates, fit)
 
-    def words(self, request: EstimateRequest, found: LineQuantities) -> Words:
+    def words(self, request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> Words:
         """Means and residuals by rate."""
-        parameters: ScaleFactorParameters = request.parameters
+        parameters = request.parameters
         observations, rates, fit = found.observations, found.rates, found.fit
         rate = rate_and_output(parameters.rate_unit, observations.units[0])[0]
         shown = tuple(float(value / rate.factor) for value in rates)
@@ -168,7 +168,7 @@ class ScaleFactor(Method[LineQuantities]):
         )
 
 
-def _is_rate(request: DesignRequest, name: str) -> bool:
+def _is_rate(request: DesignRequest[ScaleFactorParameters], name: str) -> bool:
     output = request.sensor.output(name)
     return output is not None and unit(output.unit).dimension == unit("rad/s").dimension
 
@@ -183,8 +183,10 @@ def _rates(segments: Sequence[Segment]) -> Array:
     return np.array([segment.rate for segment in segments], dtype=float)
 
 
-def _found(request: EstimateRequest, observations: Observations, rates: Array, fit: OutputsFit) -> LineQuantities:
-    parameters: ScaleFactorParameters = request.parameters
+def _found(
+    request: EstimateRequest[ScaleFactorParameters], observations: Observations, rates: Array, fit: OutputsFit
+) -> LineQuantities:
+    parameters = request.parameters
     basis = parameters.uncertainty
     m = len(observations.channels)
     scale, coefficients = np.ones(2 * m), []
@@ -224,13 +226,15 @@ def _found(request: EstimateRequest, observations: Observations, rates: Array, f
     )
 
 
-def _held(request: EstimateRequest, slopes: Array, rates: Array) -> tuple[Effect, ...]:
+def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[Effect, ...]:
     """How well the bench says that each rate is held, on outputs of these slopes (m,)."""
     stated = request.setup.inputs.get("table rate")
     return rate_effects(stated, np.outer(slopes, rates), rates) if stated else ()
 
 
-def _common(request: EstimateRequest, functionals: Array, slopes: Array, rates: Array) -> tuple[Influence, ...]:
+def _common(
+    request: EstimateRequest[ScaleFactorParameters], functionals: Array, slopes: Array, rates: Array
+) -> tuple[Influence, ...]:
     """What the plan says that all rates have wrong alike, such as the table's clock: it is in the slope and leaves no scatter.
 
     functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); slopes: (m,), output unit per rad/s.

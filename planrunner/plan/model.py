@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import Any
+from typing import Literal
 
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
@@ -178,7 +178,7 @@ class EstimateSpec(Record):
         "monte_carlo",
         default=None,
     )
-    parameters: Any = field(default=None)
+    parameters: Record = field(default_factory=Record)
 
 
 class SymmetricKind:
@@ -222,7 +222,7 @@ class Limit(Record):
     within: str | None = key(SymmetricKind(), "Symmetric about zero.", "±0.5 deg/h", default=None)
     at_least: Quantity | None = key(QuantityOf(None), "Lower limit.", 0.99, default=None)
     at_most: Quantity | None = key(QuantityOf(None), "Upper limit.", 1.01, default=None)
-    rule: str = key(
+    rule: Literal["simple", "guarded"] = key(
         Choice(("simple", "guarded")),
         "Decision rule (JCGM 106): simple compares the value, guarded keeps the expanded uncertainty inside as well.",
         "guarded",

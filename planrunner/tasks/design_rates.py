@@ -20,10 +20,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.base import plugins
 from planrunner.base.findings import Findings, InputError
 from planrunner.design import bundles
-from planrunner.estimators.interface import Coefficient, Design, DesignBlock, DesignRequest, EstimationError
+from planrunner.estimators.interface import (
+    Coefficient,
+    DesignBlock,
+    DesignRequest,
+    EstimationError,
+    estimator_of,
+)
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis, spin_up_time
 from planrunner.plan import source
 from planrunner.plan.expand import expand
@@ -226,7 +231,7 @@ class _RateDesigner:
             uses,
             checked.setup,
         )
-        design: Design | None = plugins.load(plugins.ESTIMATORS, self.spec.estimator)().design(request)
+        design = estimator_of(self.spec).design(request)
         assert design is not None
         return next(one for one in design.blocks if one.output == getattr(self, "output", one.output))
 

@@ -22,10 +22,8 @@ from coverage_experiment import BATCHES, flicker_in_segments
 from recorded import from_means, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.accelerometer.accelerometer_multi_position import (
-    AccelerometerMultiPosition,
-    AccelerometerMultiPositionParameters,
-)
+from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import EstimateRequest, Setup
 from planrunner.estimators.outputs_fit import BASES

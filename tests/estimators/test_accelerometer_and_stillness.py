@@ -10,11 +10,9 @@ import pytest
 from recorded import from_means, from_samples, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.accelerometer.accelerometer_multi_position import (
-    AccelerometerMultiPosition,
-    AccelerometerMultiPositionParameters,
-)
+from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, fit_magnitude
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.interface import DesignRequest, EstimateRequest, EstimationError
 from planrunner.estimators.method import designed
 from planrunner.observation.still_detection import still_spans

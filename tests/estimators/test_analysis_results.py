@@ -6,7 +6,6 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +28,8 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.limits import hold
-from planrunner.plan.model import Limit
+from planrunner.plan.kinds import Record
+from planrunner.plan.model import EstimateSpec, Limit
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.decision import coverage_factor
@@ -38,8 +38,8 @@ from planrunner.uncertainty.influences import Influence, InputQuantity
 SCHEMA = json.loads((Path(__file__).parents[2] / "schemas" / "results.schema.json").read_text(encoding="utf-8"))
 
 
-def spec(estimator: str, segments: tuple[str, ...], parameters: object, uses: tuple[str, ...] = ()) -> SimpleNamespace:
-    return SimpleNamespace(estimator=estimator, segments=segments, uses=uses, parameters=parameters)
+def spec(estimator: str, segments: tuple[str, ...], parameters: Record, uses: tuple[str, ...] = ()) -> EstimateSpec:
+    return EstimateSpec(estimator=estimator, segments=segments, uses=uses, parameters=parameters)
 
 
 ESTIMATES = {
@@ -148,7 +148,7 @@ def test_one_failure_leaves_the_others() -> None:
     estimates = ESTIMATES | {
         "old": spec("flexure_gyro_static", ("X*",), FlexureGyroStaticParameters()),
         "typo": spec("flexure_gyro_statics", ("P*",), FlexureGyroStaticParameters()),
-        "broken": spec("scale_factor", ("P*",), SimpleNamespace()),
+        "broken": spec("scale_factor", ("P*",), Record()),
         "self": spec("compensation_residual", ("V*",), CompensationResidualParameters(), ("self", "drift")),
     }
     missing = [Limit(quantity="old.D_X_F", within="±1 deg/h"), Limit(quantity="drift.D_X_G", within="±1 deg/h")]

@@ -9,10 +9,8 @@ import pytest
 from accelerometer_coverage import CHANNELS, SITE, spread_attitudes
 from recorded import from_means, from_samples, segment, sensor
 
-from planrunner.estimators.accelerometer.accelerometer_multi_position import (
-    AccelerometerMultiPosition,
-    AccelerometerMultiPositionParameters,
-)
+from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
 from planrunner.observation.flicker import mean_covariance

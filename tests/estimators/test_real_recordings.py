@@ -14,10 +14,8 @@ import numpy as np
 import pytest
 from recorded import from_samples, real, rows_of, segment, sensor, table
 
-from planrunner.estimators.accelerometer.accelerometer_multi_position import (
-    AccelerometerMultiPosition,
-    AccelerometerMultiPositionParameters,
-)
+from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.scale_factor import ScaleFactor, ScaleFactorParameters
 from planrunner.physics.earth import Site

@@ -26,7 +26,8 @@ from tilted_recording import (
 )
 
 from planrunner.estimators.interface import EstimateRequest, EstimationError
-from planrunner.estimators.temperature.temperature_model import TemperatureModel, TemperatureModelParameters
+from planrunner.estimators.temperature.parameters import TemperatureModelParameters
+from planrunner.estimators.temperature.temperature_model import TemperatureModel
 from planrunner.plan.quantity import parse_quantity
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
 

@@ -14,10 +14,8 @@ from recorded import from_means, segment, sensor
 from scipy.spatial.transform import Rotation
 from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, TRUTH, attitude
 
-from planrunner.estimators.accelerometer.accelerometer_multi_position import (
-    AccelerometerMultiPosition,
-    AccelerometerMultiPositionParameters,
-)
+from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.flexure_gyro.compensation_residual import (
     CompensationResidual,

@@ -35,7 +35,8 @@ from planrunner.estimators.temperature.curve import (
     held_out,
     natural_spline,
 )
-from planrunner.estimators.temperature.temperature_model import TemperatureModel, TemperatureModelParameters
+from planrunner.estimators.temperature.parameters import TemperatureModelParameters
+from planrunner.estimators.temperature.temperature_model import TemperatureModel
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import parse_quantity
 from planrunner.tasks.check import check_plan

@@ -15,7 +15,8 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.interface import DesignRequest, Estimate, Setup
 from planrunner.estimators.method import designed
 from planrunner.estimators.tilted.evaluation import Group
-from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted
 from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.uncertainty.influences import BudgetLine, InputQuantity, Inputs

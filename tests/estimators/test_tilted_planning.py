@@ -13,7 +13,8 @@ from tilted_recording import DEG, RATES, SITE, THETA, TRIAD, Gyro, inputs, plan_
 
 from planrunner.estimators import method
 from planrunner.estimators.interface import Design, DesignRequest, Setup
-from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.tasks.check import check_plan
 from planrunner.uncertainty.influences import Inputs

@@ -32,10 +32,8 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.error_model.terms import error_model
 from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by_magnitude
 from planrunner.estimators.accelerometer import gravity_magnitude
-from planrunner.estimators.accelerometer.accelerometer_multi_position import (
-    AccelerometerMultiPosition,
-    AccelerometerMultiPositionParameters,
-)
+from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.allan import allan_deviation
 from planrunner.estimators.flexure_gyro.tables import describe
 from planrunner.estimators.imu.coefficients import Response, framed, reported

@@ -18,7 +18,8 @@ from recorded import from_means, sensor
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.analysis import combined
 from planrunner.estimators.interface import Estimate, EstimateRequest, Setup
-from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted, ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.scale_factor_tilted import ScaleFactorTilted
 from planrunner.physics.earth import Site
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.quantity import parse_quantity

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
+from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
 from planrunner.estimators.fit_tables import basis_table
 from planrunner.estimators.interface import (
@@ -54,7 +55,7 @@ _UNITS = ("mg",) * 3 + ("1",) * 3 + ("mrad",) * 3
 _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 
-def design(request: DesignRequest) -> Design:
+def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design:
     """Whether the planned poses can give the nine parameters, as far as attitudes and the number of poses are planned. Raises
     `EstimationError`."""
     outputs, detection = request.parameters.outputs, request.detection
@@ -87,7 +88,9 @@ def design(request: DesignRequest) -> Design:
     return Design(())
 
 
-def foresee(request: DesignRequest, general: Callable[[], Foresight]) -> Foresight:
+def foresee(
+    request: DesignRequest[AccelerometerMultiPositionParameters], general: Callable[[], Foresight]
+) -> Foresight:
     """The general way where all poses are planned; else the names alone, as which poses will be found is not known."""
     if all(segment.attitude is not None for segment in request.segments):
         seen = general()
@@ -109,7 +112,7 @@ class MagnitudeQuantities(Quantities):
     residuals: Array
 
 
-def quantities(request: EstimateRequest) -> MagnitudeQuantities:
+def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> MagnitudeQuantities:
     """The nine parameters with full covariance. Raises `EstimationError`."""
     basis = request.parameters.uncertainty
     expected = all(recorded.expected for recorded in request.segments)
@@ -143,7 +146,7 @@ def quantities(request: EstimateRequest) -> MagnitudeQuantities:
     )
 
 
-def words(request: EstimateRequest, found: MagnitudeQuantities) -> Words:
+def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found: MagnitudeQuantities) -> Words:
     """Poses and residuals."""
     basis, poses, fit, residuals = request.parameters.uncertainty, found.poses, found.fit, found.residuals
     notes, warnings = judge(fit, basis, poses.channels)
@@ -175,7 +178,9 @@ def _size(fit: OutputsFit, residuals: Array) -> float:
     return float(np.sqrt(np.sum(residuals**2) / fit.freedom)) if fit.freedom else 0.0
 
 
-def _weighted(request: EstimateRequest, poses: Observations, found: GravityFit) -> OutputsFit:
+def _weighted(
+    request: EstimateRequest[AccelerometerMultiPositionParameters], poses: Observations, found: GravityFit
+) -> OutputsFit:
     """The last step, of |f| − g as one output, m/s². Raises `EstimationError`."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
@@ -201,7 +206,7 @@ def _along(effect: Effect, directions: Array) -> Effect:
     return replace(effect, changes={0: np.asarray(change)}, within={0: np.asarray(within)})
 
 
-def _gravity(values: Array, request: EstimateRequest) -> tuple[Influence, ...]:
+def _gravity(values: Array, request: EstimateRequest[AccelerometerMultiPositionParameters]) -> tuple[Influence, ...]:
     """Readings and biases are in m/s², so that scale factors alone follow the magnitude that they are held against: ∂s/∂g = −s/g."""
     gravity = request.setup.inputs.get("gravity")
     if gravity is None:
@@ -211,7 +216,9 @@ def _gravity(values: Array, request: EstimateRequest) -> tuple[Influence, ...]:
     return (Influence(gravity, sensitivities),)
 
 
-def _fitted(request: EstimateRequest, poses: Observations, basis: str) -> tuple[GravityFit, OutputsFit]:
+def _fitted(
+    request: EstimateRequest[AccelerometerMultiPositionParameters], poses: Observations, basis: str
+) -> tuple[GravityFit, OutputsFit]:
     """Raises `EstimationError` for segments that are too few or too alike, `UnfitDataError` for spans that were found and are so."""
     factors = _factors(poses)
     try:
@@ -228,7 +235,7 @@ def _fitted(request: EstimateRequest, poses: Observations, basis: str) -> tuple[
     return found, fit
 
 
-def _found(request: EstimateRequest) -> Observations:
+def _found(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
     """Still spans of all chosen segments."""
     outputs = request.parameters.outputs
     assert request.detection is not None
@@ -259,7 +266,7 @@ def _found(request: EstimateRequest) -> Observations:
     )
 
 
-def _recorded(request: EstimateRequest) -> Observations:
+def _recorded(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> Observations:
     """Whole segments as poses; of a schedule, those in which one will be found."""
     poses = [
         recorded
@@ -310,7 +317,7 @@ def _describe(name: str) -> str:
     return _WORDS[kind].format(*axes)
 
 
-def _detection(request: EstimateRequest) -> dict[str, str]:
+def _detection(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> dict[str, str]:
     found = request.detection
     if found is None:
         return {}

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel, error_model
+from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import (
@@ -41,7 +42,6 @@ from planrunner.plan.units import DIMENSIONS, Unit, unit
 
 Array = NDArray[np.float64]
 
-TERMS = ("bias", "accel_x", "accel_y", "accel_z")
 _AXES = ("x", "y", "z")
 
 
@@ -66,7 +66,7 @@ class AxesQuantities(Quantities):
     fit: OutputsFit
 
 
-def quantities(request: EstimateRequest) -> AxesQuantities:
+def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -> AxesQuantities:
     """Bias, scale factor and misalignments of three axes. Raises `EstimationError`."""
     parameters = request.parameters
     basis = parameters.uncertainty
@@ -106,7 +106,7 @@ def quantities(request: EstimateRequest) -> AxesQuantities:
     )
 
 
-def words(request: EstimateRequest, found: AxesQuantities) -> Words:
+def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found: AxesQuantities) -> Words:
     """Residuals by position."""
     fit, observations, basis = found.fit, found.observations, request.parameters.uncertainty
     notes, warnings = judge(fit, basis)

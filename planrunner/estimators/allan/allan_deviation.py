@@ -112,9 +112,9 @@ class AllanDeviation:
     summary = "Allan deviations with confidence intervals, and noise coefficients N, B, K, Q with uncertainties"
     Parameters = AllanDeviationParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[AllanDeviationParameters]) -> Design:
         """Whether the planned record can serve. Raises `EstimationError`."""
-        parameters: AllanDeviationParameters = request.parameters
+        parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         moving = [segment.label for segment in request.segments if not isinstance(segment.motion, Rest)]
         notes = [f"'{label}' moves: the effect of the motion on the outputs counts as noise." for label in moving]
@@ -129,10 +129,10 @@ class AllanDeviation:
         remarks = planned_averaging(request, names, parameters.taus, parameters.fit_up_to)
         return Design((), notes=tuple(notes), remarks=remarks)
 
-    def foresee(self, request: DesignRequest) -> Foresight:
+    def foresee(self, request: DesignRequest[AllanDeviationParameters]) -> Foresight:
         """From the noise that is declared and the record that is planned: the samples themselves are not simulated. Raises
         `EstimationError` for scale factors that do not fit their outputs."""
-        parameters: AllanDeviationParameters = request.parameters
+        parameters = request.parameters
         names = parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         predicted: list[Coefficient] = []
         unpredicted: list[Unpredicted] = []
@@ -142,9 +142,9 @@ class AllanDeviation:
             unpredicted += unsure
         return Foresight(tuple(predicted), tuple(unpredicted))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def estimate(self, request: EstimateRequest[AllanDeviationParameters]) -> Estimate:
         """Deviations and coefficients from the samples. Raises `EstimationError`."""
-        parameters: AllanDeviationParameters = request.parameters
+        parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
         names = parameters.outputs or request.segments[0].statistics.channels
@@ -194,8 +194,8 @@ class _Result:
         self.sensed: SensedBy | None = None
 
 
-def _output(request: EstimateRequest, name: str) -> _Result:
-    parameters: AllanDeviationParameters = request.parameters
+def _output(request: EstimateRequest[AllanDeviationParameters], name: str) -> _Result:
+    parameters = request.parameters
     phase = read_phase(request.segments, name, parameters.bridge.value)
     result = _Result(name, request.segments[0].units[name])
     if any(recorded.units[name] != result.unit for recorded in request.segments):
@@ -383,10 +383,12 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
         )
 
 
-def _foreseen(request: DesignRequest, name: str) -> tuple[list[Coefficient], list[Unpredicted]]:
+def _foreseen(
+    request: DesignRequest[AllanDeviationParameters], name: str
+) -> tuple[list[Coefficient], list[Unpredicted]]:
     """N and B as declared, with what the planned record would leave uncertain of them; the other terms, and these without a declaration,
     as unpredicted."""
-    parameters: AllanDeviationParameters = request.parameters
+    parameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None  # design refuses others
     stated = parameters.scale_factors.get(name)

@@ -31,7 +31,7 @@ class PlannedRecord:
     lengths: Integers
 
 
-def planned_record(request: DesignRequest) -> PlannedRecord | None:
+def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
     """The record that the segments will leave; None where a dwell is not known. Raises `EstimationError` for several sample rates."""
     hertz = {segment.sample_rate or request.sensor.sample_rate for segment in request.segments}
     if not request.segments or any(segment.dwell is None for segment in request.segments):
@@ -72,7 +72,10 @@ def require_averaging_times(name: str, count: int) -> None:
 
 
 def planned_averaging(
-    request: DesignRequest, names: Sequence[str], taus: Sequence[Quantity], fit_up_to: Quantity | None
+    request: DesignRequest[object],
+    names: Sequence[str],
+    taus: Sequence[Quantity],
+    fit_up_to: Quantity | None,
 ) -> tuple[Remark, ...]:
     """Remarks about averaging times that the planned record cannot give. Raises `EstimationError` as the estimate would."""
     record = planned_record(request)

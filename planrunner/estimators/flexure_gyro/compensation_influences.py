@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 def residual_influences(
-    request: EstimateRequest, units: tuple[str, ...], matrix: Array, residuals: Mapping[str, Array], rate: float
+    request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, residuals: Mapping[str, Array], rate: float
 ) -> tuple[Influence, ...]:
     """On the residuals of the sets in their order, of each first those of one rate at all positions, then of the other, (sets·2·v,).
 
@@ -70,7 +70,7 @@ def compensation_influences(
     return tuple(one.through(gradient.reshape(len(gradient), -1)) for one in on_residuals)
 
 
-def _here(request: EstimateRequest, matrix: Array, coefficients: Array) -> list[Influence]:
+def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
     """On i − X·c through the verification positions: what a fit of one coefficient a position would show."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]

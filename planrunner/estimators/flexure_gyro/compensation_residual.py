@@ -81,7 +81,7 @@ class CompensationResidual:
     summary = "Residuals of two or more coefficient sets after compensation on verification positions"
     Parameters = CompensationResidualParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[CompensationResidualParameters]) -> Design:
         """No coefficients are fitted; the predicted ratios stand in the notes and in `extra`. Raises `EstimationError`."""
         model = flexure_gyro.static_model()
         matrix = static_matrix(model, request.segments, request.site)
@@ -108,14 +108,14 @@ class CompensationResidual:
         ]
         return Design((), (), (*notes, _CLAIM), ratios)
 
-    def foresee(self, request: DesignRequest) -> Foresight:
+    def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
         """The coefficients' names: sums of a few squared residuals scatter as widely as they are large, and the notes give their ratio."""
         first, *others = request.uses
         why = "the noise of a few verification positions determines it"
         named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in named))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def estimate(self, request: EstimateRequest[CompensationResidualParameters]) -> Estimate:
         """Residuals of each set in `uses`. Raises `EstimationError`."""
         for name, used in request.uses.items():
             if used.extra.get("terms") != list(flexure_gyro.static_model().names):
@@ -170,7 +170,7 @@ def _relative(block: DesignBlock) -> Array:
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 
 
-def _covariances(request: EstimateRequest, observations: Observations) -> Array:
+def _covariances(request: EstimateRequest[CompensationResidualParameters], observations: Observations) -> Array:
     """Of all observations of each output, (2, N, N): noise within the segments, and declared flicker, which all segments share."""
     told = [used.extra for used in request.uses.values()]
     start = np.concatenate([observations.start, *(one["start"] for one in told)])
@@ -189,7 +189,10 @@ def _covariances(request: EstimateRequest, observations: Observations) -> Array:
 
 
 def _assemble(
-    request: EstimateRequest, labels: Sequence[str], residuals: Mapping[str, Array], prediction: Any
+    request: EstimateRequest[CompensationResidualParameters],
+    labels: Sequence[str],
+    residuals: Mapping[str, Array],
+    prediction: Any,
 ) -> Estimate:
     names = tuple(residuals)
     first = names[0]

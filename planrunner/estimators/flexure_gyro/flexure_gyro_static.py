@@ -90,16 +90,16 @@ class StaticQuantities(Quantities):
     stated: tuple[Influence, ...]
 
 
-class FlexureGyroStatic(Method[StaticQuantities]):
+class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
     """The plug-in."""
 
     name = "flexure_gyro_static"
     summary = "Static coefficients of a two-axis flexure gyro from positions at rest"
     Parameters = FlexureGyroStaticParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Design:
         """The design of both outputs at the planned positions. Raises `EstimationError`."""
-        parameters: FlexureGyroStaticParameters = request.parameters
+        parameters = request.parameters
         model = flexure_gyro.static_model(parameters.terms)
         matrix = static_matrix(model, request.segments, request.site)
         magnitudes = local_magnitudes(model, request.site)
@@ -115,9 +115,9 @@ class FlexureGyroStatic(Method[StaticQuantities]):
             blocks, notes=(note,), extra={"determinant": determinant, "condition": sight.condition}, remarks=remarks
         )
 
-    def known(self, request: DesignRequest) -> Known:
+    def known(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Known:
         """U and V of the physical coefficients that the sensor declares; without them, of a gyro without drift."""
-        parameters: FlexureGyroStaticParameters = request.parameters
+        parameters = request.parameters
         nominal, names = request.sensor.nominal, flexure_gyro.physical_names(parameters.terms)
         if any(name not in nominal for name in names[:4]):
             return Known()
@@ -125,9 +125,9 @@ class FlexureGyroStatic(Method[StaticQuantities]):
         model = flexure_gyro.static_model(parameters.terms)
         return Known({name: (model, own) for name, own in zip(parameters.outputs, outputs, strict=True)})
 
-    def quantities(self, request: EstimateRequest) -> StaticQuantities:
+    def quantities(self, request: EstimateRequest[FlexureGyroStaticParameters]) -> StaticQuantities:
         """Coefficients from the means of the positions. Raises `EstimationError`."""
-        parameters: FlexureGyroStaticParameters = request.parameters
+        parameters = request.parameters
         basis = parameters.uncertainty
         observations = observe(request.segments, _two(parameters.outputs), request.sensor)
         model = flexure_gyro.static_model(parameters.terms)
@@ -161,7 +161,7 @@ class FlexureGyroStatic(Method[StaticQuantities]):
             stated=stated,
         )
 
-    def words(self, request: EstimateRequest, found: StaticQuantities) -> Words:
+    def words(self, request: EstimateRequest[FlexureGyroStaticParameters], found: StaticQuantities) -> Words:
         """Residuals, both bases of uncertainty, and the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         notes, warnings = judge(fit, basis)
@@ -186,7 +186,7 @@ class FlexureGyroStatic(Method[StaticQuantities]):
             segments=found.observations.labels,
         )
 
-    def chain(self, request: EstimateRequest, estimate: Estimate) -> Draws:
+    def chain(self, request: EstimateRequest[FlexureGyroStaticParameters], estimate: Estimate) -> Draws:
         """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse: exact but for the inputs' first order."""
         made = self.quantities(request)
         return physical_draws(made.fit, request.parameters.uncertainty, made.found.factors, made.stated)

@@ -116,16 +116,16 @@ class ImuQuantities(Quantities):
     found: Reported
 
 
-class ImuMultiPosition(Method[ImuQuantities]):
+class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
     """The plug-in."""
 
     name = "imu_multi_position"
     summary = "Bias, scale factor, misalignment and g-sensitivity of IMU triads from positions and rates"
     Parameters = ImuMultiPositionParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[ImuMultiPositionParameters]) -> Design:
         """Information that the planned positions and rates give about each output. Raises `EstimationError`."""
-        parameters: ImuMultiPositionParameters = request.parameters
+        parameters = request.parameters
         blocks: list[DesignBlock] = []
         remarks: list[Remark] = []
         for kind, channels, terms in _triads(parameters):
@@ -139,14 +139,14 @@ class ImuMultiPosition(Method[ImuQuantities]):
                 remarks += _earth_rate_alone(request, made)
         return Design(tuple(blocks), remarks=tuple(remarks))
 
-    def known(self, request: DesignRequest) -> Known:
+    def known(self, request: DesignRequest[ImuMultiPositionParameters]) -> Known:
         """The axes of the channels, in the order in which the plan names them."""
         triads = _triads(request.parameters)
         return Known(directions={name: np.eye(3)[axis] for _, names, _ in triads for axis, name in enumerate(names)})
 
-    def quantities(self, request: EstimateRequest) -> ImuQuantities:
+    def quantities(self, request: EstimateRequest[ImuMultiPositionParameters]) -> ImuQuantities:
         """Coefficients from the means of the segments. Raises `EstimationError`."""
-        parameters: ImuMultiPositionParameters = request.parameters
+        parameters = request.parameters
         basis = parameters.uncertainty
         triads = tuple(_fit(request, *one) for one in _triads(parameters))
         frame = framed([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
@@ -170,9 +170,9 @@ class ImuMultiPosition(Method[ImuQuantities]):
             found=found,
         )
 
-    def words(self, request: EstimateRequest, made: ImuQuantities) -> Words:
+    def words(self, request: EstimateRequest[ImuMultiPositionParameters], made: ImuQuantities) -> Words:
         """Matrices, residuals, and both bases of uncertainty."""
-        parameters: ImuMultiPositionParameters = request.parameters
+        parameters = request.parameters
         basis = parameters.uncertainty
         triads, frame, found = made.triads, made.frame, made.found
         notes: list[str] = [tables.formula(frame)]
@@ -275,7 +275,9 @@ def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
     return sizes
 
 
-def _fit(request: EstimateRequest, kind: str, channels: Sequence[str], terms: Sequence[str]) -> Triad:
+def _fit(
+    request: EstimateRequest[ImuMultiPositionParameters], kind: str, channels: Sequence[str], terms: Sequence[str]
+) -> Triad:
     model, basis = error_model(terms), request.parameters.uncertainty
     usable = {id(one) for one in _usable(kind, [recorded.segment for recorded in request.segments])}
     recorded = [one for one in request.segments if id(one.segment) in usable]
@@ -302,7 +304,9 @@ def _response(one: Triad) -> Response:
     return Response(one.kind, units, one.model, one.fit.coefficients)
 
 
-def _influences(request: EstimateRequest, triads: Sequence[Triad], found: Reported) -> tuple[Influence, ...]:
+def _influences(
+    request: EstimateRequest[ImuMultiPositionParameters], triads: Sequence[Triad], found: Reported
+) -> tuple[Influence, ...]:
     """On everything that is reported; an input that acts on both triads is one input to whoever adds them up."""
     influences: list[Influence] = []
     start = 0
@@ -318,7 +322,9 @@ def _influences(request: EstimateRequest, triads: Sequence[Triad], found: Report
     return tuple(influences)
 
 
-def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> list[Remark]:
+def _earth_rate_alone(
+    request: DesignRequest[ImuMultiPositionParameters], blocks: Sequence[DesignBlock]
+) -> list[Remark]:
     """Scale factors that nothing but the Earth's rotation shows, of which rank has nothing to say."""
     terms = blocks[0].terms
     alone = [
@@ -335,7 +341,9 @@ def _earth_rate_alone(request: DesignRequest, blocks: Sequence[DesignBlock]) -> 
     return [Remark("physics-earth-rate-alone", message, hint, conditions=True)]
 
 
-def _extra(request: EstimateRequest, frame: Framed, found: Reported, u: Array) -> dict[str, object]:
+def _extra(
+    request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Reported, u: Array
+) -> dict[str, object]:
     """Matrices for those who build on this, and the coefficients by temperature where all segments were held at one."""
     extra: dict[str, object] = {
         one.kind: {

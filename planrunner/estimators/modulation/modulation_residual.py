@@ -76,7 +76,7 @@ class ModulationResidual:
     summary = "Navigation errors with and without rotation of the sensor: suppression, CEP rates, residual modulation"
     Parameters = ModulationResidualParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[ModulationResidualParameters]) -> Design:
         """No coefficients are fitted; notes say what the cycles leave, a remark says where the comparison cannot be made."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
@@ -92,7 +92,7 @@ class ModulationResidual:
         ]  # an alignment belongs to what follows
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
-    def foresee(self, request: DesignRequest) -> Foresight:
+    def foresee(self, request: DesignRequest[ModulationResidualParameters]) -> Foresight:
         """The coefficients' names: what they compare are the errors of single navigations."""
         designs = list(request.uses.items())
         if not all("turned" in design.extra for _, design in designs):
@@ -104,7 +104,7 @@ class ModulationResidual:
         rows += [(_AMPLITUDE.format(name), "m", _AMPLITUDE_WORDS.format(name)) for name in turned]
         return Foresight(unpredicted=tuple(Unpredicted(name, text, why, words) for name, text, words in rows))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def estimate(self, request: EstimateRequest[ModulationResidualParameters]) -> Estimate:
         """The comparison. Raises `EstimationError`."""
         navigations = compared(request)
         (still,) = (item for item in navigations if item.cycle is None)
@@ -137,7 +137,7 @@ class ModulationResidual:
         )
 
 
-def _lacks(request: DesignRequest) -> Remark | None:
+def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
     """What is missing among the navigations used, where their designs give what they navigate."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
@@ -192,7 +192,7 @@ def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coef
 
 
 def _periodic(
-    turned: Sequence[Navigation], request: EstimateRequest
+    turned: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> tuple[dict[str, PeriodicPart], tuple[str, ...]]:
     found: dict[str, PeriodicPart] = {}
     notes = []
@@ -241,7 +241,9 @@ def _figures(navigations: Sequence[Navigation]) -> Table:
 
 
 def _cycles(
-    turned: Sequence[Navigation], periodic: Mapping[str, PeriodicPart], request: EstimateRequest
+    turned: Sequence[Navigation],
+    periodic: Mapping[str, PeriodicPart],
+    request: EstimateRequest[ModulationResidualParameters],
 ) -> list[Table]:
     """What each cycle leaves, and the part of the error that repeats with it, predicted and measured."""
     declared = request.parameters.declared
@@ -274,7 +276,9 @@ def _cycles(
     return [Table("Residual of each cycle, and errors that repeat with it", columns, tuple(rows))]
 
 
-def _predicted(navigations: Sequence[Navigation], request: EstimateRequest) -> list[Table]:
+def _predicted(
+    navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
+) -> list[Table]:
     """Errors that the declared constant errors alone make, by the linear error equations; the error about the vertical is not modulated, so
     that of the other two says what a cycle is worth."""
     declared = request.parameters.declared
@@ -321,7 +325,7 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
     )
 
 
-def _left(segment: Segment, request: DesignRequest) -> str:
+def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
     """What the cycle of a planned segment leaves, and what the declared horizontal errors then make of a position."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)

@@ -66,7 +66,7 @@ def rotation(motion: Motion, table: TableModel | None) -> RotationCycle | None:
     return None
 
 
-def compared(request: EstimateRequest) -> list[Navigation]:
+def compared(request: EstimateRequest[object]) -> list[Navigation]:
     """The navigations used, in their order, on the time that all of them have. Raises `EstimationError`."""
     segments = {recorded.label: recorded.segment for recorded in request.segments}
     table = request.setup.table

@@ -32,8 +32,8 @@ def span(runs: Sequence[Run]) -> float | None:
     return min(dwells) if len(dwells) == len(runs) else None
 
 
-def remarks(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
-    parameters: RockingDriftParameters = request.parameters
+def remarks(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
+    parameters = request.parameters
     found = [*_windows(parameters), *_encoders(request), *_sampling(request, runs), *_caging(runs)]
     found += _rocking(runs, parameters)
     try:
@@ -65,9 +65,9 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
     return found
 
 
-def _release_time(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
+def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
     """With a nominal azimuth the element is turned on by the Earth since its release, so the time since then must be known."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     if parameters.azimuth != "nominal":
         return []
     try:
@@ -78,10 +78,10 @@ def _release_time(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
     return []
 
 
-def _encoders(request: DesignRequest) -> list[Remark]:
+def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
     """Gimbals that cannot be as named, and encoders that are asked for and not there. A bench without a table may play back a recording
     with more channels than it names."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     found = []
     if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
         message = f"two adjacent gimbals turn about one axis ({', '.join(parameters.gimbal_axes)}): they cannot stabilise the element"
@@ -102,7 +102,7 @@ def _encoders(request: DesignRequest) -> list[Remark]:
     return found
 
 
-def _sampling(request: DesignRequest, runs: Sequence[Run]) -> list[Remark]:
+def _sampling(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
     cutoff = request.parameters.cutoff.value
     rate = min(run.segment.sample_rate or request.sensor.sample_rate for run in runs)
     if cutoff <= rate / SAMPLES:
@@ -209,7 +209,9 @@ def _first_end(parameters: RockingDriftParameters) -> float:
     return parameters.release.value + parameters.window.value
 
 
-def count_seconds(request: DesignRequest, parameters: RockingDriftParameters) -> tuple[str, float, float] | None:
+def count_seconds(
+    request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
+) -> tuple[str, float, float] | None:
     """The coarsest accelerometer, its count [m/s^2], and the seconds in which the smallest drift moves it by a count."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
@@ -230,7 +232,9 @@ def count_in_words(count: float, seconds: float, parameters: RockingDriftParamet
     return f"one count ({size}) takes {seconds:.3g} s at {parameters.smallest_drift}"
 
 
-def _resolution(request: DesignRequest, dwell: float, parameters: RockingDriftParameters) -> list[Remark]:
+def _resolution(
+    request: DesignRequest[RockingDriftParameters], dwell: float, parameters: RockingDriftParameters
+) -> list[Remark]:
     found = count_seconds(request, parameters)
     between = parameters.second(dwell) - parameters.release.value
     if found is None or found[2] <= between or between <= 0:

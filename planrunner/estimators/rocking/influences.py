@@ -42,7 +42,7 @@ def drifts_of(reduced: ReducedRun, conditions: Conditions) -> Array:
 
 
 def influences_of(
-    runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest
+    runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest[RockingDriftParameters]
 ) -> tuple[Influence, ...]:
     found = _shared(runs, combined, conditions, request)
     for quantity, change in _of_each_run(request):
@@ -56,10 +56,12 @@ def influences_of(
     return tuple(found)
 
 
-def _shared(runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest) -> list[Influence]:
+def _shared(
+    runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest[RockingDriftParameters]
+) -> list[Influence]:
     """Latitude, gravity, azimuth and installation angles act on all runs alike."""
     inputs, site = request.setup.inputs, request.site
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     changes: list[tuple[InputQuantity, Conditions, float]] = []
     if (latitude := inputs.get("latitude")) is not None:
         farther = replace(site, latitude=site.latitude + STEP).earth_rate_enu
@@ -98,9 +100,11 @@ def _coefficients(runs: Runs, combined: Combined, conditions: Conditions) -> Arr
     return total
 
 
-def _of_each_run(request: EstimateRequest) -> list[tuple[InputQuantity, Callable[[ReducedRun], Array]]]:
+def _of_each_run(
+    request: EstimateRequest[RockingDriftParameters],
+) -> list[tuple[InputQuantity, Callable[[ReducedRun], Array]]]:
     """Quantities that are drawn anew in each run, with ∂drift [deg/h]/∂input of a run, shape (k, inputs)."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     found: list[tuple[InputQuantity, Callable[[ReducedRun], Array]]] = []
 
     def accelerometers(reduced: ReducedRun) -> Array:
@@ -154,9 +158,9 @@ def _gimbal_columns(reduced: ReducedRun) -> Array:
     return columns
 
 
-def azimuth_uncertainty(request: EstimateRequest) -> InputQuantity | None:
+def azimuth_uncertainty(request: EstimateRequest[RockingDriftParameters]) -> InputQuantity | None:
     """Of the element's azimuth at t0 in one run; None where nobody states it."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     if parameters.azimuth_uncertainty is not None:
         value, source = parameters.azimuth_uncertainty.value, "plan azimuth_uncertainty"
     elif parameters.azimuth == "encoders" and request.setup.table is not None:
@@ -166,7 +170,7 @@ def azimuth_uncertainty(request: EstimateRequest) -> InputQuantity | None:
     return InputQuantity("azimuth of the element", 0.0, "rad", value, source=source) if value else None
 
 
-def resolution(request: EstimateRequest, parameters: RockingDriftParameters) -> float:
+def resolution(request: EstimateRequest[RockingDriftParameters], parameters: RockingDriftParameters) -> float:
     """One count of the coarsest accelerometer [m/s^2], as the bench declares it; 0 where it does not."""
     counts = [0.0]
     for name in parameters.accelerometers:

@@ -118,9 +118,9 @@ def before_rocking_table(runs: Runs, conditions: Conditions) -> list[Table]:
     return [Table("Static drift before the rocking, by accelerometers", columns, tuple(rows))] if rows else []
 
 
-def method_error(request: EstimateRequest, seconds: float) -> Table:
+def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
     """What one run's drift can be wrong by, deg/h."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     gravity = request.site.gravity
     rows = [
         (f"accelerometer stability 10 µg over {time:g} s", _figure(STATED_STABILITY / gravity / time * DEG_PER_HOUR))
@@ -165,7 +165,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
     ]
 
 
-def leak_note(request: EstimateRequest, seconds: float) -> str:
+def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> str:
     """How much of a drift about the vertical axis reads as one about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return (

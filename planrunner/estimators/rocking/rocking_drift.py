@@ -58,9 +58,9 @@ class RockingDrift:
     )
     Parameters = RockingDriftParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[RockingDriftParameters]) -> Design:
         """What is wrong or doubtful. Raises `EstimationError` for segments that are no rocking test."""
-        parameters: RockingDriftParameters = request.parameters
+        parameters = request.parameters
         runs = find_runs(request.segments, parameters.rotation_order)
         found = remarks(request, runs)
         notes = []
@@ -70,14 +70,14 @@ class RockingDrift:
             notes.append(f"{name}: {count_in_words(size, seconds, parameters, request.site.gravity)}.")
         return Design((), notes=tuple(notes), remarks=tuple(found))
 
-    def foresee(self, request: DesignRequest) -> Foresight:
+    def foresee(self, request: DesignRequest[RockingDriftParameters]) -> Foresight:
         """From stated stability, declared noise and counts, and the table's position: runs of minutes are not simulated."""
         runs = find_runs(request.segments, request.parameters.rotation_order)
         return _foreseen(request, by_state(quadruples(runs)), span(runs))
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def estimate(self, request: EstimateRequest[RockingDriftParameters]) -> Estimate:
         """Steps 1 to 6 and both methods. Raises `EstimationError` for data that cannot serve."""
-        parameters: RockingDriftParameters = request.parameters
+        parameters = request.parameters
         recorded = request.segments
         runs = find_runs([item.segment for item in request.segments], parameters.rotation_order)
         groups = by_state(quadruples(runs))
@@ -165,9 +165,9 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
     return windows
 
 
-def _encoders(request: EstimateRequest) -> tuple[bool, str]:
+def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, str]:
     """Whether rings and gimbals can be used, and why not."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]
     if missing:
@@ -207,7 +207,10 @@ def _order(run: Run) -> str:
 
 
 def _notes(
-    request: EstimateRequest, states: Sequence[StateDrifts], pairings: Sequence[Pairings], seconds: float
+    request: EstimateRequest[RockingDriftParameters],
+    states: Sequence[StateDrifts],
+    pairings: Sequence[Pairings],
+    seconds: float,
 ) -> tuple[str, ...]:
     notes = [sentence(pairings)] if pairings else []
     rocking = next(run.segment for run in states[0].quadruples[0].runs if run.dynamic)
@@ -249,9 +252,11 @@ def _extra(
     }
 
 
-def _foreseen(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwell: float | None) -> Foresight:
+def _foreseen(
+    request: DesignRequest[RockingDriftParameters], groups: Sequence[Sequence[Quadruple]], dwell: float | None
+) -> Foresight:
     """dwell: s, None where it is not known."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     table = request.setup.table
     angles = {False: _angle_by_gravity(request)}
     encoders = all(request.sensor.output(name) is not None for name in (*parameters.rings, *parameters.gimbals))
@@ -276,9 +281,9 @@ def _foreseen(request: DesignRequest, groups: Sequence[Sequence[Quadruple]], dwe
     return Foresight(tuple(predicted), tuple(unpredicted))
 
 
-def _angle_by_gravity(request: DesignRequest) -> float:
+def _angle_by_gravity(request: DesignRequest[RockingDriftParameters]) -> float:
     """Standard uncertainty of a change of tilt [rad]."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     stability = parameters.accelerometer_stability.value if parameters.accelerometer_stability else 0.0
     noise = 0.0

@@ -81,10 +81,14 @@ class ReducedRun:
 
 
 def reduce_run(
-    run: Run, recorded: RecordedSegment, request: EstimateRequest, windows: Windows, encoders: bool
+    run: Run,
+    recorded: RecordedSegment,
+    request: EstimateRequest[RockingDriftParameters],
+    windows: Windows,
+    encoders: bool,
 ) -> ReducedRun:
     """Read, filter and cut one recorded run. Raises `EstimationError` for data that cannot serve."""
-    parameters: RockingDriftParameters = request.parameters
+    parameters = request.parameters
     channels = [*parameters.accelerometers, *((*parameters.rings, *parameters.gimbals) if encoders else ())]
     made = []
     windows = windows.with_rest(run.rest_before)
@@ -178,8 +182,8 @@ def _heading(reduced: ReducedRun, earth: Array, zero: float) -> float:
     return state.heading(turned_by(turn.mean(axis=0)[None])[0] @ state.nominal)
 
 
-def _encoder_turn(run: Run, angles: Array, request: EstimateRequest) -> Array:
-    parameters: RockingDriftParameters = request.parameters
+def _encoder_turn(run: Run, angles: Array, request: EstimateRequest[RockingDriftParameters]) -> Array:
+    parameters = request.parameters
     table = request.setup.table
     assert table is not None
     count = len(parameters.rings)
@@ -197,7 +201,7 @@ def _encoder_turn(run: Run, angles: Array, request: EstimateRequest) -> Array:
     return turn
 
 
-def _plausible(run: Run, window: Window, request: EstimateRequest) -> None:
+def _plausible(run: Run, window: Window, request: EstimateRequest[RockingDriftParameters]) -> None:
     state, gravity = run.state, request.site.gravity
     force = window.readings.mean(axis=0)
     size = float(np.linalg.norm(force))

@@ -45,9 +45,9 @@ _KNOTS = 1800  # of the alignment at most, each a second or longer
 _COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
 
 
-def design(request: DesignRequest) -> Design:
+def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
     """Remarks. Raises `EstimationError` for segments or outputs that make no sense."""
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     for name in (*parameters.gyros, *parameters.accelerometers):
         if request.sensor.output(name) is None:
             hint = closest(name, [item.name for item in request.sensor.outputs])
@@ -71,7 +71,7 @@ def design(request: DesignRequest) -> Design:
     return Design((), extra=told, remarks=remarks)
 
 
-def foresee(request: DesignRequest) -> Foresight:
+def foresee(request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
     """Errors to expect by the linear error equations: hours of navigation are not simulated."""
     labels = [segment.label for segment in request.segments]
     predicted, note = _expected(request, *parts(request.segments, labels, request.parameters.align))
@@ -81,7 +81,7 @@ def foresee(request: DesignRequest) -> Foresight:
     return Foresight(unpredicted=unpredicted, notes=(f"No errors are predicted: {note}.",))
 
 
-def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
+def _on_alignment(request: DesignRequest[StrapdownNavigationParameters], stop: Segment) -> list[Remark]:
     found = []
     if not isinstance(stop.motion, Rest | Cycle):
         message = f"'{stop.label}' turns continuously; alignment needs a stop, or a cycle of stops"
@@ -96,7 +96,9 @@ def _on_alignment(request: DesignRequest, stop: Segment) -> list[Remark]:
     return found
 
 
-def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> list[Remark]:
+def _on_joint(
+    request: DesignRequest[StrapdownNavigationParameters], stop: Segment, moving: Sequence[Segment]
+) -> list[Remark]:
     found = []
     first = moving[0]
     ends = end_attitude(stop, request.setup.table)
@@ -130,7 +132,7 @@ def _on_joint(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) 
     return found
 
 
-def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Remark]:
+def _on_navigation(request: DesignRequest[StrapdownNavigationParameters], moving: Sequence[Segment]) -> list[Remark]:
     found = []
     lasting = [segment.dwell for segment in moving if segment.dwell is not None]
     if len(lasting) == len(moving) and sum(lasting) < SCHULER_PERIOD:
@@ -151,9 +153,11 @@ def _on_navigation(request: DesignRequest, moving: Sequence[Segment]) -> list[Re
     return found
 
 
-def _expected(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) -> tuple[tuple[Coefficient, ...], str]:
+def _expected(
+    request: DesignRequest[StrapdownNavigationParameters], stop: Segment, moving: Sequence[Segment]
+) -> tuple[tuple[Coefficient, ...], str]:
     """And a note on them; without any, why there are none."""
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     white, constant = _declared(request), _stated(parameters)
     dwells = [segment.dwell for segment in (stop, *moving)]
     if not white.any() and not constant.any():
@@ -189,9 +193,9 @@ def _expected(request: DesignRequest, stop: Segment, moving: Sequence[Segment]) 
     return _coefficients(rotation, angles, covariances), note
 
 
-def _declared(request: DesignRequest) -> Array:
+def _declared(request: DesignRequest[StrapdownNavigationParameters]) -> Array:
     """White noise as the sensor declares it (6,), rad/√s and m/s/√s."""
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     found = np.zeros(6)
     for k, name in enumerate((*parameters.gyros, *parameters.accelerometers)):
         output = request.sensor.output(name)

@@ -143,7 +143,7 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
     return segments[found[0]], segments[found[0] + 1 :]
 
 
-def start_place(request: EstimateRequest, stop: RecordedSegment, factor: float) -> Site:
+def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
     """The position of alignment: from run information, else as the reference channels show, else the bench's site. factor: on normal
     gravity. Raises `EstimationError`."""
     places: dict[str, Any] = {}
@@ -174,9 +174,9 @@ def _told(name: str, text: str, dimension: str) -> float:
     return value
 
 
-def navigate(request: EstimateRequest) -> Navigated:
+def navigate(request: EstimateRequest[StrapdownNavigationParameters]) -> Navigated:
     """Alignment and navigation, each sample read once. Raises `EstimationError`."""
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     stop, moving = parts(request.segments, [item.label for item in request.segments], parameters.align)
     rates = {item.segment.sample_rate or request.sensor.sample_rate for item in (stop, *moving)}
     if len(rates) > 1:
@@ -195,7 +195,10 @@ def navigate(request: EstimateRequest) -> Navigated:
 
 
 def _gap(
-    request: EstimateRequest, stop: RecordedSegment, moving: Sequence[RecordedSegment], reader: IncrementReader
+    request: EstimateRequest[StrapdownNavigationParameters],
+    stop: RecordedSegment,
+    moving: Sequence[RecordedSegment],
+    reader: IncrementReader,
 ) -> float:
     """Seconds between alignment and navigation; the attitude is carried over them where nothing can have turned. Raises
     `EstimationError`."""
@@ -218,7 +221,7 @@ def _gap(
 
 
 def _run(
-    request: EstimateRequest,
+    request: EstimateRequest[StrapdownNavigationParameters],
     reader: IncrementReader,
     moving: Sequence[RecordedSegment],
     site: Site,
@@ -252,10 +255,15 @@ def _run(
 
 
 def _begin(
-    request: EstimateRequest, piece: Increments, site: Site, factor: float, aligned: Aligned, every: int
+    request: EstimateRequest[StrapdownNavigationParameters],
+    piece: Increments,
+    site: Site,
+    factor: float,
+    aligned: Aligned,
+    every: int,
 ) -> tuple[Navigator, Site]:
     """The navigator at the beginning of the first interval, and the place where that is."""
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     told = request.setup.information
     moved: dict[str, Any] = {

@@ -22,7 +22,7 @@ from planrunner.plan.units import STANDARD_GRAVITY
 Array = NDArray[np.float64]
 
 
-def assemble(request: EstimateRequest, found: Navigated) -> Estimate:
+def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Estimate:
     """The estimate."""
     points = found.record.points()
     equations = ErrorEquations.at(found.site)
@@ -54,7 +54,7 @@ def assemble(request: EstimateRequest, found: Navigated) -> Estimate:
     )
 
 
-def _turns(request: EstimateRequest) -> bool:
+def _turns(request: EstimateRequest[StrapdownNavigationParameters]) -> bool:
     return any(not isinstance(recorded.segment.motion, Rest) for recorded in request.segments)
 
 
@@ -82,8 +82,8 @@ def _coefficients(found: Navigated, spread: Spread) -> tuple[Coefficient, ...]:
     )
 
 
-def _settings(request: EstimateRequest, found: Navigated) -> dict[str, object]:
-    parameters: StrapdownNavigationParameters = request.parameters
+def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> dict[str, object]:
+    parameters = request.parameters
     white = found.aligned.white * np.array([60 * DEGREE] * 3 + [60.0] * 3)
     return {
         "vertical": parameters.vertical,
@@ -123,11 +123,11 @@ def _table(points: Array, uncertainty: Array) -> Table:
     return Table("Navigation errors over time", columns, tuple(tuple(map(float, row)) for row in rows))
 
 
-def _constants(request: EstimateRequest, found: Navigated) -> tuple[Table, ...]:
+def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
     """Constant errors as alignment found them, where the unit was turned meanwhile."""
     if not found.aligned.turned:
         return ()
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     alignment = found.aligned.alignment
     uncertainties = np.sqrt(np.diag(alignment.covariance)[SIZE : SIZE + INPUTS])
     scales = [(DEGREE * HOUR, "deg/h")] * 3 + [(1e6 / STANDARD_GRAVITY, "ug")] * 3
@@ -160,7 +160,9 @@ def _plots(points: Array) -> tuple[Plot, ...]:
     )
 
 
-def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float]) -> tuple[str, ...]:
+def _notes(
+    request: EstimateRequest[StrapdownNavigationParameters], found: Navigated, values: dict[str, float]
+) -> tuple[str, ...]:
     low, high = (values["cep_rate"] * share for share in CEP_INTERVAL)
     notes = [
         "One run determines a CEP poorly: with normal errors of one variance and zero mean the CEP rate is between "
@@ -171,7 +173,7 @@ def _notes(request: EstimateRequest, found: Navigated, values: dict[str, float])
         "sensor errors are part of what is measured. Those of largest, root-mean-square and rate figures are upper "
         "bounds.",
     ]
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     unknown = parameters.gyro_uncertainty is None or parameters.accelerometer_uncertainty is None
     if unknown and found.aligned.turned:
         notes.append(

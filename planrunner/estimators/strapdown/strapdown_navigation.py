@@ -23,19 +23,19 @@ class StrapdownNavigation:
     summary = "Inertial navigation by strapdown mechanisation: attitude, velocity and position errors, CEP rate"
     Parameters = StrapdownNavigationParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[StrapdownNavigationParameters]) -> Design:
         """Remarks on the planned segments. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.design import design
 
         return design(request)
 
-    def foresee(self, request: DesignRequest) -> Foresight:
+    def foresee(self, request: DesignRequest[StrapdownNavigationParameters]) -> Foresight:
         """Errors to expect of what is declared."""
         from planrunner.estimators.strapdown.design import foresee
 
         return foresee(request)
 
-    def estimate(self, request: EstimateRequest) -> Estimate:
+    def estimate(self, request: EstimateRequest[StrapdownNavigationParameters]) -> Estimate:
         """Errors of the navigation. Raises `EstimationError`."""
         from planrunner.estimators.strapdown.results import assemble
 

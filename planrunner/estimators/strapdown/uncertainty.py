@@ -104,9 +104,11 @@ class Spread:
         return covariance
 
 
-def influences(request: EstimateRequest, equations: ErrorEquations, found: Navigated) -> tuple[Influence, ...]:
+def influences(
+    request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated
+) -> tuple[Influence, ...]:
     """Constant sensor errors, for the angles alone, and the latitude, whose error makes the Earth's rate wrong."""
-    parameters: StrapdownNavigationParameters = request.parameters
+    parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))
     turned[:3, :3] = turned[3:, 3:] = rotation

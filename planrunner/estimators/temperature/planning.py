@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from planrunner.base.findings import closest
 from planrunner.estimators.interface import DesignRequest, Remark
 from planrunner.estimators.temperature.curve import FEWEST, groups_of
+from planrunner.estimators.temperature.parameters import TemperatureModelParameters
 from planrunner.estimators.temperature.points import given_by_temperature
 from planrunner.plan.units import ZERO_CELSIUS
 
 
-def remarks(request: DesignRequest) -> tuple[Remark, ...]:
+def remarks(request: DesignRequest[TemperatureModelParameters]) -> tuple[Remark, ...]:
     """Errors for what no recording could give; nothing where it is not known: ramps, and estimates of which nothing is expected."""
     if request.uses:
         return tuple(_of_estimates(request))
@@ -25,7 +26,7 @@ def remarks(request: DesignRequest) -> tuple[Remark, ...]:
     return tuple(_too_few(request, "", planned, "segments"))
 
 
-def _of_estimates(request: DesignRequest) -> list[Remark]:
+def _of_estimates(request: DesignRequest[TemperatureModelParameters]) -> list[Remark]:
     given = {name: given_by_temperature(used.expected[0]) for name, used in request.uses.items() if used.expected}
     none = [name for name, own in given.items() if not own]
     if none:
@@ -42,7 +43,7 @@ def _of_estimates(request: DesignRequest) -> list[Remark]:
     return _of_names(request, held)
 
 
-def _of_names(request: DesignRequest, held: Mapping[str, Sequence[float]]) -> list[Remark]:
+def _of_names(request: DesignRequest[TemperatureModelParameters], held: Mapping[str, Sequence[float]]) -> list[Remark]:
     patterns = request.parameters.coefficients
     for place, pattern in enumerate(patterns):
         if not any(fnmatchcase(name, pattern) for name in held):
@@ -56,7 +57,9 @@ def _of_names(request: DesignRequest, held: Mapping[str, Sequence[float]]) -> li
     return []
 
 
-def _too_few(request: DesignRequest, what: str, kelvin: Sequence[float], key: str) -> list[Remark]:
+def _too_few(
+    request: DesignRequest[TemperatureModelParameters], what: str, kelvin: Sequence[float], key: str
+) -> list[Remark]:
     parameters = request.parameters
     planned: NDArray[np.float64] = np.array(kelvin, dtype=float)
     distinct = int(groups_of(planned, parameters.bin.value).max(initial=-1)) + 1

@@ -27,11 +27,10 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Foresight, Method, Quantities, Words, by_expectation
-from planrunner.estimators.temperature.curve import FORMS, RULES, CurveFit, fit_curve, groups_of
+from planrunner.estimators.temperature.curve import CurveFit, fit_curve, groups_of
+from planrunner.estimators.temperature.parameters import TemperatureModelParameters
 from planrunner.estimators.temperature.planning import remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
-from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.uncertainty.decision import expanded_uncertainty
 from planrunner.uncertainty.influences import Influence
@@ -41,70 +40,6 @@ Array = NDArray[np.float64]
 _SHOWN = 9  # temperatures of the table of predictions
 _DRAWN = 61
 _WIDEST = 150.0  # K; a width written in degC comes out larger
-
-
-class TemperatureModelParameters(Record):
-    """Keys of the estimator temperature_model."""
-
-    coefficients: tuple[str, ...] = key(
-        ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
-        "Coefficients of the estimates in `uses`, with * and ?; by default all that they give over temperature.",
-        "gyro_bias_*",
-        default_factory=tuple,
-    )
-    channels: tuple[str, ...] = key(
-        ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to fit over temperature, without another estimate.",
-        ["gyro_x"],
-        default_factory=tuple,
-    )
-    temperature_channel: str | None = key(
-        CHANNEL,
-        "The sensor's own thermometer, for channels along a ramp; by default the planned temperature.",
-        "temperature",
-        default=None,
-    )
-    form: str = key(
-        Choice(FORMS), "Powers of T − reference, or a natural cubic spline.", "spline", default="polynomial"
-    )
-    order: int | None = key(
-        Number(0, 12, integer=True),
-        "Order of the polynomial, or knots of the spline less one; by default chosen by held-out error.",
-        2,
-        default=None,
-    )
-    highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
-    folds: int = key(
-        Number(0, 100, integer=True),
-        "Number of contiguous temperature ranges that are held out in turn; 0 holds out each temperature separately.",
-        5,
-        default=0,
-    )
-    rule: str = key(
-        Choice(RULES),
-        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; smallest: "
-        "the curve with the smallest held-out error.",
-        "smallest_error",
-        default="one_standard_error",
-    )
-    reference: Quantity = key(
-        QuantityOf("temperature"),
-        "T₀, at which a polynomial's constant is the value.",
-        "20 degC",
-        default=parse_quantity("25 degC"),
-    )
-    bin: Quantity = key(
-        QuantityOf("temperature", "positive"),
-        "Along a ramp, samples are averaged in bins of this width; temperatures closer than this are held out together.",
-        "2 K",
-        default=parse_quantity("1 K"),
-    )
-    uncertainty: str = key(
-        Choice(("residual", "propagated")),
-        "Basis of the uncertainties: the scatter of the values about the curve, or the values' own uncertainties.",
-        "propagated",
-        default="residual",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,24 +57,24 @@ class Curves(Quantities):
     models: tuple[Modelled, ...]
 
 
-class TemperatureModel(Method[Curves]):
+class TemperatureModel(Method[TemperatureModelParameters, Curves]):
     """The plug-in."""
 
     name = "temperature_model"
     summary = "Coefficients or outputs over temperature: polynomial or spline, order chosen by held-out error"
     Parameters = TemperatureModelParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[TemperatureModelParameters]) -> Design:
         """Whether the planned temperatures are enough, and the coefficients asked for are given. Raises `EstimationError` for keys that
         contradict each other."""
-        parameters: TemperatureModelParameters = request.parameters
+        parameters = request.parameters
         _one_source(parameters, bool(request.uses))
         return Design((), remarks=remarks(request))
 
-    def foresee(self, request: DesignRequest) -> Foresight:
+    def foresee(self, request: DesignRequest[TemperatureModelParameters]) -> Foresight:
         """The curves of expected values where their order is stated; else the coefficients of all orders that may be chosen, without
         uncertainties, as along ramps, whose temperatures only a recording shows."""
-        parameters: TemperatureModelParameters = request.parameters
+        parameters = request.parameters
         ramps = parameters.temperature_channel is not None
         if parameters.order is not None and not ramps:
             seen = by_expectation(self, request)
@@ -161,9 +96,9 @@ class TemperatureModel(Method[Curves]):
                 found.append(Unpredicted(f"hysteresis_{name}", text, why, role=CoefficientRole.MAXIMUM))
         return Foresight(unpredicted=tuple(found))
 
-    def quantities(self, request: EstimateRequest) -> Curves:
+    def quantities(self, request: EstimateRequest[TemperatureModelParameters]) -> Curves:
         """Curves through all values. Raises `EstimationError`."""
-        parameters: TemperatureModelParameters = request.parameters
+        parameters = request.parameters
         _one_source(parameters, bool(request.uses))
         if parameters.channels:
             width = parameters.bin.value
@@ -180,9 +115,9 @@ class TemperatureModel(Method[Curves]):
             models=models,
         )
 
-    def words(self, request: EstimateRequest, found: Curves) -> Words:
+    def words(self, request: EstimateRequest[TemperatureModelParameters], found: Curves) -> Words:
         """The curves, and how their orders were chosen."""
-        parameters: TemperatureModelParameters = request.parameters
+        parameters = request.parameters
         models = found.models
         return Words(
             headline=tuple(item.name for item in found.coefficients),
@@ -201,9 +136,9 @@ class TemperatureModel(Method[Curves]):
         )
 
 
-def _planned_units(request: DesignRequest) -> dict[str, str]:
+def _planned_units(request: DesignRequest[TemperatureModelParameters]) -> dict[str, str]:
     """Name → unit of what will be modelled; empty where that is not known."""
-    parameters: TemperatureModelParameters = request.parameters
+    parameters = request.parameters
     if parameters.channels:
         outputs = [request.sensor.output(name) for name in parameters.channels]
         return {output.name: output.unit for output in outputs if output is not None}
@@ -294,7 +229,7 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
     return tuple(rows), independent(blocks), np.concatenate(slopes)
 
 
-def _influences(request: EstimateRequest, slopes: Array) -> tuple[Influence, ...]:
+def _influences(request: EstimateRequest[TemperatureModelParameters], slopes: Array) -> tuple[Influence, ...]:
     """On coefficients with these slopes over temperature (q,): a chamber that is warmer than it says gives every curve as it is at another
     temperature. The sensor's own thermometer is not the chamber's."""
     stated = request.setup.inputs.get("temperature")

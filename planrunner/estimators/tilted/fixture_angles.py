@@ -111,14 +111,14 @@ class FixtureQuantities(Quantities):
     fits: tuple[tuple[Observations, OutputsFit], ...]
 
 
-class FixtureAngles(Method[FixtureQuantities]):
+class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
     """The plug-in."""
 
     name = "fixture_angles"
     summary = "Angles of the axes in a fixture, from spins about one axis in two or more orientations of the fixture"
     Parameters = FixtureAnglesParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[FixtureAnglesParameters]) -> Design:
         """The gain vector's components at the planned orientations, for each output. Raises `EstimationError`."""
         how = request.parameters.azimuth
         outputs = [output.name for output in request.sensor.outputs]
@@ -132,9 +132,9 @@ class FixtureAngles(Method[FixtureQuantities]):
         remarks = (*_remarks(model, how), *planned_basis(request, blocks, request.parameters.uncertainty))
         return Design(tuple(blocks), remarks=remarks)
 
-    def quantities(self, request: EstimateRequest) -> FixtureQuantities:
+    def quantities(self, request: EstimateRequest[FixtureAnglesParameters]) -> FixtureQuantities:
         """From the means. Raises `EstimationError`."""
-        parameters: FixtureAnglesParameters = request.parameters
+        parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
         axes = mounted_axes(request.setup.mounting, request.segments[0].statistics.channels, parameters.outputs)
@@ -162,9 +162,9 @@ class FixtureAngles(Method[FixtureQuantities]):
             fits=tuple(fits),
         )
 
-    def words(self, request: EstimateRequest, found: FixtureQuantities) -> Words:
+    def words(self, request: EstimateRequest[FixtureAnglesParameters], found: FixtureQuantities) -> Words:
         """Angles found and stated, and residuals."""
-        parameters: FixtureAnglesParameters = request.parameters
+        parameters = request.parameters
         notes: list[str] = []
         warnings: list[str] = []
         for _, fit in found.fits:
@@ -186,7 +186,12 @@ class FixtureAngles(Method[FixtureQuantities]):
 
 
 def _found(
-    request: EstimateRequest, model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit, output_unit: str
+    request: EstimateRequest[FixtureAnglesParameters],
+    model: GainModel,
+    axes: MountedAxes,
+    k: int,
+    fit: OutputsFit,
+    output_unit: str,
 ) -> AxisAngles:
     basis = gain_basis(axes, k, request.parameters.azimuth)
     offsets = len(model.orientations)
@@ -207,7 +212,7 @@ def _with_effects(shown: AxisAngles, effects: Sequence[Influence]) -> AxisAngles
 
 
 def _shown(
-    request: EstimateRequest,
+    request: EstimateRequest[FixtureAnglesParameters],
     model: GainModel,
     axes: MountedAxes,
     k: int,

@@ -15,6 +15,7 @@ from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.tilted.fixture_calibration import require_calibration
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.tilted.mounting_comparison import scheduled_seconds, time_note
+from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.rate_series import (
     RateSeries,
     by_temperature,
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, and its angle counts ten times
 
 
-def design(request: DesignRequest) -> Design:
+def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
     """Raises `EstimationError` where the plan makes no sense for the method."""
     outputs = [output.name for output in request.sensor.outputs]
     axes = seeing(mounted_axes(request.setup.mounting, outputs, request.parameters.outputs))
@@ -49,7 +50,7 @@ def design(request: DesignRequest) -> Design:
     return Design(blocks, notes=(note,), remarks=remarks)
 
 
-def _blocks(request: DesignRequest, axes: MountedAxes) -> tuple[DesignBlock, ...]:
+def _blocks(request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAxes) -> tuple[DesignBlock, ...]:
     """A line through all planned rates, for each output; the rate of the table stands for that of the axis."""
     spins = tuple(segment for segment in request.segments if segment.rate)
     rates = np.array([segment.rate for segment in spins])
@@ -61,7 +62,9 @@ def _blocks(request: DesignRequest, axes: MountedAxes) -> tuple[DesignBlock, ...
 # -- what the plan lacks ---------------------------------------------------------------------------------------------
 
 
-def _remarks(request: DesignRequest, axes: MountedAxes, series: Sequence[RateSeries]) -> Iterator[Remark]:
+def _remarks(
+    request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAxes, series: Sequence[RateSeries]
+) -> Iterator[Remark]:
     yield from _series_remarks(request, series)
     yield from _earth_remarks(request, axes)
     yield from beyond_full_scale(request, axes.outputs, rotation_axis(request.segments) @ axes.directions.T)
@@ -83,7 +86,9 @@ def _remarks(request: DesignRequest, axes: MountedAxes, series: Sequence[RateSer
         )
 
 
-def _series_remarks(request: DesignRequest, series: Sequence[RateSeries]) -> Iterator[Remark]:
+def _series_remarks(
+    request: DesignRequest[ScaleFactorTiltedParameters], series: Sequence[RateSeries]
+) -> Iterator[Remark]:
     lacking = [one for one in series if one.lacks]
     if lacking:
         more = f" (and {len(lacking) - 1} more series)" if len(lacking) > 1 else ""
@@ -112,7 +117,7 @@ def _series_remarks(request: DesignRequest, series: Sequence[RateSeries]) -> Ite
         )
 
 
-def _earth_remarks(request: DesignRequest, axes: MountedAxes) -> Iterator[Remark]:
+def _earth_remarks(request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAxes) -> Iterator[Remark]:
     how, planned = request.parameters.earth_rate, request.segments
     slow = [segment for segment in planned if 0 < abs(segment.rate) < request.site.earth_rate]
     if slow:

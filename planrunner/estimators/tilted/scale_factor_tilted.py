@@ -31,6 +31,7 @@ from planrunner.estimators.tilted.evaluation import Conditions, Group, answers_o
 from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
 from planrunner.estimators.tilted.influences import Rounding, Situation, common_rate, influences
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
+from planrunner.estimators.tilted.parameters import THERMOMETER, ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.rate_series import RateSeries, by_temperature, split_series, temperature_label
 from planrunner.estimators.tilted.report import report
 from planrunner.estimators.tilted.results import (
@@ -43,7 +44,6 @@ from planrunner.estimators.tilted.results import (
     shown_influences,
 )
 from planrunner.estimators.tilted.scatter import (
-    BASES,
     Noise,
     Scatter,
     gradient_of,
@@ -58,76 +58,11 @@ from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, mov
 from planrunner.observation.flicker import SPAN, flicker_effects
 from planrunner.observation.observation_effects import Effect, explained
 from planrunner.observation.observations import Observations, dithered, observe, within_segment_noise
-from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
-from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import Unit, unit
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
-
-THERMOMETER = "sensor_temperature"
-
-
-class ScaleFactorTiltedParameters(Record):
-    """Keys of the estimator scale_factor_tilted."""
-
-    outputs: tuple[str, ...] = key(
-        ListOf(CHANNEL, minimum=1, single=True),
-        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
-        ["gyro_x", "gyro_y", "gyro_z"],
-        default_factory=tuple,
-    )
-    zero: tuple[str, ...] = key(
-        ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"), minimum=1, single=True),
-        "Labels of the segments at rest before and after the rates.",
-        ["start-zero", "end-zero"],
-        default=("start-zero", "end-zero"),
-    )
-    earth_rate: str = key(
-        Choice(("corrected", "averaged", "ignored")),
-        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; "
-        "averaged by whole turns, "
-        "which are then required; or ignored. F0 is free of it only with `corrected`.",
-        "corrected",
-        default="corrected",
-    )
-    rate_unit: str = key(
-        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
-    )
-    rate_uncertainty: Quantity | None = key(
-        QuantityOf("ratio", "not negative"),
-        "Relative standard uncertainty of the table's rate, common to all rates; the bench file gives the error of "
-        "each rate.",
-        "50 ppm",
-        default=None,
-    )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the repeats, that of the rates about the line, or the noise "
-        "within the segments.",
-        "repeats",
-        default="repeats",
-    )
-    reference_temperature: Quantity = key(
-        QuantityOf("temperature"),
-        "The tested temperature nearest to it gives K_x, and temperature coefficients refer to it.",
-        "20 degC",
-        default=parse_quantity("20 degC"),
-    )
-    temperature: str | None = key(
-        CHANNEL,
-        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the "
-        "planned temperatures.",
-        THERMOMETER,
-        default=None,
-    )
-    remounting: Quantity = key(
-        QuantityOf("time", "not negative"),
-        "Time to bring the chamber to room temperature, mount and align, for the comparison with one mounting per axis.",
-        "2 h",
-        default=parse_quantity("2 h"),
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,20 +82,20 @@ class TiltedQuantities(Quantities):
     calibrated: bool
 
 
-class ScaleFactorTilted(Method[TiltedQuantities]):
+class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
     """The plug-in."""
 
     name = "scale_factor_tilted"
     summary = "Scale factors of several axes in one tilted mounting, over rates, repeats and temperatures"
     Parameters = ScaleFactorTiltedParameters
 
-    def design(self, request: DesignRequest) -> Design:
+    def design(self, request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:
         """Lines through the planned rates, and what the plan lacks. Raises `EstimationError`."""
         return tilted_planning.design(request)
 
-    def quantities(self, request: EstimateRequest) -> TiltedQuantities:
+    def quantities(self, request: EstimateRequest[ScaleFactorTiltedParameters]) -> TiltedQuantities:
         """From the means. Raises `EstimationError`."""
-        parameters: ScaleFactorTiltedParameters = request.parameters
+        parameters = request.parameters
         if not request.segments:
             raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
         channels = request.segments[0].statistics.channels
@@ -225,9 +160,9 @@ class ScaleFactorTilted(Method[TiltedQuantities]):
             calibrated=bool(fixture),
         )
 
-    def words(self, request: EstimateRequest, found: TiltedQuantities) -> Words:
+    def words(self, request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> Words:
         """Tables over rates, repeats and temperatures."""
-        parameters: ScaleFactorTiltedParameters = request.parameters
+        parameters = request.parameters
         situation = found.situation
         said = report(situation, found.units, found.scatter, found.within, found.noise, found.acting, parameters)
         return replace(
@@ -247,7 +182,7 @@ class ScaleFactorTilted(Method[TiltedQuantities]):
 
 
 def _situation(
-    request: EstimateRequest,
+    request: EstimateRequest[ScaleFactorTiltedParameters],
     axes: MountedAxes,
     fixture: tuple[Influence, ...],
     kept: Sequence[RecordedSegment],
@@ -278,7 +213,9 @@ def _situation(
     )
 
 
-def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
+def _complete(
+    request: EstimateRequest[ScaleFactorTiltedParameters],
+) -> tuple[list[RecordedSegment], tuple[RateSeries, ...], list[str]]:
     """The recorded segments of whole series, those series, and warnings of the others."""
     recorded = request.segments
     series = split_series([one.segment for one in recorded], request.parameters.zero)
@@ -321,7 +258,10 @@ def _complete(request: EstimateRequest) -> tuple[list[RecordedSegment], tuple[Ra
 
 
 def _conditions(
-    request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes, seconds: Sequence[float | None]
+    request: EstimateRequest[ScaleFactorTiltedParameters],
+    kept: Sequence[RecordedSegment],
+    axes: MountedAxes,
+    seconds: Sequence[float | None],
 ) -> tuple[Conditions, tuple[Segment, ...]]:
     planned = [one.segment for one in kept]
     along = rotation_axis(planned)
@@ -345,7 +285,10 @@ def _conditions(
 
 
 def _groups(
-    request: EstimateRequest, kept: Sequence[RecordedSegment], series: Sequence[RateSeries], observations: Observations
+    request: EstimateRequest[ScaleFactorTiltedParameters],
+    kept: Sequence[RecordedSegment],
+    series: Sequence[RateSeries],
+    observations: Observations,
 ) -> tuple[Group, ...]:
     commanded = np.array([one.segment.rate for one in kept])
     made = []
@@ -369,7 +312,9 @@ def _require_response(groups: Sequence[Group], axes: MountedAxes) -> None:
             )
 
 
-def _measured(request: EstimateRequest, recorded: Sequence[RecordedSegment], planned: float | None) -> float:
+def _measured(
+    request: EstimateRequest[ScaleFactorTiltedParameters], recorded: Sequence[RecordedSegment], planned: float | None
+) -> float:
     """Mean temperature of the sensor [K]; as planned where it is not recorded; NaN where neither is known."""
     wanted = request.parameters.temperature
     channel = wanted or THERMOMETER
@@ -389,7 +334,9 @@ def _reference(groups: Sequence[Group], parameters: ScaleFactorTiltedParameters)
     return int(np.nan_to_num(off, nan=math.inf).argmin())
 
 
-def _sigma(request: EstimateRequest, observations: Observations, flicker: Sequence[Effect]) -> tuple[Array, Array]:
+def _sigma(
+    request: EstimateRequest[ScaleFactorTiltedParameters], observations: Observations, flicker: Sequence[Effect]
+) -> tuple[Array, Array]:
     """Noise of each segment's mean (N, m), without what flicker adds to the scatter within the segments, and its degrees of freedom (m,).
     An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
@@ -411,7 +358,9 @@ def _further_than_declared(axes: MountedAxes, further: set[int]) -> list[str]:
     ]
 
 
-def _rounding(request: EstimateRequest, kept: Sequence[RecordedSegment], axes: MountedAxes) -> dict[str, Rounding]:
+def _rounding(
+    request: EstimateRequest[ScaleFactorTiltedParameters], kept: Sequence[RecordedSegment], axes: MountedAxes
+) -> dict[str, Rounding]:
     """A count of the samples' average where noise dithers them, else of the whole mean."""
     found = {}
     for output in axes.outputs:

@@ -1,0 +1,40 @@
+"""Keys of a plan for accelerometers in many positions."""
+
+from __future__ import annotations
+
+from planrunner.estimators.outputs_fit import BASES
+from planrunner.observation.flicker import drift_span
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
+from planrunner.plan.quantity import Quantity
+
+TERMS = ("bias", "accel_x", "accel_y", "accel_z")
+
+
+class AccelerometerMultiPositionParameters(Record):
+    """Keys of the estimator accelerometer_multi_position."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=3),
+        "The three accelerometer channels, of x, y and z.",
+        ["accel_x", "accel_y", "accel_z"],
+        default=("accel_x", "accel_y", "accel_z"),
+    )
+    reference: str = key(
+        Choice(("orientation", "gravity_magnitude")),
+        "Reference for the readings: gravity in known attitudes, or only its magnitude.",
+        "gravity_magnitude",
+        default="orientation",
+    )
+    terms: tuple[str, ...] = key(
+        ListOf(Choice(TERMS), minimum=1),
+        "Terms of each axis for the reference 'orientation'; leave out terms that the attitudes cannot determine.",
+        ["bias", "accel_x", "accel_z"],
+        default=TERMS,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "Basis of the uncertainties: the scatter of the positions about the model, or the noise within the positions.",
+        "residual",
+        default="residual",
+    )
+    drift_span: Quantity = drift_span()

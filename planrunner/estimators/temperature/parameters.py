@@ -1,0 +1,71 @@
+"""Keys of a plan for coefficients over temperature."""
+
+from __future__ import annotations
+
+from planrunner.estimators.temperature.curve import FORMS, RULES
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Number, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+
+class TemperatureModelParameters(Record):
+    """Keys of the estimator temperature_model."""
+
+    coefficients: tuple[str, ...] = key(
+        ListOf(Text("", "a coefficient's name or a pattern"), minimum=1, single=True),
+        "Coefficients of the estimates in `uses`, with * and ?; by default all that they give over temperature.",
+        "gyro_bias_*",
+        default_factory=tuple,
+    )
+    channels: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1, single=True),
+        "Channels to fit over temperature, without another estimate.",
+        ["gyro_x"],
+        default_factory=tuple,
+    )
+    temperature_channel: str | None = key(
+        CHANNEL,
+        "The sensor's own thermometer, for channels along a ramp; by default the planned temperature.",
+        "temperature",
+        default=None,
+    )
+    form: str = key(
+        Choice(FORMS), "Powers of T − reference, or a natural cubic spline.", "spline", default="polynomial"
+    )
+    order: int | None = key(
+        Number(0, 12, integer=True),
+        "Order of the polynomial, or knots of the spline less one; by default chosen by held-out error.",
+        2,
+        default=None,
+    )
+    highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
+    folds: int = key(
+        Number(0, 100, integer=True),
+        "Number of contiguous temperature ranges that are held out in turn; 0 holds out each temperature separately.",
+        5,
+        default=0,
+    )
+    rule: str = key(
+        Choice(RULES),
+        "one_standard_error: the simplest curve within one standard error of the smallest held-out error; smallest: "
+        "the curve with the smallest held-out error.",
+        "smallest_error",
+        default="one_standard_error",
+    )
+    reference: Quantity = key(
+        QuantityOf("temperature"),
+        "T₀, at which a polynomial's constant is the value.",
+        "20 degC",
+        default=parse_quantity("25 degC"),
+    )
+    bin: Quantity = key(
+        QuantityOf("temperature", "positive"),
+        "Along a ramp, samples are averaged in bins of this width; temperatures closer than this are held out together.",
+        "2 K",
+        default=parse_quantity("1 K"),
+    )
+    uncertainty: str = key(
+        Choice(("residual", "propagated")),
+        "Basis of the uncertainties: the scatter of the values about the curve, or the values' own uncertainties.",
+        "propagated",
+        default="residual",
+    )

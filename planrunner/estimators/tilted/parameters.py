@@ -1,0 +1,72 @@
+"""Keys of a plan for scale factors of several axes in one tilted mounting."""
+
+from __future__ import annotations
+
+from planrunner.estimators.tilted.scatter import (
+    BASES,
+)
+from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
+from planrunner.plan.quantity import Quantity, parse_quantity
+
+THERMOMETER = "sensor_temperature"
+
+
+class ScaleFactorTiltedParameters(Record):
+    """Keys of the estimator scale_factor_tilted."""
+
+    outputs: tuple[str, ...] = key(
+        ListOf(CHANNEL, minimum=1, single=True),
+        "Channels to use, each of the axis of `mounting` that its name ends with; without it, one for every axis.",
+        ["gyro_x", "gyro_y", "gyro_z"],
+        default_factory=tuple,
+    )
+    zero: tuple[str, ...] = key(
+        ListOf(Text(r"[^\x00-\x1f]{1,80}", "a label or a pattern with * and ?"), minimum=1, single=True),
+        "Labels of the segments at rest before and after the rates.",
+        ["start-zero", "end-zero"],
+        default=("start-zero", "end-zero"),
+    )
+    earth_rate: str = key(
+        Choice(("corrected", "averaged", "ignored")),
+        "The Earth's rotation across the rotation axis: corrected from latitude, fixture angles and azimuths; "
+        "averaged by whole turns, "
+        "which are then required; or ignored. F0 is free of it only with `corrected`.",
+        "corrected",
+        default="corrected",
+    )
+    rate_unit: str = key(
+        Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
+    )
+    rate_uncertainty: Quantity | None = key(
+        QuantityOf("ratio", "not negative"),
+        "Relative standard uncertainty of the table's rate, common to all rates; the bench file gives the error of "
+        "each rate.",
+        "50 ppm",
+        default=None,
+    )
+    uncertainty: str = key(
+        Choice(BASES),
+        "Basis of the uncertainties: the scatter of the repeats, that of the rates about the line, or the noise "
+        "within the segments.",
+        "repeats",
+        default="repeats",
+    )
+    reference_temperature: Quantity = key(
+        QuantityOf("temperature"),
+        "The tested temperature nearest to it gives K_x, and temperature coefficients refer to it.",
+        "20 degC",
+        default=parse_quantity("20 degC"),
+    )
+    temperature: str | None = key(
+        CHANNEL,
+        f"Channel with the sensor's own temperature; without it {THERMOMETER} where that is recorded, else the "
+        "planned temperatures.",
+        THERMOMETER,
+        default=None,
+    )
+    remounting: Quantity = key(
+        QuantityOf("time", "not negative"),
+        "Time to bring the chamber to room temperature, mount and align, for the comparison with one mounting per axis.",
+        "2 h",
+        default=parse_quantity("2 h"),
+    )
