@@ -9,7 +9,6 @@ findings of the check are consequences: the list keeps them with their cause and
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -200,6 +199,8 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 @lru_cache(maxsize=1024)
 def _nearest(word: str, names: tuple[str, ...]) -> str | None:
+    import difflib  # takes milliseconds that a sound plan does not need
+
     letters = set(word.lower())
     # Comparing sequences is slow, and a word that shares fewer than half of its letters cannot be close.
     likely = {name.lower(): name for name in names if 2 * len(letters & set(name.lower())) >= len(letters)}

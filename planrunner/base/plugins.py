@@ -1,13 +1,13 @@
 """Plug-ins: instruments, estimators and error-model terms, found by name through entry points.
 
-Built-in and third-party plug-ins are found in the same way. Names are known without importing anything; the module of a plug-in is imported
-when its name is used.
+Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. Names are known
+without importing anything; the module of a plug-in is imported when its name is used.
 """
 
 from __future__ import annotations
 
 from functools import cache, lru_cache
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, PackageNotFoundError, distribution, entry_points
 from typing import Any, Protocol
 
 from planrunner.base.findings import InputError, Mark, closest
@@ -28,8 +28,19 @@ def _installed() -> _Selectable:
 
 
 @lru_cache(maxsize=8)
+def _own(group: str) -> dict[str, EntryPoint]:
+    """The project's own, from one file."""
+    try:
+        found = distribution("planrunner").entry_points
+    except PackageNotFoundError:
+        return {}
+    return {entry.name: entry for entry in found.select(group=group)}
+
+
+@lru_cache(maxsize=8)
 def _table(group: str) -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in sorted(_installed().select(group=group), key=lambda entry: entry.name)}
+    found = {entry.name: entry for entry in _installed().select(group=group)} | _own(group)
+    return dict(sorted(found.items()))
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -40,14 +51,14 @@ def names(group: str) -> tuple[str, ...]:
 @lru_cache(maxsize=256)
 def load(group: str, name: str) -> Any:
     """The plug-in of a name. Raises `InputError` if it is unknown or cannot be imported."""
-    if name not in _table(group):
+    entry = _own(group).get(name) or _table(group).get(name)
+    if entry is None:
         raise InputError.at(
             Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group))
         )
     try:
-        return _table(group)[name].load()
+        return entry.load()
     except Exception as error:
-        entry = _table(group)[name]
         hint = "reinstall the package that provides it"
         message = f"the plug-in '{name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error}"
         raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint) from error

@@ -6,7 +6,6 @@ so nothing real is ever controlled by such a clock.
 
 from __future__ import annotations
 
-import json
 import socket
 from collections.abc import Mapping
 from typing import Any
@@ -45,6 +44,8 @@ class Simulation(Record):
 def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> dict[str, Any]:
     """The answer of a simulated bench to one request. token: from its readiness file, for requests that change something. Raises
     `InstrumentError` if nothing answers or the request is refused."""
+    import json
+
     host, _, port = control.rpartition(":")
     request = dict(request) if token is None else {**request, "token": token}
     try:

@@ -9,7 +9,6 @@ shown as a code, and what its encoding lacks as an escape, before columns are co
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -166,5 +165,7 @@ def write_file(path: Path, text: str) -> None:
 def print_json(value: Any) -> None:
     """To standard output, as escapes where its encoding is not UTF-8, so that it stays JSON."""
     plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"
+    import json
+
     text = json.dumps(value, indent=1, ensure_ascii=plain, allow_nan=False)
     print(printable(text, code=lambda char: json.dumps(char)[1:-1]))  # what has no shape stands in strings alone

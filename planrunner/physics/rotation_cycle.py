@@ -13,7 +13,7 @@ nodes are exact to rounding (Davis and Rabinowitz, Methods of Numerical Integrat
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from planrunner.plan.schedule import Cycle
 
 Array = NDArray[np.float64]
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
 NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per cent only
 
 
@@ -144,14 +143,21 @@ class RotationCycle:
         return np.concatenate(([0.0], np.cumsum(lasting)[:-1])), lasting, angles, rates, slopes, turning
 
 
+@cache
+def _gauss_legendre() -> tuple[Array, Array]:
+    """Ten nodes and their weights. numpy loads its polynomials for them, which few plans need."""
+    return np.polynomial.legendre.leggauss(10)
+
+
 def _ramps(begins: Array, lasting: Array, angles: Array, rates: Array, slopes: Array, frequency: float) -> Array:
     """∫ exp(i(θ − ωt)) dt over each of n pieces [s], shape (n,), by quadrature on panels."""
+    nodes, weights = _gauss_legendre()
     span = (np.maximum(np.abs(rates), np.abs(rates + slopes * lasting)) + abs(frequency)) * lasting
     panels = np.maximum(1, np.ceil(span)).astype(int)
     owner = np.repeat(np.arange(len(lasting)), panels)
     first = np.repeat(np.cumsum(panels) - panels, panels)
     width = (lasting / panels)[owner]
-    elapsed = width[:, None] * ((np.arange(len(owner)) - first)[:, None] + (NODES + 1) / 2)
+    elapsed = width[:, None] * ((np.arange(len(owner)) - first)[:, None] + (nodes + 1) / 2)
     angle = angles[owner, None] + (rates[owner, None] + 0.5 * slopes[owner, None] * elapsed) * elapsed
-    panel = np.exp(1j * (angle - frequency * (begins[owner, None] + elapsed))) @ WEIGHTS * width / 2
+    panel = np.exp(1j * (angle - frequency * (begins[owner, None] + elapsed))) @ weights * width / 2
     return np.bincount(owner, panel.real, len(lasting)) + 1j * np.bincount(owner, panel.imag, len(lasting))

@@ -330,7 +330,6 @@ class Plugged:
 
     def _chosen(self, node: source.Mapping, log: Findings) -> type[Plugin] | None:
         chosen = node.get(self.selector)
-        known = ", ".join(self.names())
         if chosen is None:
             # The other valid keys depend on the plug-in; a key that resembles the selector counts as a misspelling of it.
             alike = [name for name, _ in node.entries if nearest(name.text, [self.selector]) is not None]
@@ -338,23 +337,23 @@ class Plugged:
                 message = f"unknown key '{name.text[:60]}'"
                 log.error("form-unknown-key", name.mark, message, f"did you mean '{self.selector}'?")
             with log.resting_on(*(name.mark for name in alike)):
-                log.error(
-                    "form-missing-key", node.mark, f"the key '{self.selector}' is missing", f"known here: {known}"
-                )
+                log.error("form-missing-key", node.mark, f"the key '{self.selector}' is missing", self._known())
         elif not isinstance(chosen, source.Scalar) or not isinstance(chosen.value, str):
-            log.error(
-                "form-type", chosen.mark, f"the name of one {self.selector} is expected here", f"known here: {known}"
-            )
-        elif chosen.text not in self.names():
-            message = f"unknown {self.selector} '{chosen.text[:60]}'"
-            log.error(self.code, chosen.mark, message, closest(chosen.text, self.names()))
+            log.error("form-type", chosen.mark, f"the name of one {self.selector} is expected here", self._known())
         else:
             try:
                 return self.load(chosen.text)
             except InputError as error:
+                if chosen.text not in self.names():
+                    message = f"unknown {self.selector} '{chosen.text[:60]}'"
+                    log.error(self.code, chosen.mark, message, closest(chosen.text, self.names()))
+                    return None
                 for finding in error.findings:
                     log.error(finding.code, chosen.mark, finding.message, finding.hint)
         return None
+
+    def _known(self) -> str:
+        return f"known here: {', '.join(self.names())}"
 
     def schema(self) -> Schema:
         common = object_schema(keys_of(self.record), closed=False)

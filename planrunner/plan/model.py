@@ -29,7 +29,7 @@ from planrunner.plan.kinds import (
     WordOr,
     key,
 )
-from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, parse_symmetric
+from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symmetric, parse_symmetric
 from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.state import MOVE, POSITION, Motion, RockSpec, Turns
@@ -187,7 +187,9 @@ class SymmetricKind:
     _form = Text(SYMMETRIC, "a limit such as ±0.5 deg/h", "write ± and one quantity, or use at_least and at_most")
 
     def read(self, node: source.Node, log: Findings) -> str | None:
-        text = self._form.read(node, log)
+        # The form is compiled where a text needs its words: that takes milliseconds.
+        symmetric = isinstance(node, source.Scalar) and is_symmetric(node.text)
+        text = node.text if symmetric else self._form.read(node, log)
         try:
             bound = parse_symmetric(text) if text is not None else None
         except QuantityError as error:

@@ -43,9 +43,7 @@ _MAX_TEXT, _MAX_SWEEP = 200, 4000
 _PARTS = re.compile(
     rf"{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?(?:{_SIGN}{_SPACE}({_NUMBER}){_SPACE}(?:({_UNIT}){_SPACE})?)?"
 )
-_UNITLESS = re.compile(rf"{_SPACE}(?:{_SIGN})?{_BARE}")
 _SIGNED = re.compile(rf"{_SPACE}({_SIGN})(.*)", re.DOTALL)
-_FITS_WITH_UNIT, _FITS_BARE = re.compile(WITH_UNIT), re.compile(_BARE)
 # No measured value lies outside this range; calculations with larger values would overflow.
 _SMALLEST, _LARGEST = 1e-30, 1e30
 
@@ -101,9 +99,8 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 
     `54.7 deg ± 0.1 deg`, `54.7 deg ± 6 arcmin`, `54.7 deg ± 0.1` and `54.7 ± 0.1 deg` all mean a standard uncertainty.
     """
-    match = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
-    fits = match and (_FITS_WITH_UNIT.fullmatch(text) or (takes_bare_number(dimension) and _FITS_BARE.fullmatch(text)))
-    if not match or not fits:
+    match = _parts(text)
+    if match is None or not (_has_unit(match) or takes_bare_number(dimension)):
         raise _no_quantity(text, dimension)
     number, unit_text, width, width_unit = match.groups()
     unit_text = unit_text or width_unit or "1"
@@ -145,7 +142,9 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
     ending = parse_signed(pieces[-1], dimension)
     values: list[Quantity] = []
     for piece in pieces[:-1]:
-        values.extend(parse_signed(f"{piece} {shared}" if _UNITLESS.fullmatch(piece) else piece, dimension))
+        signed = _SIGNED.fullmatch(piece)
+        found = _PARTS.fullmatch(signed[2] if signed else piece)
+        values.extend(parse_signed(f"{piece} {shared}" if found and not _has_unit(found) else piece, dimension))
     return values + ending
 
 
@@ -161,6 +160,13 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
     return [quantity, Quantity(-quantity.value, quantity.unit, quantity.standard_uncertainty)]
 
 
+def is_symmetric(text: str) -> bool:
+    """Whether a text is of the form `SYMMETRIC`, whatever its unit means."""
+    signed = _SIGNED.fullmatch(text)
+    parts = _PARTS.fullmatch(signed[2]) if signed else None
+    return parts is not None and parts[3] is None
+
+
 def is_signed(text: str) -> bool:
     """Whether a text begins with ±."""
     return _SIGNED.fullmatch(text) is not None
@@ -170,6 +176,16 @@ def parse_symmetric(text: str, dimension: str | None = None) -> Quantity | None:
     """The positive bound of `±0.5 deg/h`, or None if the text has no leading ±. Raises `QuantityError`."""
     signed = _SIGNED.fullmatch(text)
     return parse_quantity(signed[2], dimension) if signed else None
+
+
+def _parts(text: str) -> re.Match[str] | None:
+    """Number, unit, uncertainty and its unit, as far as they are written; None for a text that is no quantity."""
+    return _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
+
+
+def _has_unit(parts: re.Match[str]) -> bool:
+    """Whether the value or its uncertainty has a unit, which then holds for both."""
+    return parts[2] is not None or parts[4] is not None
 
 
 def _float(number: str) -> float:
@@ -208,7 +224,7 @@ def _no_quantity(text: str, dimension: str | None) -> QuantityError:
         return QuantityError("form-quantity", f"'{shown}' is not a finite number", example)
     if len(text) > _MAX_TEXT:
         return QuantityError("form-quantity", "this text is too long for one quantity", example)
-    if _FITS_BARE.fullmatch(text):
+    if (match := _parts(text)) is not None and not _has_unit(match):
         return QuantityError("form-unit-missing", f"'{shown}' has no unit", example)
     if _SIGNED.fullmatch(text):
         return QuantityError(
@@ -240,7 +256,7 @@ def read_quantity(
 
 def states_uncertainty(text: str) -> bool:
     """Whether the text of a quantity has a ± with something after it, even zero."""
-    parts = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
+    parts = _parts(text)
     return parts is not None and parts[3] is not None
 
 
@@ -259,7 +275,7 @@ _UNUSED = "no result uses an uncertainty that is stated here"
 
 
 def _plainly(text: str, elsewhere: str) -> str:
-    parts = _PARTS.fullmatch(text) if len(text) <= _MAX_TEXT else None
+    parts = _parts(text)
     plain = f"write {parts[1]} {parts[2] or parts[4] or ''}".rstrip() if parts else "leave it out"
     return f"{plain}; state it as {elsewhere}" if elsewhere else plain
 

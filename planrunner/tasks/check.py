@@ -13,7 +13,6 @@ from dataclasses import field
 from datetime import date
 from functools import cache
 from pathlib import Path
-from statistics import NormalDist
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, InputError, Mark, closest
@@ -350,13 +349,17 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
     """Warns of a guarded limit that is narrower than the uncertainty to expect: no value could pass it."""
+    if limit.rule != "guarded":
+        return
     try:
         low, high = bounds(limit, coefficient)
     except EstimationError:
         return  # the plan's own checks say what is wrong with it
+    from statistics import NormalDist
+
     # Infinitely many degrees of freedom; fewer only make intervals wider.
     least = NormalDist().inv_cdf(0.5 + limit.coverage / 2) * coefficient.standard_uncertainty
-    if limit.rule == "guarded" and 2 * limit.guard_band * least >= high - low:
+    if 2 * limit.guard_band * least >= high - low:
         shown = f"±{least:.2g} {shown_unit(coefficient.unit)}".rstrip() + f" ({100 * limit.coverage:g} %)"
         message = (
             f"the expected uncertainty of {limit.quantity} is at least {shown}, so no item can pass this guarded limit"

@@ -1,0 +1,55 @@
+"""Plug-ins by name: the project's own keep their names, and finding them reads no other distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint, EntryPoints
+
+import pytest
+
+from planrunner.base import plugins
+from planrunner.base.findings import InputError
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic
+
+OWN = "flexure_gyro_static"
+FROM_ELSEWHERE = EntryPoints(
+    [
+        EntryPoint(OWN, "json:loads", plugins.ESTIMATORS),
+        EntryPoint("of_another_house", "json:loads", plugins.ESTIMATORS),
+        EntryPoint("broken", "no_such_module:Estimator", plugins.ESTIMATORS),
+    ]
+)
+
+
+@pytest.fixture(autouse=True)
+def _anew() -> Iterator[None]:
+    tables = (plugins._table, plugins.load)
+    for table in tables:
+        table.cache_clear()
+    yield
+    for table in tables:
+        table.cache_clear()
+
+
+def test_another_distribution_cannot_take_a_name_of_the_project(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins, "_installed", lambda: FROM_ELSEWHERE)
+    assert plugins.load(plugins.ESTIMATORS, OWN) is FlexureGyroStatic
+    assert {OWN, "of_another_house"} <= set(plugins.names(plugins.ESTIMATORS))
+    assert list(plugins.names(plugins.ESTIMATORS)) == sorted(plugins.names(plugins.ESTIMATORS))
+    assert callable(plugins.load(plugins.ESTIMATORS, "of_another_house"))
+
+
+def test_a_plug_in_of_the_project_is_found_without_reading_other_distributions(monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_all() -> EntryPoints:
+        raise AssertionError("every installed distribution was read")
+
+    monkeypatch.setattr(plugins, "_installed", read_all)
+    assert plugins.load(plugins.ESTIMATORS, OWN) is FlexureGyroStatic
+
+
+@pytest.mark.parametrize(("name", "code"), [("unheard_of", "plugin-unknown"), ("broken", "plugin-broken")])
+def test_what_cannot_be_loaded_is_a_finding(name: str, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins, "_installed", lambda: FROM_ELSEWHERE)
+    with pytest.raises(InputError) as raised:
+        plugins.load(plugins.ESTIMATORS, name)
+    assert [finding.code for finding in raised.value.findings] == [code]
