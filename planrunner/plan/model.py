@@ -188,8 +188,7 @@ class SymmetricKind:
 
     def read(self, node: source.Node, log: Findings) -> str | None:
         # The form is compiled where a text needs its words: that takes milliseconds.
-        symmetric = isinstance(node, source.Scalar) and is_symmetric(node.text)
-        text = node.text if symmetric else self._form.read(node, log)
+        text = node.text if isinstance(node, source.Scalar) and is_symmetric(node.text) else self._form.read(node, log)
         try:
             bound = parse_symmetric(text) if text is not None else None
         except QuantityError as error:
