@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ WIDTH = 4.7  # inches
 COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")
 _MARKERS = ("o", "s", "^", "D", "v")
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # distinguishable in print without colour
+_MARGIN = 3.0  # points around all lettering
 MOST_POINTS = 2000  # of a course, as drawn
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -239,17 +241,46 @@ def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, s
     from matplotlib.figure import Figure
 
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
+        figure = Figure(figsize=(width, height))
 
         def save(key: str, title: str, described: str) -> str:
             target = io.StringIO()
             nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-            # What `savefig` does, without its first drawing, which only measures for margins that the layout has found already.
             canvas: Any = FigureCanvasSVG(figure)
+            _make_room(figure)
+            # What `savefig` does, without its first drawing, which only measures for margins that are known already.
             canvas.print_svg(target, metadata=nothing)
             return _inline(target.getvalue(), key, title, described)
 
         yield figure, save
+
+
+def _make_room(figure: Any) -> None:
+    """Set the margins so that lettering around the axes, which stand one under the other, lies within the figure.
+
+    Lettering is measured once: matplotlib's constrained layout measures it twice, and measuring takes as long as drawing.
+    """
+    width, height = 72 * figure.get_size_inches()
+    across, upright = _MARGIN / width, _MARGIN / height
+    margins = []
+    for axes in figure.axes:
+        axes.apply_aspect()
+        around = axes.get_tightbbox(for_layout_only=True).transformed(figure.transFigure.inverted())
+        inner = axes.get_position()
+        margins.append((inner.x0 - around.x0, around.x1 - inner.x1, inner.y0 - around.y0, around.y1 - inner.y1))
+    sides = np.array(margins)
+    between = max((upper[2] + lower[3] + upright for upper, lower in pairwise(sides)), default=0.0)
+    left, right = _bounded(sides[:, :2].max(axis=0) + across)
+    bottom, top, *gaps = _bounded(
+        np.array([sides[-1, 2] + upright, sides[0, 3] + upright, *[between] * (len(sides) - 1)])
+    )
+    room = (1 - bottom - top - sum(gaps)) / len(sides)
+    figure.subplots_adjust(left=left, right=1 - right, bottom=bottom, top=1 - top, hspace=(gaps or [0.0])[0] / room)
+
+
+def _bounded(margins: Array) -> Array:
+    """Margins, as shares of the figure, that leave a tenth of it to the axes however long the lettering is."""
+    return margins * min(1.0, 0.9 / float(margins.sum()))
 
 
 def _inline(text: str, key: str, title: str, described: str) -> str:

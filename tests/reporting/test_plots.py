@@ -47,6 +47,7 @@ PICTURES = {
     ),
     "empty": lambda: plots.plot_svg(Plot("t", "x", "y", (), {}), "k"),
     "correlation": lambda: plots.correlation_svg(["a", "b"], np.array([[4.0, -3.0], [-3.0, 9.0]]), "k"),
+    "names longer than the picture": lambda: plots.correlation_svg(["a" * 90, "b"], np.eye(2), "k"),
     "still": lambda: plots.timeline_svg(example.schedule(), "k"),
     "thermal": lambda: plots.timeline_svg(example.thermal_schedule(), "k"),
     "rocking": lambda: plots.timeline_svg(rocking(), "k"),
@@ -159,3 +160,21 @@ def test_numbers_beside_logarithmic_axes_are_numbers():
     assert "mathdefault" not in wide + narrow
     assert {"0.1", "10", "1000"} <= set(re.findall(r">([\d.]+)</text>", wide))
     assert {"2", "5", "0.002"} <= set(re.findall(r">([\d.]+)</text>", narrow))
+
+
+@pytest.mark.parametrize("name", [name for name in PICTURES if name != "names longer than the picture"])
+def test_lettering_lies_within_the_picture(name: str) -> None:
+    """Both ends of every text, at half its size a letter, which is less than most letters take."""
+    root = ElementTree.fromstring(PICTURES[name]())
+    _, _, width, height = map(float, (root.get("viewBox") or "").split())
+    for text in root.iter(SVG + "text"):
+        drawn = text.get("transform") or ""
+        moved = re.search(r"translate\((\S+) (\S+)\)", drawn)
+        x, y = map(float, moved.groups() if moved else (text.get("x", ""), text.get("y", "")))
+        upright = "rotate(-90" in drawn
+        long = 0.5 * float((text.get("font-size") or "").removesuffix("px")) * len(text.text or "")
+        share = {"start": 0.0, "middle": 0.5, "end": 1.0}[text.get("text-anchor", "start")]
+        begin = (y + share * long) if upright else (x - share * long)
+        end = begin - long if upright else begin + long
+        assert min(begin, end) >= 0 and max(begin, end) <= (height if upright else width), text.text
+        assert 0 <= (x if upright else y) <= (width if upright else height), text.text
