@@ -40,9 +40,22 @@ def graph() -> dict[str, frozenset[str]]:
     return {name: frozenset(imported(path) - {name}) for name, path in modules().items()}
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Everything in a module's syntax, the module itself first: parsed once for all tests of this file."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nodes_are_forgotten() -> Iterator[None]:
+    """A million nodes would slow down the tests that follow in this process."""
+    yield
+    nodes.cache_clear()
+
+
 def imported(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names} & modules().keys()
         elif isinstance(node, ast.ImportFrom):
@@ -128,7 +141,7 @@ def test_folders_within_rooms_form_no_circle() -> None:
 
 
 def docstrings(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             yield ast.get_docstring(node) or ""
 
@@ -169,7 +182,7 @@ def test_names_in_module_docstrings_exist() -> None:
     words: set[str] = set()
     for path in modules().values():
         words |= set(path.relative_to(ROOT).with_suffix("").parts)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             words |= {
                 value for field in ("id", "attr", "arg", "name") if isinstance(value := getattr(node, field, None), str)
             }
@@ -177,7 +190,7 @@ def test_names_in_module_docstrings_exist() -> None:
                 words |= set(re.findall(r"\w+", node.value))
     missing = []
     for module, path in modules().items():
-        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        text = next(docstrings(path))
         missing += [f"{module}: {name}" for name in re.findall(r"`([a-z]+(?:_[a-z]+)+)`", text) if name not in words]
     assert missing == []
 
@@ -261,7 +274,7 @@ def test_files_that_somebody_named_are_opened_in_one_place() -> None:
     reading = {"read_text", "read_bytes", "memory_map", "read_table", "OSFile"}
     found = set()
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not isinstance(node, ast.Call):
                 continue
             whole = ast.unparse(node.func)
