@@ -5,10 +5,12 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import pickle
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 # Two workers share two cores: threads of the linear algebra would only wait for each other. It reads this as it is loaded.
@@ -44,6 +46,27 @@ def data_root() -> Path:
     if not (folder / "rimu_jig").is_dir():
         pytest.skip(f"no recordings beneath {folder}; set PLANRUNNER_DATA")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_are_drawn_once() -> Iterator[None]:
+    """Many tests report the same run, and the same data give the same picture: a report that shows it again in this process takes it
+    from the first. Tests of the drawing itself call what draws."""
+    from planrunner.reporting.view import Picture
+
+    drawn: dict[bytes, str] = {}
+
+    def shown(picture: Picture) -> str:
+        if not isinstance(picture.draw, partial):
+            return picture.draw()
+        key = pickle.dumps((picture.draw.func.__qualname__, picture.draw.args))
+        if key not in drawn:
+            drawn[key] = picture.draw()
+        return drawn[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Picture, "__html__", shown)
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

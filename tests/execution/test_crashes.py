@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,8 @@ class Faulty(Storage):
 
     def __init__(self, fail_from: int, error: Fault, fails: int = 10**9):
         super().__init__("durable")
-        self.count, self.fail_from, self.error, self.fails = 0, fail_from, error, fails
+        self.fail_from, self.error, self.fails = fail_from, error, fails
+        self.called: list[str] = []
 
     def sync(self, file: FileIO) -> None:
         """The tests' disk never loses power, so its syncs need not wait."""
@@ -78,9 +79,9 @@ class Faulty(Storage):
             return found
 
         def counted(*args: Any) -> Any:
-            self.count += 1
-            if self.fail_from <= self.count < self.fail_from + self.fails:
-                if name == "write" and self.count == self.fail_from:
+            self.called.append(name)
+            if self.fail_from <= len(self.called) < self.fail_from + self.fails:
+                if name == "write" and len(self.called) == self.fail_from:
                     found(args[0], args[1][: len(args[1]) // 2])
                 raise self.error()
             return found(*args)
@@ -162,15 +163,15 @@ def check_resumed(run: Path, before: dict[int, list[str]], whole: list[Any]) -> 
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], int]:
-    """The contents of a run without faults, and how many operations on the disk it took."""
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], list[str]]:
+    """The contents of a run without faults, and the operations on the disk that it took."""
     storage = Faulty(10**9, OSError)
     run = attempt(tmp_path_factory.mktemp("whole"), storage)
     assert run is not None
-    return contents(run), storage.count
+    return contents(run), storage.called
 
 
-def crash_everywhere(root: Path, whole: list[Any], numbers: range, error: Fault, fails: int = 10**9) -> None:
+def crash_everywhere(root: Path, whole: list[Any], numbers: Iterable[int], error: Fault, fails: int = 10**9) -> None:
     for number in numbers:
         folder = root / str(number)
         folder.mkdir()
@@ -191,43 +192,55 @@ def crash_everywhere(root: Path, whole: list[Any], numbers: range, error: Fault,
         shutil.rmtree(folder)
 
 
-def test_power_cut_at_operations(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
+def kinds_of_moment(operations: list[str], which: int) -> list[int]:
+    """Where in the operations, counted from 1, each kind of moment comes for the first time (0) or the last (-1): what is done there
+    and the two operations before it."""
+    places: dict[tuple[str, ...], list[int]] = {}
+    for number in range(1, len(operations) + 1):
+        places.setdefault(tuple(operations[max(0, number - 3) : number]), []).append(number)
+    return [numbers[which] for numbers in places.values()]
+
+
+def test_power_cut_at_operations(tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]) -> None:
     whole, operations = uninterrupted
-    assert operations > 250
-    crash_everywhere(tmp_path, whole, range(1, operations + 1, 5), PowerCutError)
+    assert set(operations) == set(OPERATIONS) - {"truncate", "remove"}  # those are of resuming
+    moments = {*kinds_of_moment(operations, 0), *range(50, len(operations), 14)}
+    crash_everywhere(tmp_path, whole, sorted(moments), PowerCutError)
 
 
-def test_disk_full_at_operations(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
+def test_disk_full_at_operations(tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]) -> None:
     whole, operations = uninterrupted
-    crash_everywhere(tmp_path, whole, range(2, operations + 1, 7), disk_full)
+    crash_everywhere(tmp_path, whole, kinds_of_moment(operations, -1), disk_full)
 
 
-def test_one_write_fails_and_the_next_succeeds(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
+def test_one_write_fails_and_the_next_succeeds(tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]) -> None:
     """Space was made just then: a file with a hole in it must not be finished, nor a line be joined to half a line."""
     whole, operations = uninterrupted
-    crash_everywhere(tmp_path, whole, range(3, operations + 1, 9), disk_full, fails=1)
+    crash_everywhere(tmp_path, whole, kinds_of_moment(operations, 0), disk_full, fails=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fails", [10**9, 1])
 @pytest.mark.parametrize("error", [PowerCutError, disk_full, KeyboardInterrupt])
 def test_crash_at_every_operation(
-    tmp_path: Path, uninterrupted: tuple[list[Any], int], error: Fault, fails: int
+    tmp_path: Path, uninterrupted: tuple[list[Any], list[str]], error: Fault, fails: int
 ) -> None:
     whole, operations = uninterrupted
     with contextlib.suppress(KeyboardInterrupt):
-        crash_everywhere(tmp_path, whole, range(25 if error is KeyboardInterrupt else 1, operations + 1), error, fails)
+        crash_everywhere(
+            tmp_path, whole, range(25 if error is KeyboardInterrupt else 1, len(operations) + 1), error, fails
+        )
         return
     pytest.fail("an interruption came through")
 
 
-def test_crash_while_resuming(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
+def test_crash_while_resuming(tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]) -> None:
     """The process dies in the middle, and again at each of the first operations of resuming."""
     whole, operations = uninterrupted
     for number in range(1, 40, 2):
         folder = tmp_path / str(number)
         folder.mkdir()
-        run = attempt(folder, Faulty(operations // 2, PowerCutError))
+        run = attempt(folder, Faulty(len(operations) // 2, PowerCutError))
         assert run is not None
         before = acknowledged(run)
         with contextlib.suppress(InputError):
@@ -279,7 +292,7 @@ def kill_and_resume(root: Path, moment: float, rng: random.Random) -> tuple[Path
     return root / run, before, kills
 
 
-def test_kill_at_a_few_moments(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
+def test_kill_at_a_few_moments(tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]) -> None:
     rng = random.Random(5)
     for number, moment in enumerate((0.0, 0.03, 0.1)):
         run, before, _ = kill_and_resume(tmp_path / str(number), moment, rng)
@@ -287,7 +300,7 @@ def test_kill_at_a_few_moments(tmp_path: Path, uninterrupted: tuple[list[Any], i
 
 
 @pytest.mark.slow
-def test_kill_at_a_hundred_moments(tmp_path: Path, uninterrupted: tuple[list[Any], int]) -> None:
+def test_kill_at_a_hundred_moments(tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]) -> None:
     rng = random.Random(6)
     (tmp_path / "whole").mkdir()
     _, duration, _ = run_in_process(tmp_path / "whole", "", None)
@@ -322,9 +335,9 @@ def test_file_size_limit_is_an_ordinary_failure(tmp_path: Path) -> None:
 
 
 def test_events_of_a_crashed_and_resumed_run_fit_the_schema(
-    tmp_path: Path, uninterrupted: tuple[list[Any], int]
+    tmp_path: Path, uninterrupted: tuple[list[Any], list[str]]
 ) -> None:
-    run = attempt(tmp_path, Faulty(uninterrupted[1] // 2, PowerCutError))
+    run = attempt(tmp_path, Faulty(len(uninterrupted[1]) // 2, PowerCutError))
     assert run is not None
     attempt(tmp_path, Storage("flushed"), run)
     kinds = set()
