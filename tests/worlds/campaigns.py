@@ -31,8 +31,8 @@ class Device(Protocol):
 
 @dataclass(frozen=True)
 class Campaign:
-    """plan, bench: texts; the bench has blanks `{tilt}` in arcsec, `{rate}` in ppm, `{flicker}` and `{count}` in the channels' unit, by
-    kind of channel. channels: name → unit; white: (k,), of one sample; estimate: name in the plan."""
+    """plan, bench: texts; the bench has blanks `{tilt}` in arcsec, `{rate}` in ppm, `{flicker}` and `{count}` by channel. channels:
+    name → unit; white: (k,), of one sample; estimate: name in the plan."""
 
     plan: str
     bench: str
@@ -42,6 +42,7 @@ class Campaign:
     white: Array
     estimate: str
     device: Callable[[np.random.Generator], Device]
+    declared: float = 1.0  # the unit of the bench's noise, in the channels' unit
 
     @property
     def mean(self) -> Array:
@@ -329,9 +330,121 @@ instruments:
 )
 
 
+# Three axes in one tilted mounting ------------------------------------------------------------------------------------
+
+_LEAN, _AROUND = 54.7356, (0.0, 120.0, 240.0)  # deg: of the input axes from the vertical, and about it from east
+_FIXTURE = 20.0  # arcsec, standard uncertainty of each angle
+_PULSES = 40_000.0  # pulse/s per deg/s
+_TILTED_RATES = ((300.0, 30.0), (60.0, 30.0), (10.0, 36.0), (1.0, 360.0))  # deg/s, s: whole turns
+_TILTED_STEPS = (
+    Step("start-zero", "east north up", 60.0),
+    *(
+        Step(f"R{sign * rate:+g}", "east north up", dwell, sign * rate)
+        for rate, dwell in _TILTED_RATES
+        for sign in (1, -1)
+    ),
+    Step("end-zero", "east north up", 60.0),
+)
+_TILTED_WHITE = 200.0  # pulse/s/√Hz: 0.005 deg/s/√Hz
+
+
+class TiltedTriad:
+    """pulse/s: K·(rate along the input axis + bias), each axis wrong by its fixture's error."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        lean = np.radians(_LEAN + _FIXTURE / 3600 * draw.standard_normal(3))
+        around = np.radians(_AROUND)
+        self.axes = np.stack([np.sin(lean) * np.cos(around), np.sin(lean) * np.sin(around), np.cos(lean)], axis=1)
+        self.scale = _PULSES * (1 + 0.01 * draw.standard_normal(3))
+        self.bias = 0.01 * draw.standard_normal(3)  # deg/s
+        self.truth: Mapping[str, float] = {f"K_{axis}": value for axis, value in zip("xyz", self.scale, strict=True)}
+
+    def outputs(self, felt: Felt) -> Array:
+        return np.asarray(self.scale * (felt.rate / 3600 @ self.axes.T + self.bias))
+
+
+_MOUNTED = "\n".join(
+    f"  {axis}: {{angle: {_LEAN} deg ± {_FIXTURE} arcsec, azimuth: {azimuth} deg}}"
+    for axis, azimuth in zip("xyz", _AROUND, strict=True)
+)
+TILTED = Campaign(
+    _plan(
+        _TILTED_STEPS,
+        "title: tilted\nsensor: {kind: gyro-triad, outputs: [gyro_x, gyro_y, gyro_z]}\ndefaults: {settle: 5 s}\n"
+        f"mounting:\n{_MOUNTED}",
+        "  scale: {estimator: scale_factor_tilted, zero: [start-zero, end-zero], earth_rate: corrected, uncertainty: residual}",
+    ),
+    f"""planrunner_bench: 1
+name: world
+clock: virtual
+{SITE}
+safe_order: [table, triad]
+instruments:
+  table:
+    driver: virtual_table
+    axes:
+      - {{{{name: rotation, direction: up, max_rate: 400 deg/s, max_acceleration: 100 deg/s^2}}}}
+    position_uncertainty: {{tilt}} arcsec
+    rate_stability: {{rate}} ppm
+  triad:
+    driver: virtual_imu
+    kind: gyro-triad
+    sample_rate: 50 Hz
+    gyros:
+      scale_factor: {_PULSES} (pulse/s)/(deg/s)
+      full_scale: 1000 deg/s
+      angle_random_walk: {_TILTED_WHITE / _PULSES} deg/s*sqrt(s)
+      bias_instability: {{flicker[0]}} deg/s
+      resolution: {{count[0]}} deg/s
+      axes: {{{{x: {{{{}}}}, y: {{{{}}}}, z: {{{{}}}}}}}}
+""",
+    _TILTED_STEPS,
+    50.0,
+    {f"gyro_{axis}": "pulse/s" for axis in "xyz"},
+    _TILTED_WHITE * np.sqrt(50.0) * np.ones(3),
+    "scale",
+    TiltedTriad,
+    _PULSES,
+)
+
+
+# Noise at rest --------------------------------------------------------------------------------------------------------
+
+_REST_STEPS = (Step("rest", "east north up", 2000.0),)
+
+
+class RestingGyro:
+    """deg/s: its bias and the vertical component of the Earth's rate. What is sought is the noise that every world has."""
+
+    def __init__(self, draw: np.random.Generator) -> None:
+        self.bias = 0.1 * draw.standard_normal()
+        self.truth: Mapping[str, float] = {"N_gyro_z": _GYRO_WHITE * 60}  # deg/√h
+
+    def outputs(self, felt: Felt) -> Array:
+        return self.bias + felt.rate[:, 2:] / 3600
+
+
+RESTING = Campaign(
+    _plan(
+        _REST_STEPS,
+        "title: rest\nsensor: {kind: gyro, outputs: [gyro_z]}\ndefaults: {settle: 5 s}",
+        "  noise: {estimator: allan_deviation, segments: rest, outputs: [gyro_z]}",
+    ),
+    RATES.bench,
+    _REST_STEPS,
+    50.0,
+    RATES.channels,
+    RATES.white,
+    "noise",
+    RestingGyro,
+)
+
+
 CAMPAIGNS: Mapping[str, Campaign] = {
     "flexure_gyro_static": EIGHT_POSITIONS,
     "scale_factor": RATES,
     "imu_multi_position": UNIT,
     "accelerometer_multi_position": TRIAD,
+    "scale_factor_tilted": TILTED,
+    "allan_deviation": RESTING,
 }

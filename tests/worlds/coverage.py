@@ -39,7 +39,9 @@ class Tally:
 
 def known(campaign: Campaign, world: World) -> Sound:
     """The plan on a bench that states what the world's tilts, rates, flicker and counts are. Raises `InputError`."""
-    flicker, count = world.flicker * campaign.mean, world.count * campaign.white
+    flicker, count = (
+        size / campaign.declared for size in (world.flicker * campaign.mean, world.count * campaign.white)
+    )
     bench = campaign.bench.format(tilt=world.tilt / ARCSEC, rate=world.rate * 1e6, flicker=flicker, count=count)
     return check_plan(
         Document(campaign.plan.encode(), "world.yaml"), Document(bench.encode(), "world.bench.yaml")
