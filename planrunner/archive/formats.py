@@ -1,6 +1,5 @@
-"""The versioned formats of a run folder's JSON files, how a file is held against its schema in `schemas/`, and the error of one that is not
-what was written (exit code 4).
-"""
+"""The versioned formats of a run folder's JSON files, their validation against `schemas/`, and the error for a folder that differs from
+what was written (exit code 4)."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 The findings added here concern physics: reach and sampling. Motions are checked in `planrunner.bench.motion_checks`, temperatures in
 `planrunner.bench.temperature_checks`.
 
-Settling and limits while recording become SI units and are held against what the bench can measure. On a simulated clock nothing is
-measured: a simulated state is steady when its instrument reports it.
+Settling conditions and limits are converted to SI units and checked against the measurements that the bench offers. On a simulated clock
+nothing is measured: a simulated state is steady when its instrument reports it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The command line: one module a command, each with arguments, progress and printing only.
+"""The command line: one module per command, with only arguments, progress and printing.
 
-A command's module is imported when the command is used, so that `check` stays quick. Whatever goes wrong ends here as a message and
-an exit code: 0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 integrity,
-130 ended by a signal.
+A command's module is imported when the command is used, so that `check` stays quick. Every failure ends here as a message and an exit code:
+0 done, 1 a limit failed or the data do not give an estimate, 2 the input is wrong, 3 a fault during execution, 4 integrity, 130 ended by a
+signal.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _main(arguments: list[str]) -> int:
         try:
             code = _run(arguments, asked)
             if sys.stdout is not None:
-                sys.stdout.flush()  # what cannot be written shows here, not while the interpreter ends
+                sys.stdout.flush()  # a failure to write must show here, not while the interpreter ends
             return code
         except KeyboardInterrupt:
             return interruption.tell()
@@ -71,20 +71,20 @@ def _main(arguments: list[str]) -> int:
         except Exception as error:
             if isinstance(error, OSError):
                 _let_go_of_output()
-            if interruption.reason:  # what a library made of it
+            if interruption.reason:  # a library replaced the exception
                 return interruption.tell()
             return _fail(error, as_json=asked.json)
 
 
 @dataclass(slots=True)
 class Asked:
-    """How the command line wants to be answered. json: pure JSON on standard output, errors too."""
+    """Requested form of the output. json: pure JSON on standard output, including errors."""
 
     json: bool
 
 
 class _Parser(argparse.ArgumentParser):
-    """Wrong usage is a finding where JSON is asked for; else argparse prints it."""
+    """With JSON output, wrong usage is a finding; otherwise argparse prints it."""
 
     asked = Asked(False)
 
@@ -97,7 +97,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _fail(error: Exception, *, as_json: bool) -> int:
-    """What went wrong, as text on standard error and, where asked for, as a list of findings on standard output. Returns the exit code."""
+    """Print the failure as text on standard error and, on request, as a list of findings on standard output. Returns the exit code."""
     from planrunner.cli.failures import failure_of
     from planrunner.cli.printing import print_json
 
@@ -110,7 +110,7 @@ def _fail(error: Exception, *, as_json: bool) -> int:
 
 
 def _let_go_of_output() -> None:
-    """What could not be written is dropped, so that the interpreter does not try again as it ends."""
+    """Discard output that could not be written, so that the interpreter does not try again when it ends."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError, AttributeError):
@@ -119,14 +119,14 @@ def _let_go_of_output() -> None:
 
 
 def _print_anything() -> None:
-    """A character that the terminal's encoding lacks, such as °, is shown as its code instead of ending the command."""
+    """Characters that the terminal's encoding lacks, such as °, are shown as codes instead of ending the command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _imported(name: str) -> ModuleType:
-    """A module with all that it needs. What modules hold stays, so that looking for garbage among it would only take time."""
+    """Import a module and its dependencies. Garbage collection is off meanwhile, because modules are permanent."""
     collecting = gc.isenabled()
     gc.disable()
     try:

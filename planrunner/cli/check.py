@@ -1,4 +1,4 @@
-"""`planrunner check`: every finding of one or more plans, then what to expect of each sound plan."""
+"""`planrunner check`: all findings of one or more plans, then the expected results of each sound plan."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def sound_plan(plan: str, bench: str | None) -> Sound:
 
 
 def summary(checked: Checked, looked_over: bool = True) -> str:
-    """What a reader wants to know at once: sound or not, how long, which uncertainties to expect. looked_over: whether a recording that
-    is played back was looked at too."""
+    """Summary: whether the plan is sound, its duration, and the expected uncertainties. looked_over: whether a played-back recording was
+    examined too."""
     errors, warnings = (
         sum(finding.severity == severity for finding in checked.findings) for severity in ("error", "warning")
     )
@@ -95,7 +95,7 @@ def summary(checked: Checked, looked_over: bool = True) -> str:
 
 
 def _columns(pairs: list[tuple[str, str]]) -> str:
-    """Three pairs a line, or as many as the terminal has room for."""
+    """Three pairs per line, or as many as fit the terminal."""
     wide = [max(len(name) for name, _ in pairs), max(len(text) for _, text in pairs)]
     cells = [f"{name:<{wide[0]}} {text:<{wide[1]}}" for name, text in pairs]
     across = max(1, min(3, (columns(sys.stdout) - 1) // (sum(wide) + 4)))

@@ -1,4 +1,5 @@
-"""`planrunner design`: better positions or rates for a plan, on its bench, and what none can pass; or a better rotation cycle.
+"""`planrunner design`: better positions or rates for a plan on its bench, with the bound that no design can exceed; or a better rotation
+cycle.
 
 One module a kind of study (`design_positions`, `design_rates`, `design_cycle`) makes it and says what its page is given; here it is chosen
 and shown.
@@ -53,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    # The searches solve many tiny systems: threads of the linear algebra only wait for each other. It reads this as scipy is loaded.
+    # The searches solve many tiny systems, where threads of the linear algebra only wait for each other. The setting is read when scipy is
+    # loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     kind = _kind(args)
     with _progress(args.quiet) as progress:
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _kind(args: argparse.Namespace) -> ModuleType:
-    """Which kind of study a plan and the options ask for: positions wherever an estimate takes segments at rest."""
+    """The kind of study for a plan and the options: positions if any estimate uses segments at rest."""
     if args.segment is not None:
         return design_cycle
     if args.rates:
@@ -102,7 +104,7 @@ def _show(context: Any, page: ModuleType) -> None:
 
 
 def _write(args: argparse.Namespace, kind: ModuleType, study: Any, context: Any, page: ModuleType) -> None:
-    """The page and the plan, where they are asked for."""
+    """Write the page and the plan, if requested."""
     out = sys.stderr if args.json else sys.stdout
     if args.html is not None:
         write_file(args.html, page.render_page(context))
@@ -127,7 +129,7 @@ def _seconds(text: str | None) -> float | None:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """A line a stage on standard error once the search takes longer than a moment."""
+    """One line per stage on standard error if the search takes longer than a moment."""
     if quiet:
         yield None
         return

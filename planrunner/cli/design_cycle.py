@@ -1,4 +1,4 @@
-"""`planrunner design` of a plan whose segment goes through a cycle of turns and stops."""
+"""`planrunner design` for a plan with a segment that executes a cycle of turns and stops."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[s
 
 
 def missing(study: CycleStudy) -> str:
-    """Why there is no plan to write."""
+    """The reason why there is no plan to write."""
     reason = study.reasons.get(study.chosen, "none was found")
     return f"no cycle with the {study.chosen} of stops can be written: {reason}"
 

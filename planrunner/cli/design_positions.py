@@ -1,4 +1,4 @@
-"""`planrunner design` of the positions of a plan, where an estimate takes segments at rest."""
+"""`planrunner design` for the positions of a plan, if an estimate uses segments at rest."""
 
 from __future__ import annotations
 

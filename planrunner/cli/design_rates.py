@@ -1,4 +1,4 @@
-"""`planrunner design` of the rates of a plan, where an estimate takes segments that spin from one sweep."""
+"""`planrunner design` for the rates of a plan, if an estimate uses spinning segments from one sweep."""
 
 from __future__ import annotations
 

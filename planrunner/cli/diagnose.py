@@ -1,4 +1,5 @@
-"""`planrunner diagnose`: where recording and simulation differ, which effect explains it, how far the gap shrinks, what to measure next."""
+"""`planrunner diagnose`: where recording and simulation differ, which effect explains it, how much the gap shrinks, and what to measure
+next."""
 
 from __future__ import annotations
 
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(nominal: list[str] | None) -> Options | None:
-    """What is asked for; None for what the plan says."""
+    """The requested options; None: as stated in the plan."""
     from planrunner.gap.answer.diagnosis import Options
     from planrunner.gap.hypotheses.candidates import FULL
 
@@ -127,7 +128,7 @@ def _recorded(args: argparse.Namespace) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: dict[str, Any]) -> str:
-    """The proposed plan's text, written where --next says or beside the page; its place then stands in the diagnosis."""
+    """Write the proposed plan to the file given by --next or next to the page, and enter its path in the diagnosis."""
     following = found["next"]
     if following is None:
         return ""
@@ -158,7 +159,7 @@ def _context(made: Diagnosed, found: dict[str, Any], next_plan: str) -> Diagnosi
 
 
 def _show(context: DiagnosisContext) -> None:
-    """The answer first, then the tables it rests on."""
+    """Print the answer, then the tables that support it."""
     from planrunner.reporting import diagnosis_page, terminal
     from planrunner.reporting.verdict import stamp
 

@@ -1,4 +1,5 @@
-"""A command over several run folders: each is done by itself, the exit code is the worst of them, and JSON is a list of one entry a run."""
+"""A command on several run folders: each is processed separately, the exit code is the highest, and JSON is a list with one entry per
+run."""
 
 from __future__ import annotations
 
@@ -14,21 +15,21 @@ from planrunner.cli.printing import print_json
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What a command made of one run: its exit code and, for `--json`, what it found."""
+    """Result of a command on one run: its exit code and, for `--json`, its output."""
 
     code: int
     found: dict[str, Any] = field(default_factory=dict)
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
-    """RUN [RUN …], for commands that take nothing else by position."""
+    """Adds RUN [RUN …] for commands without other positional arguments."""
     parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="one or more run folders")
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
-    """Does the work on every run, whatever becomes of the others. A failure is shown and stands, with `--json`, as `findings` in its entry.
+    """Does the work on every run, even if others fail. A failure is printed; with `--json` it is in `findings` of its entry.
 
-    With several runs, the name of each stands above what it prints. Exit codes: the highest is the worst.
+    With several runs, the output of each begins with its name. The exit code is the highest of all.
     """
     entries, worst = [], 0
     for run in runs:
@@ -37,7 +38,7 @@ def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: boo
         try:
             done = work(run)
         except BrokenPipeError:
-            raise  # the reader went away
+            raise  # the reader closed the pipe
         except Exception as error:
             if len(runs) == 1 and not as_json:
                 raise

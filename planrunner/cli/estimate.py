@@ -1,4 +1,4 @@
-"""`planrunner estimate`: from the recordings alone, as a new analysis beside the earlier ones of each run."""
+"""`planrunner estimate`: estimates from recordings only, as a new analysis of each run."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _told(words: list[Path]) -> tuple[list[Path], str]:
-    """The run folders, and the name of the estimate where the last word is no folder; the first is always a run."""
+    """The run folders, and the name of the estimate if the last word is not a folder. The first word is always a run."""
     *others, last = words
     return (others, str(last)) if others and not last.is_dir() else (words, "")
 

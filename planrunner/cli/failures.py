@@ -1,4 +1,4 @@
-"""What went wrong with a command: its exit code, what the terminal shows, and the findings that `--json` prints."""
+"""Failures of commands: exit code, text on the terminal, and findings for `--json`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """text: what the terminal shows in place of the findings, where they say less."""
+    """text: shown on the terminal instead of the findings, if it says more."""
 
     code: int
     findings: tuple[Finding, ...]
     text: str = ""
 
     def show(self) -> None:
-        """To standard error."""
+        """Print to standard error."""
         if self.text:
             print(self.text, file=sys.stderr)
         else:
@@ -49,9 +49,9 @@ _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> Failure:
-    """What an exception amounts to. where: what the command worked on, for findings that carry no place of their own.
+    """The failure for an exception. where: file or folder of the command, for findings without a place.
 
-    Of an exception that no rule foresees, the traceback is kept in a temporary file that the message names.
+    For an unexpected exception the traceback is saved in a temporary file, which the message names.
     """
     if isinstance(error, InputError):
         return Failure(exit_codes.WRONG_INPUT, tuple(error.findings))

@@ -1,4 +1,4 @@
-"""`planrunner new`: the shipped plans, to list and to copy."""
+"""`planrunner new`: listing and copying the shipped plans."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from planrunner.cli.printing import print_json
 from planrunner.plan import source
 
 SCHEMA = "plan.schema.json"
-_HEADER = re.compile(rb"^# yaml-language-server: \$schema=(\S+)", re.MULTILINE)  # by which editors find the schema
+_HEADER = re.compile(rb"^# yaml-language-server: \$schema=(\S+)", re.MULTILINE)  # editors use it to find the schema
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,9 +60,9 @@ def _list(plans: dict[str, Path], *, as_json: bool) -> int:
 
 
 def _copy(original: Path, target: Path) -> Path:
-    """Copies a plan, whole or not at all, so that its first line names a schema that exists. Returns the schema's file.
+    """Copies a plan atomically and makes its first line name an existing schema. Returns the schema file.
 
-    The schema of the target's project is named where there is one; else the shipped one is written beside the plan. Raises `InputError`.
+    If the target's project has a schema, that one is named; otherwise the shipped schema is written next to the plan. Raises `InputError`.
     """
     text = original.read_bytes()
     header = _HEADER.search(text)

@@ -16,8 +16,8 @@ def add_attendance(parser: argparse.ArgumentParser) -> None:
 
 
 class TerminalOperator:
-    """notify: shows a line. Answers are read in a thread, so that the run goes on looking after the bench and hears Ctrl-C; straight
-    from the descriptor, whose buffer a thread that still waits at the end would keep locked."""
+    """notify: shows a line. Answers are read in a thread, so that the run continues to supervise the bench and reacts to Ctrl-C. The
+    thread reads directly from the descriptor, because a thread that still waits at the end would keep the buffer locked."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify = notify
@@ -36,7 +36,7 @@ class TerminalOperator:
         self._notify(text)
 
     def _read(self) -> None:
-        """One line a question; a terminal that was closed answers nothing."""
+        """Reads one line per question; a closed terminal gives no answer."""
         try:
             while piece := os.read(sys.stdin.fileno(), 1024):
                 self._answers += piece.count(b"\n")
@@ -45,6 +45,6 @@ class TerminalOperator:
 
 
 def operator_of(args: argparse.Namespace, notify: Callable[[str], None]) -> TerminalOperator | None:
-    """Whoever sits at the terminal; None away from one and in unattended runs."""
+    """The operator at the terminal; None without a terminal and in unattended runs."""
     present = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty() and not args.unattended
     return TerminalOperator(notify) if present else None

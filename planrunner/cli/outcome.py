@@ -1,4 +1,4 @@
-"""What the command line says at the end of a run and of an analysis, and the exit codes that go with it."""
+"""Output at the end of a run and of an analysis, with its exit codes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
-    """How a run that did not finish ended, what is kept, and how to go on: on standard error, and as JSON where that is wanted."""
+    """Report how an unfinished run ended, what is kept, and how to continue: on standard error, and as JSON on request."""
     for failure in outcome.failures:
         print(f"error: {failure}", file=sys.stderr)
     for unsafe in outcome.unsafe:
@@ -54,8 +54,8 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> Done:
-    """The results in the terminal, unless they are wanted as JSON, with the path of the first report (or of the analysis) as the last
-    line; the verdict's exit code and the results as JSON."""
+    """Print the results, unless JSON is requested, with the path of the first report (or of the analysis) as the last line. Returns the
+    exit code of the verdict and the results as JSON."""
     if not as_json:
         print_results(analysis.results, analysis.headline)
         for path in reversed(analysis.reports or (analysis.folder,)):
@@ -74,7 +74,7 @@ def finish(analysis: Analysis, *, as_json: bool) -> int:
 
 
 def code_of(results: Results) -> int:
-    """Wrong input where the plan is why an estimate could not be made; else whether a limit failed or the data do not give an estimate."""
+    """Exit code for wrong input if an estimate failed because of the plan; otherwise for a failed limit or a failed estimate."""
     if results.failures.keys() - set(results.unfit):
         return exit_codes.WRONG_INPUT
     met = all(limit.verdict == "pass" for limit in results.limits)
@@ -82,7 +82,7 @@ def code_of(results: Results) -> int:
 
 
 def print_results(results: Results, headline: Headline) -> None:
-    """Coefficients, comparisons, limits, notes and warnings as tables; last the verdict, with where the samples come from beside it."""
+    """Print coefficients, comparisons, limits, notes and warnings as tables, then the verdict with the source of the samples."""
     from planrunner.reporting import terminal
     from planrunner.reporting.verdict import stamp
 

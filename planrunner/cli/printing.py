@@ -1,10 +1,10 @@
-"""How the command line prints findings: `file:line:column: error[code]: …`, the line it points at with a caret, then the hint.
+"""How the command line prints findings: `file:line:column: error[code]: …`, the source line with a caret, then the hint.
 
     12 |     dwell: 30
        |            ^^
 
-The line is the one that was read, so it can be shown when the file has changed, is gone or was a pipe. What could drive a terminal is
-shown as a code, and what its encoding lacks as an escape, before columns are counted.
+The line is shown as it was read, even if the file has changed, was removed or was a pipe. Before columns are counted, control characters
+are replaced by codes, and characters that the encoding lacks by escapes.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from planrunner.reporting.printable import beneath, printable
 _INDENT = "    "
 _TAB = "    "
 _CUT = "..."
-_SIMPLE = "\u0300"  # every printable character before this one takes one column
+_SIMPLE = "\u0300"  # all printable characters below this code take one column
 _BREAK = re.compile("\r\n|\r|\n")
 
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """gutter: the line's number; blank: as wide as that; line: its text, cut to the width; carets: what stands beneath it."""
+    """gutter: the line number; blank: spaces of the same width; line: its text, cut to the width; carets: the marks below it."""
 
     gutter: str
     blank: str
@@ -41,7 +41,7 @@ class Excerpt:
 
 
 def excerpt(mark: Mark, width: int, encoding: str = "utf-8") -> Excerpt | None:
-    """The line at a mark, on at most `width` columns of a stream in this encoding; None where the text is not known."""
+    """The line at a mark, in at most `width` columns of a stream with this encoding; None if the text is not known."""
     if mark.text is None:
         return None
     lines = _lines(mark.text)
@@ -65,7 +65,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _cell(char: str, encoding: str) -> tuple[str, int]:
-    """What is shown for one character of a file, and how many columns that takes."""
+    """The text shown for one character of a file, and its width in columns."""
     if char == "\t":
         return _TAB, len(_TAB)
     shown = printable(char, keep="").encode(encoding, "backslashreplace").decode(encoding)
@@ -84,9 +84,7 @@ def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> t
         inner = room - 2 * len(_CUT)
         begin = first
         taken = 0
-        while (
-            begin > 0 and taken + widths[begin - 1] <= inner // 3
-        ):  # a third of the room for what stands before the place
+        while begin > 0 and taken + widths[begin - 1] <= inner // 3:  # a third of the width for text before the place
             begin -= 1
             taken += widths[begin]
         end = begin
@@ -97,7 +95,7 @@ def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> t
         while begin > 0 and taken + widths[begin - 1] <= inner:  # the place is near the end of the line
             begin -= 1
             taken += widths[begin]
-        if begin <= len(_CUT):  # no longer than what would stand for it
+        if begin <= len(_CUT):  # no longer than the ellipsis
             begin = 0 if sum(widths[:end]) <= inner + len(_CUT) else begin
     left, right = _CUT if begin else "", _CUT if end < len(cells) else ""
     shown = left + "".join(text for text, _ in cells[begin:end]) + right
@@ -108,20 +106,20 @@ def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> t
 _COLOURS = {"error": "31;1", "warning": "33;1", "note": "36"}
 
 WIDE = 160
-"""Columns, away from a terminal."""
+"""Number of columns if the output is not a terminal."""
 
 EXCERPTS = ContextVar("EXCERPTS", default=True)
-"""Whether findings are printed with the line that they point at (`--no-excerpt`)."""
+"""Whether findings are printed with their source line (`--no-excerpt`)."""
 
 
 def columns(stream: TextIO) -> int:
-    """How wide a line may be: that of the terminal, or `WIDE` for a pipe or a file."""
+    """Maximum width of a line: width of the terminal, or `WIDE` for a pipe or a file."""
     return shutil.get_terminal_size((WIDE, 24)).columns if stream.isatty() else WIDE
 
 
 def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> None:
-    """To standard error unless `file` is given; coloured on a terminal. Each finding is one line, whatever its text holds, with the line of
-    the file that it points at and a hint beneath."""
+    """Print findings to standard error unless `file` is given; coloured on a terminal. Each finding is one line, followed by its source
+    line and a hint."""
     out = beneath(file or sys.stderr)
     colour = out.isatty() and not os.environ.get("NO_COLOR")
     width = columns(out)
@@ -144,7 +142,7 @@ def _coloured(text: str, finding: Finding) -> str:
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write a file that the user named, whole or, when the disk is full, not at all. Raises `InputError`."""
+    """Write a file named by the user, completely or, if the disk is full, not at all. Raises `InputError`."""
     if path.exists() and not path.is_file():  # such as /dev/stdout
         path.write_text(text, encoding="utf-8")
         return
@@ -163,9 +161,9 @@ def write_file(path: Path, text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    """To standard output, as escapes where its encoding is not UTF-8, so that it stays JSON."""
+    """Print to standard output, with escapes if its encoding is not UTF-8, so that it stays valid JSON."""
     plain = (sys.stdout.encoding or "").lower().replace("-", "") != "utf8"
     import json
 
     text = json.dumps(value, indent=1, ensure_ascii=plain, allow_nan=False)
-    print(printable(text, code=lambda char: json.dumps(char)[1:-1]))  # what has no shape stands in strings alone
+    print(printable(text, code=lambda char: json.dumps(char)[1:-1]))  # invisible characters occur only in strings

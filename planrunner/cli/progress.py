@@ -1,4 +1,4 @@
-"""A progress bar with time left for runs; silent where standard error is no terminal and on request."""
+"""A progress bar with time left for runs; silent on request and if standard error is not a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 LINES_EVERY = 10.0
-"""Seconds between lines of progress away from a terminal."""
+"""Seconds between lines of progress if the output is not a terminal."""
 
 
 @contextmanager
@@ -52,7 +52,7 @@ def _bar() -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
 
 
 class _Lines:
-    """Progress for logs: a line now and then."""
+    """Progress for logs: an occasional line."""
 
     def __init__(self) -> None:
         import time
@@ -68,7 +68,7 @@ class _Lines:
 
 
 class RowsLookedAt:
-    """How far a long recording was looked at: a line now and then, none for a short one."""
+    """Progress in examining a long recording: an occasional line, none for a short recording."""
 
     def __init__(self) -> None:
         import time

@@ -1,4 +1,5 @@
-"""`planrunner report`: the reports of one or more runs, again, as a new analysis; a certificate; or a template of your own."""
+"""`planrunner report`: makes the reports of one or more runs again as a new analysis, a certificate, or a report from the user's
+template."""
 
 from __future__ import annotations
 
@@ -46,8 +47,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
-    """Run folders, and the names of reports. The first word is always a run; a later one is a run where it is a folder. Raises
-    `InputError` for a name that no report has."""
+    """Run folders, and the names of reports. The first word is always a run; a later word is a run if it is a folder. Raises
+    `InputError` for an unknown report."""
     from planrunner.tasks.check import report_names
 
     known = report_names()
@@ -64,7 +65,8 @@ def _told(words: Sequence[str]) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def _check_several(args: argparse.Namespace, names: Sequence[str]) -> None:
-    """A certificate is issued for one item, and one file holds one report. Raises `InputError`."""
+    """Refuses a certificate or an output file for several runs: a certificate is for one item, and one file holds one report. Raises
+    `InputError`."""
     from planrunner.reporting.certificate_requirements import is_certificate
 
     given = {"--set": args.set, "--info": args.info, "--before": args.before, "--template": args.template}

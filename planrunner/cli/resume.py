@@ -1,4 +1,4 @@
-"""`planrunner resume`: go on where a run was cut short or waits, or take segments of it again."""
+"""`planrunner resume`: continue an interrupted or paused run, or repeat segments."""
 
 from __future__ import annotations
 

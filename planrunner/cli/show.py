@@ -1,4 +1,4 @@
-"""`planrunner show`: what a plan would do: timeline, positions, rates, temperatures, total time, predicted uncertainties."""
+"""`planrunner show`: shows what a plan does: timeline, positions, rates, temperatures, total time, predicted uncertainties."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`planrunner simulate-bench`: simulated instruments behind a bench file's addresses, and faults for them."""
+"""`planrunner simulate-bench`: serves simulated instruments at the addresses of a bench file, and injects faults."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _token(ready: Path | None, control: str) -> str:
 
 
 def _write_ready(ready: Path, note: str) -> None:
-    """Whole, and for the user alone: the token in it lets its reader command the simulated bench."""
+    """Written atomically and readable only by the user, because its token permits commands to the simulated bench."""
     waiting = ready.with_name(ready.name + ".new")
     waiting.unlink(missing_ok=True)
     with open(os.open(waiting, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
@@ -134,7 +134,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
     folder = args.copy.parent if args.copy else None
     serving = Serving(made, (host, 0 if folder else int(port)), args.speed, folder)
     for number in (signal.SIGINT, signal.SIGTERM):
-        with contextlib.suppress(NotImplementedError):  # Windows: Ctrl-C ends it all the same
+        with contextlib.suppress(NotImplementedError):  # Windows: Ctrl-C still ends it
             asyncio.get_running_loop().add_signal_handler(number, serving.ended.set)
     try:
         await serving.open()
@@ -156,7 +156,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
 
 
 def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:
-    """The bench file with the addresses that are served in place of its own."""
+    """The bench file with its addresses replaced by the served ones."""
     from planrunner.bench.model import driver_of
 
     places: list[tuple[Any, str, str, str]] = [

@@ -1,1 +1,1 @@
-"""The catalogue of the error model: terms and effects over what a sensor feels, and simulations that hold them."""
+"""The catalogue of the error model: terms and effects as functions of the stimulus, and simulations with added effects."""

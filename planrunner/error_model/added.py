@@ -1,7 +1,7 @@
-"""Effects of the catalogue added to a simulation: what is stated of them, in their units, and what they do to a sensor's outputs.
+"""Effects of the catalogue added to a simulation: their parameters with units, and their contributions to the outputs of a sensor.
 
-An effect is added with the very columns that a diagnosis looks for. That the diagnosis then finds it shows that the two agree with each
-other, and nothing of how the world is; for that there are recordings made by others.
+An effect is added with the same columns that a diagnosis searches for. If the diagnosis then finds it, the two agree with each other, but
+this does not show that they are true to reality; recordings made by others serve for that.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ NOISE = {
     "resolution": ("count", "deg/s"),
     "random walk": ("density", "deg/s/sqrt(s)"),
 }
-"""Noise that an effect makes: its one parameter and that one's unit. White noise and counts replace the sensor's own."""
-_UNUSUAL = 3.0  # times the declared noise, where nothing is said
-_WALK = 1e-4  # deg/s/√s, likewise
+"""Noise effects: their only parameter and its unit. White noise and counts replace those of the sensor."""
+_UNUSUAL = 3.0  # multiple of the declared noise, by default
+_WALK = 1e-4  # deg/s/√s, by default
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """natural: value that it has where nothing is said, in `unit`."""
+    """natural: default value, in `unit`."""
 
     name: str
     unit: str
@@ -57,10 +57,10 @@ class Addition:
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
-    """An effect with what is stated of it. stated: parameter → value with its unit; the empty name stands for the only one, or for all
-    amplitudes. What is not stated has its natural size, except that amplitudes are zero where others are named.
+    """An effect with its stated parameters. stated: parameter → value with its unit; the empty name means the only parameter, or all
+    amplitudes. Parameters that are not stated have their natural size, but amplitudes are zero if others are named.
 
-    observed: any recording or schedule of the plan, which says what parameters there are. Raises `InputError`.
+    observed: any recording or schedule of the plan; it determines the available parameters. Raises `InputError`.
     """
     if name not in plugins.names(EFFECTS):
         hint = closest(name, plugins.names(EFFECTS))
@@ -105,7 +105,7 @@ def _value(text: str, parameter: Parameter, effect: str, mark: Mark) -> float:
 
 
 def parameters(effect: Any, observed: Observed) -> list[Parameter]:
-    """What can be stated of an effect; nothing where it cannot act."""
+    """Parameters of an effect; empty if it cannot act."""
     if effect.stage == "covariance":
         gyros = observed.of_kind("gyro")
         if not gyros:
@@ -135,7 +135,7 @@ def parameters(effect: Any, observed: Observed) -> list[Parameter]:
 
 
 def added(observed: Observed, levels: Array, additions: Sequence[Addition], seed: int) -> Array:
-    """Outputs without noise (N, K), SI, with the effects, stage by stage. seed: of what is drawn for each orientation."""
+    """Outputs without noise (N, K), SI, with the effects, stage by stage. seed: for the values drawn for each orientation."""
     out = levels.copy()
     for stage in STAGES[:-1]:
         seen = replace(observed, fitted=out.copy())
@@ -168,12 +168,12 @@ def _amplitudes(item: Addition, observed: Observed, seed: int) -> list[tuple[Col
 
 
 def _each_orientation(item: Addition, observed: Observed, seed: int) -> list[tuple[Column, float]]:
-    """Amplitudes of the orientations, the same whenever one is taken: drawn from the seed and the orientation."""
+    """Amplitudes of the orientations, drawn from the seed and the orientation, so that an orientation always has the same ones."""
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
         number = int(column.name.split("_")[1]) - 1
-        if number == 0:  # the others are there for company only
+        if number == 0:  # the others only accompany the first
             axis = "xyz".index(column.name[-1])
             place = np.rint(observed.attitude[0].ravel() * 1e6).astype(np.int64).view(np.uint32).tolist()
             drawn = float(np.random.default_rng([seed, axis, *place]).standard_normal())
@@ -183,7 +183,7 @@ def _each_orientation(item: Addition, observed: Observed, seed: int) -> list[tup
 
 
 def _among_others(observed: Observed) -> Observed:
-    """One segment, and stubs of it in other orientations: one orientation alone has no error of its own."""
+    """One segment with short copies in other orientations, because a single orientation has no separate error."""
     turns = [np.roll(np.eye(3), k, axis=0) for k in (1, 2)]
     half = np.diag([1.0, -1.0, -1.0])
     attitudes = [observed.attitude[0]] + [turn @ observed.attitude[0] for turn in (*turns, half, turns[0] @ half)]

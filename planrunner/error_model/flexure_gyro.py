@@ -1,4 +1,4 @@
-"""The flexure gyro: how its physical coefficients and the coefficients of its two outputs belong together.
+"""The flexure gyro: relations between its physical coefficients and the coefficients of its two outputs.
 
 Static model of the torquer outputs (CN100554884C), rows of the design matrix [1, ω_Y, ω_X, a_X, a_Y, a_Z]:
 

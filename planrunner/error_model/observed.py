@@ -1,7 +1,7 @@
-"""What effects act on: the samples of a recording or schedule, with the stimulus that a sensor felt at each of them.
+"""Input of effects: the samples of a recording or schedule, with the stimulus of the sensor at each sample.
 
-Everything is SI with radians, temperature apart (degC). Samples of all segments follow one another; `bounds` says where a segment
-begins. The nominal stimulus at every sample follows from attitude, table angle and site; an Observed holds no error model.
+All values are SI with radians, except temperature (degC). Samples of all segments are concatenated; `bounds` gives the first sample of
+each. The nominal stimulus at every sample follows from attitude, table angle and site; an Observed holds no error model.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class Observed:
-    """A recording beside its plan. S segments, N samples, K channels.
+    """A recording with its plan. S segments, N samples, K channels.
 
     labels, attitude (S, 3, 3; rows are the sensor's axes in East-North-Up at table angle 0), motions: of the segments. bounds: (S + 1,).
     time: (N,), s since power-on. angle: (N,), table angle, rad. rate, acceleration: (N,), of the table, rad/s and rad/s². temperature,
-    temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first.
-    values: (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN.
-    along: (S, 3), for a sensor in unknown orientations: the direction of gravity in its axes, found by itself. Its accelerometers are then
-    seen along it alone, as one channel: across it, every error is an orientation that nobody knows.
-    bins: of a long recording, whose "samples" are means over consecutive ones; None where they are the samples themselves.
+    temperature_rate: (N,), degC and K/s, smoothed. last_change: (S,), sign of the last change of temperature, 0 before the first. values:
+    (N, K), SI. magnetic: Earth's field in ENU, any unit, None where it is not declared. rejected: rows left out for a NaN. along: (S, 3),
+    for a sensor in unknown orientations: the direction of gravity in its axes, estimated from the readings. Its accelerometers are then
+    observed only along gravity, as one channel: perpendicular to it, errors cannot be distinguished from the unknown orientation. bins: for
+    a long recording, whose "samples" are means over consecutive samples; None for single samples.
     """
 
     site: Site
@@ -85,7 +85,7 @@ class Observed:
 
     @cached_property
     def pulsation(self) -> Array:
-        """Of a rocking table, 2π times its frequency, (N,), rad/s; 0 in other segments and where it has come to rest."""
+        """2π times the frequency of a rocking table, (N,), rad/s; 0 in other segments and where the table is at rest."""
         each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
@@ -96,7 +96,7 @@ class Observed:
 
     @cached_property
     def bin_size(self) -> NDArray[np.int64]:
-        """How many samples each of a segment's values is the mean of, (S,)."""
+        """Number of samples averaged in each value of a segment, (S,)."""
         return np.ones(len(self), dtype=np.int64) if self.bins is None else self.bins.size
 
     @cached_property
@@ -163,14 +163,14 @@ class Observed:
 
     @cached_property
     def nominal_output(self) -> Array:
-        """What the channels give without the effect, (N, K), SI: of the fitted nominal model, before that of an ideal sensor."""
+        """Output of the channels without the effect, (N, K), SI: from the fitted nominal model, or from an ideal sensor before the fit."""
         if self.fitted is not None:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}
         return np.column_stack([self.seen(index, felt[channel.kind]) for index, channel in enumerate(self.channels)])
 
     def seen(self, index: int, vector: Array) -> Array:
-        """What a channel sees, (N,), of a vector in sensor axes, (N, 3)."""
+        """Component along a channel's input axis, (N,), of a vector in sensor axes, (N, 3)."""
         if self.along is None:
             return np.asarray(vector[:, self.channels[index].axis])
         component = np.einsum("ni,ni->n", self.along[self.owner], vector)
@@ -178,7 +178,7 @@ class Observed:
         return np.where(np.abs(component) > rounding, component, 0.0)
 
     def inputs(self, kind: str) -> list[tuple[int, int, Array | float]]:
-        """Input axes of a triad: axis, channel that it is seen in, and the share of it that the channel sees, (N,) or 1."""
+        """Input axes of a triad: axis, channel in which it appears, and the direction cosine between both, (N,) or 1."""
         if self.along is None:
             return [(self.channels[index].axis, index, 1.0) for index in self.of_kind(kind)]
         return [(axis, index, self.along[self.owner, axis]) for index in self.of_kind(kind) for axis in range(3)]
@@ -198,7 +198,7 @@ REFERENCE_TEMPERATURE = 25.0  # degC
 
 @dataclass(frozen=True)
 class Bins:
-    """What bins are made of. size: (S,), samples of each bin of a segment. rate: Hz, of the samples. energy: (S, K, K), SI², products of
+    """Composition of bins. size: (S,), samples of each bin of a segment. rate: Hz, of the samples. energy: (S, K, K), SI², products of
     DCT-II coefficients of the upper three quarters of the orders, `count` (S,) of each channel. spikes: (K,), samples replaced. levels:
     by channel, distinct values in counts."""
 
@@ -210,5 +210,5 @@ class Bins:
     levels: tuple[Array, ...]
 
     def followed(self, further: int) -> Bins:
-        """With so many segments after it that hold nothing but single values."""
+        """The bins with additional segments of single values appended."""
         return replace(self, size=np.concatenate([self.size, np.ones(further, dtype=np.int64)]))

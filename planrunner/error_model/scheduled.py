@@ -1,4 +1,4 @@
-"""A schedule as a recording that holds no values yet: what segments an effect will meet, and on which channels."""
+"""A schedule as a recording without values: the segments and channels on which effects will act."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
 
 
 def channel(name: str, text: str, white: float, flicker: float, step: float) -> Channel | None:
-    """An output of angular rate or acceleration that is named for an axis, such as gyro_x; None for another. text: its unit, in which
-    noise and count are given."""
+    """The channel of an output of angular rate or acceleration whose name gives an axis, such as gyro_x; None for other outputs. text:
+    unit of noise and count."""
     kind = _KINDS.get(unit(text).dimension)
     axis = name.rpartition("_")[2]
     if kind is None or axis not in ("x", "y", "z"):
@@ -35,7 +35,7 @@ def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:
 
 
 def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed:
-    """A schedule that has what any effect may need: orientations, a rate, rocking, changes of temperature."""
+    """A schedule with everything that any effect may need: orientations, a rate, rocking, changes of temperature."""
     places = [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), np.diag([1.0, -1.0, -1.0])]
     spin, rock = Spin(np.radians(100.0)), Rock(np.radians(5.0), 1.0, (0.0,), 10.0)
     motions: list[Motion] = [Rest(), Rest(), Rest(), Rest(), spin, rock]

@@ -1,8 +1,9 @@
 """Terms of an inertial sensor's error model: named functions of the stimulus, and models made of them.
 
-A linear term gives one column of a design matrix. An estimator solves for its coefficient at the recorded stimulus, and the checker asks
-at the planned one whether it can be seen and how well. (The virtual gyro shares none of this: it balances its rotor by formulas of its
-own, so that simulator and estimators cannot be wrong together.) Every term stands in the entry-point group `planrunner.terms`.
+A linear term gives one column of a design matrix. An estimator solves for its coefficient with the recorded stimulus; the check uses the
+planned stimulus to predict its observability and uncertainty. (The virtual gyro uses none of this code: it has separate formulas for the
+balance of its rotor, so that simulator and estimators cannot share an error.) Terms are found through the entry-point group
+`planrunner.terms`.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ ACCEL_Y_ACCEL_Z = Term(
 
 
 def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
-    """One column a term, shape (n, p), SI. Raises `StimulusError` where a term has no meaning for the stimulus."""
+    """One column per term, shape (n, p), SI. Raises `StimulusError` if a term is not defined for the stimulus."""
     matrix = np.empty((len(stimulus), len(terms)))
     for k, term in enumerate(terms):
         matrix[:, k] = term.column(stimulus)
@@ -86,7 +87,7 @@ def design_matrix(terms: Sequence[Term], stimulus: Stimulus) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """A list of terms that one output is made of."""
+    """The list of terms of one output."""
 
     terms: tuple[Term, ...]
 
@@ -114,7 +115,7 @@ class ErrorModel:
 
 
 def term_names() -> Choice:
-    """The kind of a plan's key that names a term: one of those that are installed."""
+    """The kind of a plan key that names an installed term."""
     return Choice(plugins.names(plugins.TERMS))
 
 

@@ -1,7 +1,7 @@
-"""The virtual instrument that adds effects of the catalogue to a virtual sensor, so that a bench file says what its simulation holds.
+"""The virtual instrument that adds effects of the catalogue to a virtual sensor. The bench file thereby documents the simulation.
 
-It stands between two layers that do not know each other: the virtual sensor gives its outputs without noise to whatever stands in
-`World.added`, and `planrunner.error_model.effects` knows the effects. Here the one is handed to the other.
+It connects two independent layers: the virtual sensor passes its outputs without noise to `World.added`, and
+`planrunner.error_model.effects` contains the effects.
 
     added:
       driver: added_effects
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 NAME = r"[a-z][a-z0-9_]{0,59}"
 _CHANGED = 1.0  # K between segments: less is no change of temperature
-_WALKS = 2  # second part of the key of a generator: apart from those of segments and of switching on
+_WALKS = 2  # second part of a generator's key: different from those of segments and of switching on
 
 
 class AddedEffectsParameters(Record):
-    """Effects that a simulation holds beyond the declared errors of its sensor, table and site."""
+    """Effects of a simulation beyond the declared errors of its sensor, table and site."""
 
     effects: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=r"[A-Za-z][A-Za-z0-9_]{0,59}"), pattern=NAME),
@@ -71,7 +71,7 @@ class AddedEffects:
         world.added = made
         return made
 
-    # -- what the virtual sensor asks ----------------------------------------------------------------------------------
+    # -- interface for the virtual sensor ------------------------------------------------------------------------------
 
     def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
         from planrunner.error_model.added import added
@@ -92,7 +92,7 @@ class AddedEffects:
                 gives = replace(gives, white=value) if kind == "white" else replace(gives, step=value)
         return gives
 
-    # -- what an instrument does -----------------------------------------------------------------------------------------
+    # -- interface of an instrument ------------------------------------------------------------------------------------
 
     def read(self) -> Mapping[str, float]:
         return {}
@@ -105,10 +105,10 @@ class AddedEffects:
         return {"manufacturer": "planrunner", "model": "added effects", "effects": listed}
 
     def make_safe(self) -> None:
-        """Nothing moves."""
+        """Does nothing, because nothing moves."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Does nothing, because nothing is open."""
 
     def checkpoint(self) -> Mapping[str, Any]:
         return {
@@ -123,10 +123,10 @@ class AddedEffects:
             self.walks[name] = RandomWalk(0.0)
             self.walks[name].restore(**walk)
 
-    # -- how it does it --------------------------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------------------------------
 
     def _known(self, observed: Observed) -> Sequence[Addition]:
-        """The effects with all their parameters, worked out where the first samples say what the sensor is."""
+        """The effects with all their parameters, determined from the sensor when the first samples arrive."""
         if len(self.additions) < len(self.parameters.effects):
             from planrunner.error_model.added import addition
             from planrunner.error_model.scheduled import everything

@@ -170,9 +170,7 @@ class _Execution:
             else:
                 self.writer.finish()
                 finished = True
-        except (
-            BaseException
-        ) as error:  # the disk or the checkpoint of a driver failed; resuming completes what is missing
+        except BaseException as error:  # disk or driver checkpoint failed; resuming completes the rest
             failures.append(Failure.of(error, self.doing))
         count = len(self.schedule.segments)
         return Outcome(self.completed, count, finished, stopped, tuple(failures), tuple(unsafe), untouched)

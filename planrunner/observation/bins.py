@@ -1,10 +1,10 @@
-"""Long recordings in bounded memory: one pass over a segment's blocks that averages consecutive samples in bins.
+"""Long recordings in bounded memory: one pass over a segment's blocks averages consecutive samples in bins.
 
-Up to `BUDGET` samples a recording is held as it is. Of a longer one as many consecutive samples of a segment make a bin as it takes to keep
-to the budget, but never more than leave `PER_PERIOD` bins to a turn or a period of rocking, or `FEWEST` to a segment: where motion is
-what counts, the number of bins follows the turns and not the samples. What only single samples show is taken from them in the same pass:
-the white level, from the same orders of the cosine transform as in a short recording; the count; and samples far outside the noise, which
-are replaced by their neighbours. What is lost are frequencies above half a bin's, and fewer than `size` samples at a segment's end.
+A recording of up to `BUDGET` samples is used unchanged. In a longer recording the bins are made large enough to keep to the budget, but a
+turn or a period of rocking has at least `PER_PERIOD` bins, and a segment at least `FEWEST`. For motion the number of bins therefore depends
+on the turns, not on the samples. Properties that only single samples show are measured in the same pass: the white noise level, from the
+same orders of the cosine transform as in a short recording; the count; and outliers, which are replaced by their neighbours. Frequencies
+above half the bin rate are lost, and so are fewer than `size` samples at the end of a segment.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from planrunner.observation.lattice import levels_of, settled
 from planrunner.physics.sampled_motion import period_of, turned_by
 
 Array = NDArray[np.float64]
-BUDGET = 200_000  # samples of a recording that are held as they are, and about as many bins of a longer one
+BUDGET = 200_000  # largest recording that is used unchanged, in samples, and approximate number of bins of a longer one
 PER_PERIOD = 64  # bins in a turn or a period: within one, what turns is its value at the middle and a curvature
 FEWEST = 64  # bins in a segment
 SPIKE = 6.5  # robust standard deviations: about one normal sample in 10^10
 _PIECE = 1 << 15  # samples taken at once
-_BESIDE = (-2, -1, 1, 2)  # neighbours that a sample is held against
-SQUARED = 1e150  # larger numbers cannot be squared: they are as good as missing
+_BESIDE = (-2, -1, 1, 2)  # neighbours that a sample is compared with
+SQUARED = 1e150  # larger numbers cannot be squared and count as missing
 _ROUNDS = 4
 
 
@@ -50,7 +50,7 @@ class Averaged:
 
 
 def sizes(recording: Sequence[RecordedSegment]) -> NDArray[np.int64] | None:
-    """Samples of a bin of each segment (S,); None for a recording that is held as it is."""
+    """Samples per bin for each segment (S,); None for a recording that is used unchanged."""
     counts = np.array([item.statistics.count for item in recording])
     if counts.sum() <= BUDGET:
         return None
@@ -86,7 +86,7 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 
 def seen_along(bins: Bins, along: Array) -> Bins:
-    """Of a triad's bins, those of what it reads along one direction in each segment, (S, 3). It has no count."""
+    """Bins of the readings of a triad along one direction per segment, (S, 3). They have no count."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 
@@ -101,8 +101,8 @@ def averaged(
     encoder: tuple[str, float] | None = None,
 ) -> Averaged:
     """A segment in bins of `size` samples, in one pass. names: channels, the K measured ones first; factors: (K,), of their units;
-    counts: (K,), SI; smallest: (K,), the least noise to hold a spike against, SI. encoder: a channel of `names` that wraps, and how many
-    of its units make a turn."""
+    counts: (K,), SI; smallest: (K,), the smallest noise for the detection of outliers, SI. encoder: a channel of `names` that wraps, and
+    the number of its units per turn."""
     out = Averaged(energy=np.zeros((len(factors),) * 2), spikes=np.zeros(len(factors), dtype=np.int64))
     out.levels = [np.empty(0) for _ in factors]
     times, means, last = [], [], None
@@ -142,7 +142,7 @@ def _usable(item: RecordedSegment, names: Sequence[str], out: Averaged) -> Itera
 
 
 def _look_at(values: Array, counts: Array, out: Averaged) -> None:
-    """Levels of the channels' counts, until they are seen to be as declared."""
+    """Collects levels of the channels' counts until the declared count is confirmed."""
     for channel, step in enumerate(counts):
         if step > 0 and not settled(out.levels[channel]):
             out.levels[channel] = np.union1d(out.levels[channel], levels_of(values[channel], float(step)))
@@ -160,9 +160,11 @@ def _upper(values: Array, out: Averaged) -> None:
 
 
 def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Samples (K, n), those far from the mean of their four neighbours replaced by straight lines between the others, and how many (K,).
+    """Samples (K, n) with outliers, which are far from the mean of their four neighbours, replaced by linear interpolation, and their
+    number (K,).
 
-    That difference has 1.25 times the variance of white noise. Of several that stand out within two samples the largest goes first.
+    The difference from that mean has 1.25 times the variance of white noise. Of several outliers within two samples the largest is replaced
+    first.
     """
     from scipy.ndimage import maximum_filter1d
 

@@ -1,4 +1,5 @@
-"""The count that a channel's values are multiples of: levels on a hundredth of the declared count, gathered piece by piece."""
+"""Detection of a channel's count, the step of which all values are multiples: levels on a hundredth of the declared count, collected
+piece by piece."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ def levels_of(values: Array, step: float) -> Array:
 
 
 def coarsening(levels: Array) -> float:
-    """How many declared counts the common step of the levels is; 1 where none is seen to be coarser."""
+    """The common step of the levels in declared counts; 1 if no coarser step is found."""
     if len(levels) < DISTINCT:
         return 1.0
     smallest = float(np.diff(levels).min())
@@ -25,7 +26,7 @@ def coarsening(levels: Array) -> float:
 
 
 def settled(levels: Array) -> bool:
-    """Whether further values can change nothing: the declared count is seen already."""
+    """Whether further values cannot change the result, because the declared count is already confirmed."""
     return len(levels) >= DISTINCT and coarsening(levels) == 1.0
 
 

@@ -1,13 +1,13 @@
-"""Poses in unknown orientations as observations: of a sensor tumbled by hand only |f| = g is known while it rests.
+"""Poses in unknown orientations as observations: for a sensor turned by hand only |f| = g is known while it rests.
 
-A pose's readings are a = M·f + b + noise with |f| = g. What is across f is a matter of the orientation, which nobody knows and which
-takes up two numbers a pose; what is left is one observation a sample along u = f/g:
+A pose's readings are a = M·f + b + noise with |f| = g. The components perpendicular to f depend on the unknown orientation, which uses up
+two numbers per pose. One observation per sample remains, along u = f/g:
 
     u·a = g + u·b + g·uᵀ(M − 1)u + noise.
 
-So errors that turn f (a tilt, an azimuth, a rotation of the whole triad) have no signature, and of the six misalignments only the sums of
-opposite ones, three non-orthogonalities, have one. u follows from the pose's own mean and the fitted nominal model, by Gauss-Newton steps;
-what is not nominal turns u by its own size δ at most and changes u·a by g·δ²/2, of second order.
+Therefore errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) have no signature. Of the six misalignments only the sums
+of opposite ones, the three non-orthogonalities, have one. u follows from the mean of the pose and the fitted nominal model by Gauss-Newton
+steps. An effect of size δ beyond the nominal model rotates u by at most δ and changes u·a by g·δ²/2, which is of second order.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
-    """Whether segments rest in orientations that the plan does not know. Raises `ObservationError` where only some do, or one moves."""
+    """Whether all segments rest in unknown orientations. Raises `ObservationError` if only some do, or if one moves."""
     unknown = [item.label for item in recording if item.segment.attitude is None]
     if not unknown:
         return False
@@ -59,10 +59,10 @@ def poses(
     axes: Mapping[str, str] | None = None,
     power_on: float = 0.0,
 ) -> Observed:
-    """Recorded poses as a diagnosis needs them: one channel `accel`, what the accelerometers read along gravity.
+    """Recorded poses for a diagnosis: one channel `accel`, the accelerometer reading along gravity.
 
-    nominal: what the simulation fits, by which directions are found. Gyros are left out: at rest in an unknown orientation they show a bias
-    and nothing beside it. Raises `ObservationError` without a whole triad of accelerometers, and where the readings lie near no sphere.
+    nominal: terms that the simulation fits, used to find directions. Gyros are left out, because at rest in an unknown orientation they
+    show only a bias. Raises `ObservationError` without a complete triad of accelerometers, and if the readings are not near a sphere.
     """
     recording = in_time_order(recording)
     found = [channel for channel in channels_of(recording[0], sensor, axes) if channel.kind == "accel"]
@@ -86,7 +86,7 @@ def poses(
     white = np.array([triad[axis].white for axis in range(3)])
     noise = np.sqrt(directions**2 @ white**2)
     level = float(noise.mean())
-    # Axes differ in noise, so poses do: each is scaled to the mean level.
+    # Noise differs between axes and hence between poses: each pose is scaled to the mean level.
     along = directions * (level / noise if level > 0 else np.ones(len(noise)))[:, None]
     count = sum(map(len, time))
     return Observed(
@@ -113,7 +113,7 @@ def poses(
 def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array:
     """The directions of specific force (S, 3) in the sensor's axes, from mean readings (S, 3), m/s², and the nominal model fitted to them.
 
-    Raises `ObservationError` where the fit leads nowhere.
+    Raises `ObservationError` if the fit does not converge.
     """
     bias, matrix = np.zeros(3), np.eye(3)
     for _ in range(_STEPS):
@@ -138,7 +138,7 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
 
 
 def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """What bias, scale factors and non-orthogonalities change along `unit` (S, 3), those that are nominal."""
+    """Changes along `unit` (S, 3) caused by the nominal terms among bias, scale factors and non-orthogonalities."""
     parts = [np.empty((len(unit), 0))]
     if "accel_bias" in nominal:
         parts.append(unit)
@@ -163,7 +163,7 @@ def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _attitude(up: Array) -> Array:
-    """An attitude (3, 3) in which the sensor sees up along `up`; its azimuth means nothing."""
+    """An attitude (3, 3) in which the vertical is along `up` in sensor axes; its azimuth is arbitrary."""
     helper = np.eye(3)[int(np.argmin(np.abs(up)))]
     east = np.cross(helper, up)
     east /= np.linalg.norm(east)

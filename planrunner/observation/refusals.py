@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class ObservationError(Exception):
-    """The recording cannot be diagnosed. The message says why, for a quality engineer; the hint what to do, where that is known."""
+    """The recording cannot be diagnosed. The message gives the reason; the hint gives the remedy, if known."""
 
     def __init__(self, message: str, hint: str = ""):
         super().__init__(message)

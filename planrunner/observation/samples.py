@@ -1,4 +1,4 @@
-"""What a diagnosis looks at: samples with the state that was planned for them, as an `Observed` over the whole run."""
+"""Input of a diagnosis: samples with their planned states, as an `Observed` over the whole run."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def observed(
     magnetic: Sequence[float] | None = None,
     power_on: float = 0.0,
 ) -> Observed:
-    """The recorded segments of a run as a diagnosis needs them, in the order of time: slow noise and hysteresis know no other.
+    """The recorded segments of a run for a diagnosis, in order of time, as slow noise and hysteresis require.
 
-    axes: channel → sensor axis x, y or z; without it the last letter of names such as gyro_x and accel_z, or a part of the name between
-    underscores. Angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the
-    table's encoder; temperature_channel: thermometer; without them the plan's values. power_on: recording time of power-on, s. Raises
-    `ObservationError` for whatever cannot be diagnosed.
+    axes: channel → sensor axis x, y or z; by default the last letter of names such as gyro_x and accel_z, or a part of the name between
+    underscores. Angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the table's
+    encoder; temperature_channel: thermometer; by default the plan's values are used. power_on: recording time of power-on, s. Raises
+    `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -94,7 +94,7 @@ def channels_of(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, 
 
 
 def measures_motion(text: str) -> bool:
-    """Whether a channel in this unit is one that is diagnosed."""
+    """Whether a channel in this unit is diagnosed."""
     return bool(_quantity(text))
 
 
@@ -113,8 +113,8 @@ def _part(
     power_on: float,
     size: int | None,
 ) -> tuple[dict[str, Array], Averaged, float]:
-    """One segment's samples, or means over `size` of them, rows with a NaN left out; what they were made of; and the uncertainty of its
-    temperature, NaN where it changes."""
+    """Samples of one segment, or means over `size` samples, without rows that contain NaN; their composition; and the uncertainty of the
+    temperature, NaN if it changes."""
     if item.segment.attitude is None:
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
     if not isinstance(item.segment.motion, Rest | Spin | Rock):

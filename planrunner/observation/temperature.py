@@ -1,4 +1,4 @@
-"""The temperature that a sensor had, by sample, from a thermometer that is noisy or from the plan."""
+"""The temperature of a sensor at each sample, from a noisy thermometer or from the plan."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from planrunner.plan.units import ZERO_CELSIUS
 Array = NDArray[np.float64]
 CHANGED = 1.0  # K within a segment, or between the means of consecutive ones: less is no change
 _SMOOTHING = 10  # coefficients of the polynomial by which a segment's temperature is smoothed, at most
-_WORTH = 12.0  # of twice the log likelihood, for each of them: 3.5 σ, so that noise takes none in hundreds of segments
+_WORTH = 12.0  # gain of twice the log likelihood per coefficient: 3.5 σ, which noise rarely reaches
 _BLOCKS = 256  # means of the thermometer that the polynomial is fitted to
 _EXACT = 1e-9  # K: less noise than this counts as none, and gives no uncertainty of a mean
-_ALIKE = 0.01  # probability from which on the temperatures of segments count as one
+_ALIKE = 0.01  # probability at and above which the temperatures of segments count as equal
 
 
 @dataclass(frozen=True, slots=True)
 class Temperature:
-    """Of one segment. celsius: (n,); rate: (n,), K/s; uncertainty: standard uncertainty of a temperature that does not change, from the
-    thermometer's noise; NaN where it changes or comes from the plan."""
+    """Temperature of one segment. celsius: (n,); rate: (n,), K/s; uncertainty: standard uncertainty of a temperature that does not
+    change, from the thermometer's noise; NaN where it changes or comes from the plan."""
 
     celsius: Array
     rate: Array
@@ -33,7 +33,7 @@ class Temperature:
 
 
 def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> Temperature:
-    """The thermometer smoothed, else what was planned."""
+    """The smoothed thermometer reading, or the planned temperature."""
     if kelvin is None:
         planned = item.segment.temperature
         celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
@@ -48,8 +48,8 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 def smoothed(time: Array, values: Array) -> Temperature:
     """A polynomial through a segment's values, (n,), and its derivative: a thermometer's noise must not become a stimulus.
 
-    Of as many coefficients as are each worth `_WORTH` of likelihood: a chamber that stands still has one temperature, one that
-    approaches its setpoint needs several.
+    Coefficients are added as long as each gains `_WORTH` in likelihood: a constant temperature needs one, an approach to a setpoint
+    several.
     """
     middle, half = (time[0] + time[-1]) / 2, max((time[-1] - time[0]) / 2, 1e-9)
     scaled = (time - middle) / half
@@ -69,8 +69,8 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
-    """Gives segments of one setpoint that each have one temperature their common mean where the thermometer does not distinguish them (χ²
-    at 1 %). known: standard uncertainty of each segment's temperature, NaN where it is not one."""
+    """Replaces the temperatures of constant-temperature segments with a common setpoint by their mean, if the thermometer does not
+    distinguish them (χ² at 1 %). known: standard uncertainty of each segment's temperature, NaN if it is not constant."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]

@@ -1,7 +1,7 @@
 """Checks of meaning that concern the whole plan: labels, references between parts, limits, reports.
 
-Channels that estimates name are held against those of the bench's sensor: every parameter of the kind `CHANNEL` is found by its
-declaration, so that estimators of plug-ins are checked alike.
+Channels named in estimates are checked against the channels of the bench's sensor. Parameters of the kind `CHANNEL` are found by their
+declaration, so the check covers estimators of plug-ins too.
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
-"""What a plan says of a state to reach and hold: orientation, motion, temperature, readings that settle before a segment records and
-those that must stay within limits while it does.
-"""
+"""Plan keys of a state to reach and hold: orientation, motion, temperature, readings that must settle before a segment records, and
+readings that must stay within limits during the recording."""
 
 from __future__ import annotations
 

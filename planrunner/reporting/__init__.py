@@ -1,1 +1,1 @@
-"""Reporting: what templates are given, plots, pictures of orientations, terminal tables and coefficient files."""
+"""Reporting: data for templates, plots, pictures of orientations, terminal tables and coefficient files."""

@@ -1,4 +1,4 @@
-"""Uncertainty budgets as templates see them: the columns of JCGM 100:2008, table H.1, with each input's share and source."""
+"""Uncertainty budgets for templates: the columns of JCGM 100:2008, table H.1, with the share and source of each input."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 
 
 def budget_views(estimate: Estimate) -> list[dict[str, Any]]:
-    """The budgets to which something beside the data contributes, those of the headline coefficients first.
+    """The budgets with contributions other than the data; those of the headline coefficients come first.
 
     Each {coefficient, unit, headline, lines, standard, freedom, factor, expanded}, its lines {quantity, kind, value, standard, unit,
     distribution, freedom, sensitivity, contribution, share, source, added}, all text but `headline` and `added`. Shares are of the
@@ -59,12 +59,12 @@ def _line(line: BudgetLine, variance: float) -> dict[str, Any]:
 
 
 def shown_unit(unit: str) -> str:
-    """A unit as it stands beside a number: nothing for pure numbers."""
+    """The text of a unit after a number; empty for pure numbers."""
     return "" if unit == "1" else unit
 
 
 def two_digits(uncertainty: float) -> str:
-    """An uncertainty alone, in two significant digits."""
+    """An uncertainty with two significant digits."""
     if not math.isfinite(uncertainty) or uncertainty == 0:
         return words.number(uncertainty)
     own = rounded(uncertainty, abs(uncertainty))
@@ -72,7 +72,7 @@ def two_digits(uncertainty: float) -> str:
 
 
 def freedom(value: float) -> str:
-    """Degrees of freedom; effective ones keep a decimal below a hundred. Beyond ten thousand they change no digit of a coverage factor."""
+    """Degrees of freedom; effective ones below a hundred have one decimal. Above ten thousand they no longer affect the coverage factor."""
     if not math.isfinite(value):
         return "∞"
     if value > 1e4:

@@ -1,6 +1,7 @@
-"""What a certificate's template is given beside the report's: plain text in parts, each part in words that a catalogue translates.
+"""Data for the template of a certificate in addition to those of the report: plain text in parts that catalogues translate.
 
-The template words the page; here stand names, figures and dates. A missing figure is an empty text, which the page shows as not stated.
+The template has the wording; names, figures and dates are prepared here. A missing figure is an empty text, which the page shows as not
+stated.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def certificate_view(context: ReportContext) -> dict[str, Any]:
 
 
 def named_in(told: Mapping[str, str], name: str) -> set[str]:
-    """The names that run information lists, such as `drift, residual`."""
+    """The names in a list of run information, such as `drift, residual`."""
     return {part.strip() for part in told.get(name, "").split(",")} - {""}
 
 
@@ -120,8 +121,8 @@ def _factor(item: Coefficient, probability: float) -> str:
 
 
 def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
-    """The rules that were used, each once. factor: r of the guard band r·U; percent: coverage of U; risk: the most, in percent, by which
-    an accepted value can be wrong beyond one limit, for r ≥ 1."""
+    """The decision rules that were used, each once. factor: r of the guard band r·U; percent: coverage of U; risk: upper bound, in
+    percent, of the probability that an accepted value lies beyond one limit, for r ≥ 1."""
     used = sorted({(limit.rule, limit.guard_factor, limit.coverage) for limit in limits})
     return [
         {
@@ -135,7 +136,7 @@ def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
 
 
 def guard_band(limit: LimitVerdict) -> str:
-    """Its width in the limit's unit; nothing where results of an earlier version do not say."""
+    """Its width in the unit of the limit; empty if results of an earlier version lack it."""
     return "" if math.isnan(limit.guard_band) else two_digits(limit.guard_band)
 
 
@@ -160,5 +161,5 @@ def _conformity(limit: LimitVerdict) -> dict[str, str]:
 
 
 def css_string(text: str) -> str:
-    """Text as a CSS string that nothing can break out of: everything but letters and digits as an escape."""
+    """Text as a safe CSS string: everything except letters and digits is escaped."""
     return "".join(char if char.isascii() and char.isalnum() else f"\\{ord(char):06x}" for char in text)

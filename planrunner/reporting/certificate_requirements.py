@@ -1,6 +1,6 @@
-"""What ISO/IEC 17025:2017 asks of a calibration certificate, held against plan and bench, and against the information on a run.
+"""Checks plan, bench and run information against the requirements of ISO/IEC 17025:2017 for calibration certificates.
 
-`ASKED` lists the run information that a certificate knows by name. docs/certificates.md shows where each stands on the page.
+`ASKED` lists the run information that certificates use by name. docs/certificates.md shows where each item appears on the page.
 
 What the results of a bench are traceable through is collected here too: its instruments and its site, with their calibrations.
 """
@@ -42,8 +42,7 @@ STANDARD = "ISO/IEC 17025:2017"
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Run information that a certificate shows. required: a certificate is not written without it. instead: another name that serves
-    as well."""
+    """Run information that a certificate shows. required: without it no certificate is written. instead: an alternative name."""
 
     name: str
     clause: str
@@ -87,7 +86,7 @@ DATES = ("date_received", "date_issued")
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """Something that a certificate must show and nobody stated. remedy: what to add, and where."""
+    """Missing information that a certificate must show. remedy: what to add, and where."""
 
     clause: str
     what: str
@@ -98,12 +97,13 @@ class Lack:
 
 
 def is_certificate(report: str) -> bool:
-    """Whether a report is a certificate, in whatever language."""
+    """Whether a report is a certificate in any language."""
     return report.startswith("certificate.")
 
 
 def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool) -> list[Lack]:
-    """What the bench file leaves open. known: names of run information; holds_temperature: whether the plan holds one."""
+    """Required information that the bench file lacks. known: names of run information; holds_temperature: whether the plan holds a
+    temperature."""
     found = []
     if bench.laboratory is None:
         remedy = "add laboratory: {name: …, address: …} to the bench file"
@@ -135,8 +135,8 @@ def _list(names: list[str]) -> str:
 def check_certificate(
     plan: Plan, bench: Bench, schedule: Schedule | None, known: Collection[str], log: Findings
 ) -> None:
-    """Adds an error, at the first certificate that the plan's `report` asks for, for whatever it would not be able to show. known: the
-    reports that there are; of others it is said elsewhere that they are none."""
+    """Adds errors, at the first certificate in the plan's `report`, for information that it could not show. known: names of existing
+    reports; unknown names are reported elsewhere."""
     places = [index for index, name in enumerate(plan.report) if is_certificate(name) and name in known]
     if not places:
         return

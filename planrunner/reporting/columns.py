@@ -1,4 +1,4 @@
-"""A table made of declared columns: each column states its heading, its role, and the cell that a row shows in it."""
+"""Tables made of declared columns. Each column states its heading, its role, and the cell for a row."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True, slots=True)
 class Shown(Generic[Row]):
-    """One column of a table. cell: what a row shows. idle: cells that say nothing; a column of nothing else is left out."""
+    """One column of a table. cell: gives the cell of a row. idle: cells without information; a column with only such cells is left out."""
 
     column: TableColumn
     cell: Callable[[Row], Cell]
@@ -21,7 +21,7 @@ class Shown(Generic[Row]):
 
 
 def table_of(title: str, columns: Iterable[Shown[Row]], rows: Sequence[Row]) -> Table:
-    """The table of all rows, without its idle columns; empty without rows."""
+    """The table of all rows without idle columns; empty if there are no rows."""
     if not rows:
         return Table(title, (), ())
     filled = [(item, [item.cell(row) for row in rows]) for item in columns]
@@ -30,5 +30,5 @@ def table_of(title: str, columns: Iterable[Shown[Row]], rows: Sequence[Row]) -> 
 
 
 def alike(role: Role, *titles: str, unit: str = "") -> tuple[TableColumn, ...]:
-    """Columns of one role and unit."""
+    """Columns with a common role and unit."""
     return tuple(TableColumn(title, role, unit) for title in titles)

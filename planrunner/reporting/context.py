@@ -1,4 +1,4 @@
-"""What a report is made from: plain records, independent of who measured and who estimated."""
+"""Input of reports: plain records, independent of instruments and estimators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planrunner.reporting.verdict import Headline, headline
 
 @dataclass(frozen=True, slots=True)
 class Traced:
-    """A reference of the calibration: the site or an instrument, what it says of itself, and the calibration that is stated."""
+    """A reference of the calibration: the site or an instrument, its description of itself, and its stated calibration."""
 
     name: str
     identity: str = ""
@@ -29,13 +29,13 @@ class Traced:
 
 @dataclass(frozen=True, slots=True)
 class CertificateFacts:
-    """What a certificate shows and no other report does. Dates are ISO 8601.
+    """Data that only certificates show. Dates are ISO 8601.
 
-    laboratory: the bench file's `laboratory`. told: run information, of the run and of the issue; corrected: names told otherwise at the
-    issue → as recorded with the run. performed: first and last day of the run. conditions: (name, text). events: what happened that the
-    method does not foresee, as (kind, segment, reason) with the kinds truncated, rejected, fault. before: estimates of the run before the
-    adjustment, by name. duration: from the first sample to the last, s. simulated: no real item was measured; replayed: a recording was
-    played back.
+    laboratory: the bench file's `laboratory`. told: run information, from the run and from the issue of the certificate; corrected: names
+    that were changed at the issue → value recorded with the run. performed: first and last day of the run. conditions: (name, text).
+    events: deviations from the method, as (kind, segment, reason) with the kinds truncated, rejected, fault. before: estimates of the run
+    before the adjustment, by name. duration: time from the first to the last sample, s. simulated: no real item was measured; replayed: a
+    recording was played back.
     """
 
     run: str
@@ -57,7 +57,7 @@ class CertificateFacts:
 
 @dataclass(frozen=True, slots=True)
 class SegmentSummary:
-    """One segment as carried out; `statistics` is None when nothing of it was kept. units: channel → unit."""
+    """One segment as executed. statistics: None if no data were kept. units: channel → unit."""
 
     segment: Segment
     statistics: Statistics | None = None
@@ -72,14 +72,13 @@ class SegmentSummary:
 
 @dataclass(frozen=True, slots=True)
 class ReportContext:
-    """Everything a report shows. Mappings keep their order.
+    """All data that reports show. Mappings keep their order.
 
-    run_information: what was given for this run (operator, device_serial, work_order, fixture, ambient_pressure …).
-    bench: facts about the bench (name, description …); instruments: role → identity as the instrument gave it.
-    failures: what could not be estimated → why.
-    provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times.
-    probability: coverage probability of the expanded uncertainties. certificate: what a certificate shows beside all this.
-    on_top: what a reader looks for first: item, operator, date, duration, analysis. origin: where the samples come from, if that is known.
+    run_information: information given for this run (operator, device_serial, work_order, fixture, ambient_pressure …). bench: facts about
+    the bench (name, description …); instruments: role → identity as the instrument gave it. failures: estimates that could not be made →
+    reason. provenance: versions, hashes of plan, bench, journal head and seal, number of the analysis, UTC times. probability: coverage
+    probability of the expanded uncertainties. certificate: additional data for certificates. on_top: the most important facts: item,
+    operator, date, duration, analysis. origin: source of the samples, if known.
     """
 
     title: str
@@ -108,7 +107,7 @@ class ReportContext:
 
 
 def site_facts(site: Site) -> dict[str, str]:
-    """The site in words and the field's units."""
+    """The site in words and customary units."""
     north_south = "N" if site.latitude >= 0 else "S"
     return {
         "Latitude": f"{abs(math.degrees(site.latitude)):.4f}° {north_south}",

@@ -1,4 +1,4 @@
-"""What a design study of a rotation cycle says, as tables for the terminal, as plain data, and as a page with the cycles' courses."""
+"""Output of a design study of a rotation cycle: tables for the terminal, plain data, and a page with plots of the cycles."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from planrunner.reporting import words
 from planrunner.reporting.columns import alike
 from planrunner.reporting.study_page import StudyPage
 
-POINTS = 1500  # of a course, as drawn
-ROUNDS = 3  # cycles of the longest that are drawn
+POINTS = 1500  # of a plotted curve
+ROUNDS = 3  # number of plotted periods of the longest cycle
 FOOTER = (
     "Not modulated: the share of a constant horizontal error that acts as if the sensor did not turn. Schuler drive: "
     "the ratio of the free Schuler oscillation that a constant gyro drift builds up within the dwell with this cycle to the one without "
@@ -29,8 +29,8 @@ TITLES = {"planned": "as planned", "same order": "same order of stops", "free or
 
 @dataclass(frozen=True, slots=True)
 class CycleContext:
-    """label: of the segment; cycles, searches, reasons: by `planned`, `same order`, `free order`, as far as there are any; chosen: which
-    one goes into the plan."""
+    """label: of the segment; cycles, searches, reasons: by `planned`, `same order`, `free order`, if available; chosen: the one for the
+    plan."""
 
     title: str
     label: str
@@ -67,7 +67,7 @@ def facts(context: CycleContext) -> dict[str, str]:
 
 
 def tables(context: CycleContext) -> list[Table]:
-    """What the cycles leave, their moves, and what was searched."""
+    """Tables of the residuals of the cycles, their moves, and the search."""
     return [_left(context), _moves(context), _rounds(context)]
 
 
@@ -118,7 +118,7 @@ def vector(left: complex) -> str:
 
 
 def notes(context: CycleContext) -> list[str]:
-    """What the figures mean, in sentences."""
+    """Explanations of the figures, in sentences."""
     said = [f"{TITLES[name].capitalize()}: {reason}." for name, reason in context.reasons.items()]
     for name, found in context.searches.items():
         title = TITLES[name].capitalize()
@@ -142,7 +142,7 @@ def notes(context: CycleContext) -> list[str]:
 
 
 def plots(context: CycleContext) -> list[Plot]:
-    """The table's angle over one period of the longest cycle, and what has added up of an error over several."""
+    """Plots of the table's angle over one period of the longest cycle, and of the accumulated error over several periods."""
     longest = max(one.cycle.period for one in context.cycles.values())
     times = np.linspace(0, longest, POINTS)
     angles = {

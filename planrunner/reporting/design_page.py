@@ -1,4 +1,5 @@
-"""What a design study says, as tables for the terminal, as plain data, and as a page with pictures of the positions before and after."""
+"""Output of a design study of positions: tables for the terminal, plain data, and a page with pictures of the positions before and
+after."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ TITLES = {"planned": "as planned", "cardinal": "best cardinal", "free": "best fr
 
 @dataclass(frozen=True, slots=True)
 class DesignedSet:
-    """One set of positions. labels, texts, attitudes: of each; seconds: the whole plan's time; ratios: expected ratios of residual sums of
-    squares by name; predicted: what the estimate's coefficients would be known to."""
+    """One set of positions. labels, texts, attitudes: one per position; seconds: duration of the whole plan; ratios: expected ratios of
+    residual sums of squares by name; predicted: expected uncertainties of the coefficients."""
 
     labels: tuple[str, ...]
     texts: tuple[str, ...]
@@ -43,8 +44,8 @@ class DesignedSet:
 
 @dataclass(frozen=True, slots=True)
 class DesignContext:
-    """sets: planned, cardinal, free as far as there are any; best, bounds, certificates: by domain (free, cardinal). dwells: s, of the
-    chosen set, empty where none were allotted; dwell_gain: efficiency of equal dwells against them."""
+    """sets: planned, cardinal, free, if available; best, bounds, certificates: by domain (free, cardinal). dwells: s, of the chosen set,
+    empty if they were not optimised; dwell_gain: efficiency of equal dwells relative to them."""
 
     title: str
     estimate: str
@@ -189,7 +190,7 @@ def heading(context: DesignContext) -> str:
 
 
 def notes(context: DesignContext) -> list[str]:
-    """What the plan's estimates claim and what the figures mean, in sentences."""
+    """Explanations of the plan's estimates and of the figures, in sentences."""
     chosen, planned = context.sets[context.chosen], context.sets["planned"]
     said = list(context.notes)
     if not planned.merit.sound:

@@ -1,6 +1,6 @@
-"""What a diagnosis says: sentences and tables for the terminal, and one page with its pictures.
+"""Output of a diagnosis: sentences and tables for the terminal, and one page with plots.
 
-A diagnosis comes here as plain data, as `schemas/diagnosis.schema.json` has it; nothing is computed here but shares and roundings.
+The input is plain data according to `schemas/diagnosis.schema.json`. Only fractions and rounding are computed here.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
 
 SURE = 0.95
-"""Probability of noise alone from which on there is said to be no gap."""
+"""Probability of pure noise at and above which the page reports no gap."""
 CONSPICUOUS = 0.05
-"""Places that noise alone makes as conspicuous more often than this are not shown."""
+"""Deviations that noise alone causes with more than this probability are not shown."""
 MOST_PLACES = 12
 MOST_PARAMETERS = 24
 FOOTER = (
@@ -33,8 +33,8 @@ Data = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class DiagnosisContext:
-    """title: the plan's; diagnosis: plain data; facts: what was diagnosed; remarks: warnings about the recording; next_plan: the proposed
-    plan's text, empty without one. origin: where the samples come from."""
+    """title: of the plan; diagnosis: plain data; facts: about the diagnosed recording; remarks: warnings about the recording; next_plan:
+    text of the proposed plan, or empty. origin: source of the samples."""
 
     title: str
     diagnosis: Data
@@ -96,7 +96,7 @@ def verdict(found: Data) -> str:
 
 
 def _remainder(residue: str | None, named: list[str]) -> str:
-    """What else there is beside a named effect, or how sure the weaker of two is."""
+    """What remains besides a named effect, or how certain the weaker of two effects is."""
     if residue is None:
         return ""
     if residue in named:
@@ -108,7 +108,7 @@ def _remainder(residue: str | None, named: list[str]) -> str:
 
 
 def closure_words(found: Data) -> str:
-    """How far the gap shrinks or grows, in one sentence; not resolvable where the data cannot say."""
+    """How much the gap shrinks or grows, in one sentence; "not resolvable" if the data do not determine it."""
     closure = found["closure"]
     if found["verdict"]["kind"] == "none":
         return "There is no gap to close."
@@ -136,13 +136,13 @@ def expected_words(found: Data) -> str:
 
 
 def priors_words(found: Data) -> str:
-    """The priors that the probabilities rest on, where the diagnosis names them."""
+    """The priors behind the probabilities, if the diagnosis contains them."""
     listed = [f"{name} {p:.2f}" for name, p in found.get("priors", {}).items()]
     return f"Priors: {', '.join(listed)}." if listed else ""
 
 
 def probability(p: float) -> str:
-    """P with as many digits as matter, never a certainty."""
+    """P with the significant digits, never 0 or 1."""
     if p > 0.999:
         return "P > 0.999"
     return "P < 0.001" if p < 0.001 else f"P = {p:.3f}" if p > 0.99 or p < 0.01 else f"P = {p:.2f}"
@@ -152,7 +152,7 @@ def probability(p: float) -> str:
 
 
 def tables(found: Data) -> dict[str, Table]:
-    """By name; only those that say something."""
+    """Tables by name; empty ones are left out."""
     made = {
         "gap": _gap(found),
         "where": _where(found),
@@ -257,7 +257,7 @@ def _change(shrinks_by: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """Of a gap that shrinks, or one that grows, the smaller figure first; in words where it may do either."""
+    """The interval with the smaller figure first, for a gap that shrinks or grows; in words if it may do either."""
     if low >= 0:
         return f"{_percent(low)} to {_percent(high)}"
     if high <= 0:

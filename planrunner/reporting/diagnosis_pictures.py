@@ -14,14 +14,14 @@ from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
 Data = Mapping[str, Any]
 
 SHOWN = 0.005
-"""Hypotheses less probable than this are summed up as others."""
+"""Hypotheses with a lower probability are combined as `others`."""
 
 
 MOST_HYPOTHESES = 12
 
 
 def ranked(found: Data) -> list[tuple[str, float]]:
-    """Hypotheses worth showing, the most probable first; the rest as `others`."""
+    """The hypotheses to show, the most probable first; the rest as `others`."""
     posterior: Mapping[str, float] = found["posterior"]
     order = sorted(posterior.items(), key=lambda pair: -pair[1])
     shown = [(name, p) for name, p in order if p >= SHOWN][:MOST_HYPOTHESES]
@@ -30,13 +30,14 @@ def ranked(found: Data) -> list[tuple[str, float]]:
 
 
 MOST_CHANNELS = 6
-"""Channels that spectra and means are drawn of, those with the largest gap first."""
+"""Number of channels with plots of spectra and means; those with the largest gap come first."""
 HOTTEST = 100.0
-"""Times the noise, from where on the heat map has one colour; ten times that, and so on, for a gap that lies above it everywhere."""
+"""Multiple of the noise at and above which the heat map has a single colour. For a gap above it everywhere the value is ten times as
+large, and so on."""
 
 
 def pictures(found: Data) -> list[dict[str, Any]]:
-    """Title, words and SVG of each picture that the diagnosis holds data for. wide: drawn over the page's whole width."""
+    """Title, description and SVG of each picture for which the diagnosis has data. wide: spans the full width of the page."""
     from markupsafe import Markup
 
     made = []
@@ -94,7 +95,7 @@ def _spectrum(name: str, one: Data) -> Plot:
 
 
 def heat_svg(heat: Data, key: str) -> str:
-    """One row a channel, one column a segment; white is noise alone, darker is more, on a logarithmic scale."""
+    """One row per channel, one column per segment. White is noise alone; darker is larger, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap
 
     channels, segments = list(heat["channels"]), list(heat["segments"])
@@ -122,7 +123,7 @@ def heat_svg(heat: Data, key: str) -> str:
 
 
 def _legend(axes: Any, colours: Any, hottest: float) -> None:
-    """What the colours mean, as labelled squares above the map."""
+    """The legend of the colours, as labelled squares above the map."""
     for step in range(5):
         times = hottest ** (step / 4)
         label = f"{float(f'{times:.1g}'):g} ×" if step < 4 else f"{times:g} × and more"
@@ -135,7 +136,7 @@ def _legend(axes: Any, colours: Any, hottest: float) -> None:
 
 
 def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
-    """A bar a hypothesis, its probability beside it."""
+    """One bar per hypothesis, labelled with its probability."""
     with drawing(WIDTH, 0.9 + 0.27 * len(hypotheses)) as (figure, save):
         axes = figure.add_subplot()
         for row, (name, p) in enumerate(hypotheses):
@@ -153,7 +154,7 @@ def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
 
 
 def confusability_svg(alike: Data, key: str) -> str:
-    """Row: whose signature; column: who reproduces it; in hundredths."""
+    """Row: effect with the signature; column: effect that reproduces it; in hundredths."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names = list(alike["effects"])

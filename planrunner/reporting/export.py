@@ -1,6 +1,6 @@
 """Coefficients as files for other tools: CSV, MATLAB, YAML and C header, in full precision with units and covariance.
 
-Whatever stands in a name, a unit or a description stays inside its field, comment or string.
+The text of a name, unit or description cannot leave its field, comment or string.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ M_WORDS = frozenset(
 
 
 class ExportError(Exception):
-    """The coefficients cannot be written so. The message says why."""
+    """The coefficients cannot be written in this form. The message gives the reason."""
 
 
 def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None = None) -> str:
-    """The text of one file. form: csv, matlab, yaml or c (see `FORMS`); provenance: stands in the opening comment.
+    """The text of one file. form: csv, matlab, yaml or c (see `FORMS`); provenance: written in the opening comment.
 
     Raises `ExportError` for an unknown form.
     """
@@ -54,7 +54,7 @@ def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None =
 
 
 def identifiers(names: Iterable[str], words: frozenset[str] = frozenset()) -> list[str]:
-    """Names that a programming language accepts, distinct (ignoring case), in order."""
+    """Valid identifiers of programming languages for the names, distinct when case is ignored, in order."""
     taken: set[str] = set()
     result = []
     for name in names:
@@ -70,7 +70,7 @@ def identifiers(names: Iterable[str], words: frozenset[str] = frozenset()) -> li
 
 
 def comment(text: str) -> str:
-    """Text that ends no comment of any of the four languages: one line, printable, no `*/`, no trailing backslash."""
+    """Text that cannot end a comment in any of the four languages: one line, printable, no `*/`, no trailing backslash."""
     line = "".join(char if char.isprintable() else " " for char in text)
     line = " ".join(line.split()).replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/")
     return line.rstrip("\\ ")
@@ -83,8 +83,8 @@ def _opening(estimate: Estimate, provenance: Mapping[str, str]) -> list[str]:
 
 
 def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """name, value, unit, standard_uncertainty, degrees_of_freedom, description, period; comment lines begin with #. period: in the unit,
-    of a circular quantity; empty for all others."""
+    """name, value, unit, standard_uncertainty, degrees_of_freedom, description, period; comment lines begin with #. period: of a
+    circular quantity, in its unit; empty for others."""
     out = io.StringIO()
     for line in _opening(estimate, provenance):
         out.write(f"# {line}\n")
@@ -99,7 +99,7 @@ def _csv(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Text on one line that a spreadsheet does not take for a formula."""
+    """Text on one line that spreadsheets do not interpret as a formula."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
     return f"'{line}" if line[:1] in ("=", "+", "-", "@") else line
 
@@ -136,7 +136,7 @@ def _m(value: float) -> str:
 
 
 def _m_text(text: str) -> str:
-    """A character vector; a quote is doubled, nothing else has a meaning in it."""
+    """A character vector; quotes are doubled, no other character is special."""
     return "'" + comment(text).replace("'", "''") + "'"
 
 
@@ -176,7 +176,7 @@ def _yaml(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 class _Exact(float):
-    """A float to be written so that YAML 1.1 and 1.2 readers take it for one."""
+    """A float that is written so that YAML 1.1 and 1.2 readers accept it as a number."""
 
 
 def yaml_float(value: float) -> str:
@@ -192,7 +192,7 @@ def yaml_float(value: float) -> str:
 
 
 def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """A header of constants, which C and C++ take: value and standard uncertainty of every coefficient, the period of a circular one."""
+    """A header of constants for C and C++: value and standard uncertainty of every coefficient, the period of a circular one."""
     root = identifiers([estimate.name])[0].upper()
     constants = [constant for item in estimate.coefficients for constant in _constants(item)]
     names = identifiers(name for name, _, _ in constants)
@@ -205,7 +205,7 @@ def _c(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _constants(item: Coefficient) -> list[tuple[str, float, str]]:
-    """Name, value and comment of what a header holds of a coefficient. Raises `ExportError` for what is not finite."""
+    """Name, value and comment of each constant of a coefficient. Raises `ExportError` for non-finite values."""
     if not (math.isfinite(item.value) and math.isfinite(item.standard_uncertainty)):
         raise ExportError(f"{item.name} is not a finite number, which a C header cannot represent")
     found = [

@@ -1,10 +1,10 @@
 """Languages of pages: English as templates are written, others through the catalogues of translations in `locales/`.
 
-A catalogue is read as it stands in the tree (gettext's PO text), so that what reviewers read is what pages show and nothing has to be
-compiled. Placeholders are `%(name)s` and nothing more: a template cannot ask for widths that fill the memory.
+Catalogues are read as PO text of gettext, so that pages show exactly what reviewers read and nothing has to be compiled. Placeholders have
+only the form `%(name)s`, so a template cannot request widths that fill the memory.
 
-Sentences that come with the data are already filled, such as "gyro_x: offset at zero rate". They are looked up as they stand, then held
-against the messages with placeholders: "%(output)s: offset at zero rate" gives the translation, and what stands in its places is kept.
+Sentences from the data have their placeholders filled already, such as "gyro_x: offset at zero rate". They are looked up directly, then
+compared with the messages with placeholders: "%(output)s: offset at zero rate" gives the translation, and the inserted text is kept.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PLACE = re.compile(r"%(?:%|\((\w+)\)s)")
 
 
 def languages() -> tuple[str, ...]:
-    """The languages, beside English, that there is a catalogue for."""
+    """The languages with a catalogue, in addition to English."""
     return tuple(sorted(path.stem for path in shipped("locales").glob("*.po")))
 
 
@@ -47,15 +47,15 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 @lru_cache(maxsize=8)
 def sentences(language: str) -> tuple[tuple[re.Pattern[str], str], ...]:
-    """Messages with placeholders as patterns of the filled sentence, each with its translation; those that say most of the sentence
-    themselves come first, so that the closest one is found."""
+    """Messages with placeholders as patterns of the filled sentence, each with its translation. Messages with more fixed text come
+    first, so that the closest match is found."""
     known = [(text, said) for text, said in translations(language).items() if isinstance(said, str) and "%(" in text]
     known.sort(key=lambda pair: (-len(_PLACE.sub("", pair[0])), pair[0]))
     return tuple((_sentence(text), said) for text, said in known)
 
 
 def _sentence(message: str) -> re.Pattern[str]:
-    """What matches the message when it is filled. A name that stands twice has the same value in both places."""
+    """Pattern that matches the filled message. A name that occurs twice has the same value in both places."""
     parts, start, seen = [], 0, set()
     for place in _PLACE.finditer(message):
         name = place[1]
@@ -68,7 +68,7 @@ def _sentence(message: str) -> re.Pattern[str]:
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
     """The functions that Jinja's i18n extension calls, and `term` for words and sentences that come with the data, such as the
-    description of a coefficient. What a catalogue lacks stays as it is; the result is escaped like other text."""
+    description of a coefficient. Text without a translation stays as it is. The result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Any) -> str:

@@ -1,7 +1,7 @@
 """Pictures of orientations: the sensor's axes in the site's East-North-Up frame, as inline SVG drawn from the attitude.
 
-The eye stands south-south-east of the sensor and above it, so that east points right, north away and up up; no two of
-the six cardinal directions fall on each other, and what points at the eye is drawn over what points away.
+The viewpoint is south-south-east of the sensor and above it, so that east points right, north away from the viewer, and up upwards. No two
+of the six cardinal directions coincide. Axes towards the viewer are drawn over axes pointing away.
 """
 
 from __future__ import annotations
@@ -76,20 +76,20 @@ def _site_frame() -> list[str]:
 
 
 def _beyond(tip: tuple[float, float], by: float) -> tuple[float, float]:
-    """The place `by` units further out than a tip."""
+    """The point `by` units beyond a tip."""
     right, down = tip[0] - _CENTRE[0], tip[1] - _CENTRE[1]
     scale = 1 + by / math.hypot(right, down)
     return _CENTRE[0] + scale * right, _CENTRE[1] + scale * down
 
 
 def _arrow(axis: str, direction: Array) -> list[str]:
-    """One sensor axis; what points away from the eye is drawn thinner."""
+    """One sensor axis. Axes pointing away from the viewer are drawn thinner."""
     towards = float(_TOWARDS @ direction)
     width = 3.4 + 1.2 * towards
     (x0, y0), (x1, y1) = project(np.zeros(3)), project(direction)
     length = math.hypot(x1 - x0, y1 - y0)
     colour = _COLOURS[axis]
-    if length < 6:  # seen end on: a disc for an arrow's tip, a cross for its tail
+    if length < 6:  # seen end-on: a disc for the tip of an arrow, a cross for its tail
         return [*_end_on(towards > 0, colour), _text(x0 + 13, y0 - 9, axis, colour, 17, bold=True)]
     ux, uy = (x1 - x0) / length, (y1 - y0) / length
     head = min(13.0, length / 2)

@@ -1,7 +1,7 @@
 """Charts as inline SVG: values per label or over x, correlations, and the timeline of a schedule.
 
-Drawn by matplotlib at a phone's width and scaled by the page, so that lettering stays legible on both. Text stays text,
-and the same data give the same bytes.
+They are drawn by matplotlib at the width of a phone and scaled by the page, so that text is legible on phones and large screens. Text stays
+text, and equal data give equal bytes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ COLOURS = ("#0b5394", "#b45309", "#3f7d3a", "#7b3fa0", "#5f6b76")
 _MARKERS = ("o", "s", "^", "D", "v")
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # distinguishable in print without colour
 _MARGIN = 3.0  # points around all lettering
-MOST_POINTS = 2000  # of a course, as drawn
+MOST_POINTS = 2000  # of a plotted curve
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "planrunner",
@@ -75,7 +75,7 @@ def plot_svg(plot: Plot, key: str) -> str:
 
 
 def _plain_ticks(axes: Any) -> None:
-    """Numbers beside logarithmic axes as text, since formulas are not drawn; 2 and 5 as well where an axis spans less than two decades."""
+    """Numbers at logarithmic axes as text, because formulas are not drawn. An axis of less than two decades also shows 2 and 5."""
 
     def between(value: float, _: int) -> str:
         leading = round(value / 10 ** math.floor(math.log10(value)), 6)
@@ -108,7 +108,7 @@ def _draw_points(axes: Any, plot: Plot, labels: list[str]) -> None:
 
 
 def _draw_courses(axes: Any, plot: Plot) -> None:
-    """Each series as a line; ±1 standard uncertainty, where given, as a band. A value that is not finite interrupts the line."""
+    """Each series as a line, with ±1 standard uncertainty, if given, as a band. A non-finite value interrupts the line."""
     xs = np.array([float(x) for x in plot.x])
     for index, (name, values) in enumerate(plot.series.items()):
         colour = COLOURS[index % len(COLOURS)]
@@ -125,8 +125,8 @@ def _draw_courses(axes: Any, plot: Plot) -> None:
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Which of the values (n,) of a course to draw: all up to `most`; beyond that the ends and, of each of equal stretches, the lowest,
-    the highest and whatever is not finite first, so that no peak and no gap is lost."""
+    """Indices of the values (n,) of a curve to draw. Up to `most` values are all drawn. Of more, the ends are drawn, and from each of
+    equal intervals the lowest, the highest and the first non-finite value, so that no peak and no gap is lost."""
     if len(values) <= most:
         return np.arange(len(values))
     kept = {0, len(values) - 1}
@@ -142,7 +142,7 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
 
 
 def _labels(x: Sequence[Any]) -> list[str]:
-    """Labels when x holds any text, else nothing."""
+    """Labels if x contains text, otherwise nothing."""
     return [str(item) for item in x] if any(isinstance(item, str) for item in x) else []
 
 
@@ -194,7 +194,7 @@ def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
                     ink = "#ffffff" if abs(value) > 0.55 else "#1b1f24"
                     text = f"{100 * value:.0f}".replace("-", "\u2212")
                     lettering = axes.text(column, row, text, ha="center", va="center", fontsize=7.2, color=ink)
-                    lettering.set_in_layout(False)  # it stands within its cell
+                    lettering.set_in_layout(False)  # the number is inside its cell
         places = range(0, size, math.ceil(size / 40))
         axes.set_xticks(list(places), [names[i] for i in places], rotation=90)
         axes.set_yticks(list(places), [names[i] for i in places])
@@ -209,7 +209,7 @@ def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
 
 
 def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[tuple[str, str, float]]:
-    """Pairs of names whose correlation is at least `at_least` either way, the strongest first."""
+    """Pairs of names with an absolute correlation of at least `at_least`, the strongest first."""
     pairs = [
         (names[i], names[j], float(matrix[i, j]))
         for i in range(len(names))
@@ -220,7 +220,7 @@ def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[t
 
 
 def timeline_svg(schedule: Schedule, key: str) -> str:
-    """What happens when: reaching, settling and recording as bars, with temperature and rate where they are held."""
+    """Timeline: transitions, settling and recording as bars, with temperature and rate if they are held."""
     from planrunner.reporting.timeline import draw_panels, panels_of
 
     panels = panels_of(schedule)
@@ -233,7 +233,7 @@ def timeline_svg(schedule: Schedule, key: str) -> str:
 
 @contextmanager
 def drawing(width: float, height: float) -> Iterator[tuple[Any, Callable[[str, str, str], str]]]:
-    """A figure of our style and a function that turns it into an `<svg>` element."""
+    """A figure in the project's style and a function that turns it into an `<svg>` element."""
     import io
 
     import matplotlib as mpl
@@ -284,11 +284,11 @@ def _bounded(margins: Array) -> Array:
 
 
 def _inline(text: str, key: str, title: str, described: str) -> str:
-    """matplotlib's file as an element: no prologue, ids of its own, named, scaling with its container."""
+    """The file from matplotlib as an element: without prologue, with unique ids and a name, scaling with its container."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)
-    body = re.sub(r"<style\b.*?</style>\s*", "", body, flags=re.DOTALL)  # its one rule stands in `named`
+    body = re.sub(r"<style\b.*?</style>\s*", "", body, flags=re.DOTALL)  # its only rule is in `named`
     body = re.sub(r"<[^<>]+>", _with_attributes, body)
     body = re.sub(r'\bid="', f'id="{key}-', body)
     body = re.sub(r'(xlink:href="|url\()#', rf"\1#{key}-", body)
@@ -301,7 +301,7 @@ def _inline(text: str, key: str, title: str, described: str) -> str:
 
 
 def _with_attributes(tag: re.Match[str]) -> str:
-    """A tag with its style as attributes: pages allow the style of their head and no other."""
+    """A tag with its style as attributes, because pages allow only the style sheet in their head."""
     return re.sub(r' style="([^"]*)"', _attributes, tag[0])
 
 

@@ -1,8 +1,8 @@
-"""Text that comes from files, for a terminal that it must not drive.
+"""Text from files in a form that cannot control the terminal.
 
-Labels, paths and answers of instruments may hold control characters that erase lines, set a window's title or reverse the reading
-order. They are shown as codes at one place, the stream itself, whatever printed them. What planrunner sends to steer the terminal, such
-as colours, goes to the stream `beneath`.
+Labels, paths and answers of instruments may hold control characters that erase lines, set a window's title or reverse the reading order.
+The output stream shows them as codes, regardless of what printed them. planrunner's own control sequences, such as colours, go to the
+stream `beneath`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def escape(char: str) -> str:
 
 
 def printable(text: str, keep: str = "\n", code: Callable[[str], str] = escape) -> str:
-    """Control characters, marks of the reading order and other characters without a shape as codes, but those in `keep`, and spaces of
-    any width, as they are."""
+    """Text with control characters, reading-order marks and other invisible characters as codes. Characters in `keep` and spaces of any
+    width are unchanged."""
     if text.replace("\n", "").isprintable() and ("\n" in keep or "\n" not in text):
         return text
     return "".join(char if char in keep or _shown(char) else code(char) for char in text)
@@ -36,7 +36,7 @@ def _shown(char: str) -> bool:
 
 
 class PrintableStream(io.TextIOBase):
-    """A stream of text on which nothing that is printed drives the terminal. stream: the one beneath."""
+    """A text stream on which printed text cannot control the terminal. stream: the underlying stream."""
 
     def __init__(self, stream: TextIO):
         self.stream = stream
@@ -74,17 +74,17 @@ class PrintableStream(io.TextIOBase):
         return self.stream.closed
 
     def close(self) -> None:
-        """The stream beneath belongs to the process and stays open."""
+        """Does not close the underlying stream, which belongs to the process."""
 
 
 def beneath(stream: TextIO) -> TextIO:
-    """The stream that reaches the terminal as it stands, for colours and for text that is printable already."""
+    """The underlying stream, whose output reaches the terminal unchanged, for colours and for text that is already printable."""
     return stream.stream if isinstance(stream, PrintableStream) else stream
 
 
 @contextlib.contextmanager
 def printable_streams() -> Iterator[None]:
-    """Standard output and standard error as printable streams, for as long as a command runs."""
+    """Standard output and standard error as printable streams while a command runs."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (
         stream if stream is None or isinstance(stream, PrintableStream) else PrintableStream(stream)

@@ -1,4 +1,4 @@
-"""What a design study of rates says, as tables for the terminal, as plain data, and as a page with the variance over rate."""
+"""Output of a design study of rates: tables for the terminal, plain data, and a page with the variance over rate."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ FOOTER = (
 
 @dataclass(frozen=True, slots=True)
 class ShownRates:
-    """One set: rates (n,), rad/s, and dwells (n,), s, largest rate first; the rest as in `planrunner.tasks.design_rates.RateSet`."""
+    """One set of rates: rates (n,), rad/s, and dwells (n,), s, largest rate first; other fields as in
+    `planrunner.tasks.design_rates.RateSet`."""
 
     rates: tuple[float, ...]
     dwells: tuple[float, ...]
@@ -39,8 +40,8 @@ class ShownRates:
 
 @dataclass(frozen=True, slots=True)
 class RatesContext:
-    """time: the budget [s], None without one. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess:
-    what is left of the bound's certificate."""
+    """time: the time budget [s], or None. sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess:
+    remaining distance from the certified bound."""
 
     title: str
     estimate: str
@@ -76,7 +77,7 @@ def heading(context: RatesContext) -> str:
 
 
 def tables(context: RatesContext) -> list[Table]:
-    """Efficiencies, the rates with their recording times, and what to expect."""
+    """Efficiencies, the rates with their recording times, and expected uncertainties."""
     compared = tuple(
         (TITLES[name], _percent(one.efficiency), _percent(one.per_hour), words.duration(one.total))
         for name, one in context.sets.items()
@@ -108,7 +109,7 @@ def _rates(context: RatesContext) -> Table:
 
 
 def _pairs(context: RatesContext) -> dict[str, tuple[Coefficient, Coefficient]]:
-    """Coefficients as both sets promise them, by name."""
+    """Expected coefficients of both sets by name."""
     after = {item.name: item for item in context.sets["best"].predicted}
     return {item.name: (item, after[item.name]) for item in context.sets["planned"].predicted if item.name in after}
 
@@ -118,7 +119,7 @@ def _alike(before: Coefficient, now: Coefficient) -> bool:
 
 
 def _uncertainties(context: RatesContext) -> list[Table]:
-    """Of the coefficients whose uncertainty changes."""
+    """Uncertainties of the coefficients for which they change."""
     rows = [
         (name, f"{before.standard_uncertainty:.3g}", f"{now.standard_uncertainty:.3g}", now.unit)
         for name, (before, now) in _pairs(context).items()

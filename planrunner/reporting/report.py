@@ -1,4 +1,4 @@
-"""Reports: a context through a template into text."""
+"""Reports: from a context and a template to text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["LimitVerdict", "ReportContext", "ReportError", "SegmentSummary", "av
 
 
 def render_report(context: ReportContext, template: str, folder: Path | None = None) -> str:
-    """The report that `template` (such as `report.html` or `summary.md`) makes of the context: one self-contained text.
+    """The report made from the context with `template` (such as `report.html` or `summary.md`): one self-contained text.
 
     folder: a user's template folder, searched before the shipped one. The same context gives the same text.
     Raises `ReportError`.

@@ -29,9 +29,9 @@ class Rounded:
 
 
 def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
-    """The value to the last of `digits` significant digits of its uncertainty, halves to even.
+    """The value to the last of `digits` significant digits of its uncertainty, with ties to even.
 
-    Without an uncertainty (zero) the value is given to seven significant digits; one that is not finite is shown as such.
+    Without an uncertainty (zero) the value is given to seven significant digits; a non-finite value is shown as such.
     """
     if not math.isfinite(value):
         return Rounded(_word(value), "" if standard_uncertainty == 0 else _alone(standard_uncertainty))
@@ -47,14 +47,15 @@ def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Round
 
 
 def format_pair(value: float, uncertainty: float) -> tuple[str, str]:
-    """Both as text with the same last decimal and power of ten, the uncertainty in two significant digits."""
+    """Value and uncertainty as text with the same last decimal and power of ten; the uncertainty has two significant digits."""
     pair = rounded(value, uncertainty)
     power = f"e{pair.exponent}" if pair.exponent else ""
     return pair.value + power, pair.uncertainty + power if pair.uncertainty else ""
 
 
 def in_parentheses(value: float, standard_uncertainty: float) -> str:
-    """`-1.2346(21)`: the standard uncertainty in units of the last digit (JCGM 100:2008, 7.2.2), so that ± is left to expanded ones.
+    """`-1.2346(21)`: the standard uncertainty in units of the last digit (JCGM 100:2008, 7.2.2), so that ± is reserved for expanded
+    uncertainties.
 
     An uncertainty of one or more is written with its decimals: `12.4(1.3)`.
     """
@@ -68,7 +69,7 @@ def in_parentheses(value: float, standard_uncertainty: float) -> str:
 
 
 def _decimal(number: float) -> Decimal:
-    """As people read it: 0.1 is 0.1, not its nearest binary fraction."""
+    """The shortest decimal: 0.1 is 0.1, not its nearest binary fraction."""
     return Decimal(repr(float(number)))
 
 
@@ -83,7 +84,7 @@ def _quantized(number: Decimal, last: int) -> Decimal:
 
 
 def _fixed(number: Decimal, exponent: int, last: int) -> str:
-    """With the decimals that the last significant digit asks for, and zero without a sign."""
+    """With decimals up to the last significant digit, and zero without a sign."""
     return f"{number.scaleb(-exponent) or Decimal(0):.{max(0, exponent - last)}f}"
 
 

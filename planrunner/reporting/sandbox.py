@@ -1,8 +1,7 @@
-"""A Jinja environment in which a template can lay out what it is given and do nothing else.
+"""A Jinja environment in which a template can only lay out its data.
 
-Sandboxed; text is escaped unless it was made here; an undefined name is an error; templates are read from the shipped
-folder and, when one is named, from a user's folder that comes first, and from nowhere else. Whatever goes wrong is a
-`ReportError` that says where and what.
+It is sandboxed. Text is escaped unless it was made here. An undefined name is an error. Templates are read only from the user's folder, if
+named, and then from the shipped folder. Every failure is a `ReportError` with its place and reason.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ ENDING = ".j2"
 MAX_OUTPUT = 50_000_000  # characters
 MAX_TEMPLATE = 1_000_000  # bytes
 MAX_OPERAND = 1_000_000
-TRANSLATED = ("certificate.html",)  # templates whose texts the catalogues hold
+TRANSLATED = ("certificate.html",)  # templates whose texts are in the catalogues
 _TEXT_METHODS = frozenset(
     ("upper", "lower", "title", "capitalize", "strip", "lstrip", "rstrip", "split", "startswith", "endswith", "join")
 )
@@ -34,12 +33,12 @@ _REMOVED_FILTERS = ("center", "format", "indent", "pprint", "random", "wordwrap"
 
 
 class ReportError(Exception):
-    """A report cannot be written. The message says where in which template and why, for whoever wrote the template."""
+    """A report cannot be written. The message gives the template, the line and the reason, for the author of the template."""
 
 
 def available(folder: Path | None = None) -> tuple[str, ...]:
-    """Names of the reports that can be asked for: templates at the top of the folders, without their ending, and `name.LANGUAGE.html`
-    of those that are translated."""
+    """Names of the available reports: templates at the top of the folders, without extension, and `name.LANGUAGE.html` for translated
+    ones."""
     found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
     for name in TRANSLATED:
         stem, _, ending = name.partition(".")
@@ -48,8 +47,8 @@ def available(folder: Path | None = None) -> tuple[str, ...]:
 
 
 def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
-    """The template's file and the language of a report: `certificate.zh.html` is `certificate.html` in Chinese, unless there is a
-    template of that very name."""
+    """The template's file and the language of a report: `certificate.zh.html` is `certificate.html` in Chinese, unless a template with
+    that exact name exists."""
     full = name if name.endswith(ENDING) else name + ENDING
     parts = full.split(".")
     if len(parts) == 4 and parts[1] in languages() and not any((root / full).is_file() for root in roots):
@@ -58,9 +57,9 @@ def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
 
 
 def lay_out(name: str, given: Mapping[str, Any], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
-    """The text that the template `name` (with or without `.j2`) makes of `given`, in this process.
+    """The text made from `given` with the template `name` (with or without `.j2`), in this process.
 
-    folder: a user's template folder, searched before the shipped one; most: characters that the text may have. Raises `ReportError`.
+    folder: a user's template folder, searched before the shipped one; most: maximum number of characters of the text. Raises `ReportError`.
     """
     import jinja2
 
@@ -82,7 +81,7 @@ def lay_out(name: str, given: Mapping[str, Any], folder: Path | None = None, mos
         raise ReportError(f"{error.name or full}:{error.lineno}: {error.message}") from None
     except ReportError:
         raise
-    except Exception as error:  # whatever a template's expression may raise
+    except Exception as error:  # an expression in a template may raise anything
         raise ReportError(f"{_place(error, full)}: {_reason(error)}") from None
     return "".join(pieces)
 
@@ -123,7 +122,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
     from markupsafe import Markup
 
     class Closed(ImmutableSandboxedEnvironment):
-        """The sandbox, with methods by permission only and no arithmetic that fills the memory."""
+        """The sandbox. Only permitted methods can be called, and arithmetic cannot fill the memory."""
 
         intercepted_binops = frozenset(("*", "**", "%"))
 
@@ -153,7 +152,7 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
                 path = (root / template).resolve()
                 if path.is_relative_to(root) and path.exists():
                     try:
-                        # The shipped ones stay as they are while the program runs, and are compiled once.
+                        # Shipped templates do not change while the program runs and are compiled once.
                         kept = root == roots[-1]
                         return read_regular(path, MAX_TEMPLATE).decode("utf-8"), str(path), lambda kept=kept: kept
                     except RefusedFileError as refused:
@@ -176,14 +175,14 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
         environment.filters.pop(removed)
     environment.globals = {"range": environment.globals["range"], "namespace": environment.globals["namespace"]}
     environment.globals |= {"language": language, "digest": digest, **spoken(language)}
-    # Placeholders are filled by our functions, not by formatting in the template.
+    # Placeholders are filled by functions of this module, not by formatting in the template.
     environment.newstyle_gettext = True  # type: ignore[attr-defined]
     environment.policies["ext.i18n.trimmed"] = True
     return environment
 
 
 def digest(text: str) -> str:
-    """SHA-256 of a style as a page's content security policy names it."""
+    """SHA-256 of a style for the content security policy of a page."""
     import hashlib
 
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
@@ -193,6 +192,6 @@ _SPECIAL = re.compile(r"^[#+-](?=\s)|[\\`*\[\]|~]|(?<!\w)_|_(?!\w)")
 
 
 def markdown(text: str) -> str:
-    """`text` so that Markdown shows it as it stands, on one line."""
+    """`text` escaped so that Markdown shows it unchanged, on one line."""
     one_line = " ".join(text.split())
     return _SPECIAL.sub(r"\\\g<0>", one_line).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

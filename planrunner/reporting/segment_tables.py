@@ -1,6 +1,6 @@
-"""Tables of segments: what each was to hold and what its channels showed, a row a segment.
+"""Tables of segments, one row per segment: its planned state and the statistics of its channels.
 
-Paper and screens are only so wide: where there are many channels, they stand in tables of a few each.
+The width of paper and screens is limited, so many channels are divided over several tables.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from planrunner.reporting.context import SegmentSummary
 from planrunner.reporting.rounding import in_parentheses
 
 ABREAST = 6
-"""So many channels stand beside each other, six being those of an inertial measurement unit."""
+"""Maximum number of channels side by side; an inertial measurement unit has six."""
 _MEANS = "mean, with its standard uncertainty u in the last digits: 1.234(12) for u = 0.012"
 
 
 def segment_table(segments: Sequence[SegmentSummary]) -> Table:
-    """Everything in one table; columns that no segment needs are left out."""
+    """One table with everything; columns that no segment needs are left out."""
     return table_of(f"Segments: {_MEANS}", [*NAMED, *HELD, *_channels(segments), *REMARKS], segments)
 
 
 def segment_tables(segments: Sequence[SegmentSummary]) -> list[Table]:
-    """The same in one table, or, with more channels than stand beside each other, in several: what the segments were, then the channels,
-    with the segments' numbers and labels in each."""
+    """The same content in one table, or in several if there are too many channels: first the segments, then the channels, each table
+    with the numbers and labels of the segments."""
     channels = _channels(segments)
     if len(channels) <= ABREAST:
         return [segment_table(segments)]
@@ -72,7 +72,7 @@ NAMED: tuple[Shown[SegmentSummary], ...] = (
     Shown(TableColumn("#", Role.COUNT), lambda item: str(item.segment.index + 1)),
     Shown(TableColumn("Segment"), lambda item: item.segment.label),
 )
-"""What names a segment in each table."""
+"""Columns that identify a segment in each table."""
 HELD: tuple[Shown[SegmentSummary], ...] = (
     Shown(TableColumn("Orientation"), lambda item: words.orientation(item.segment)),
     Shown(TableColumn("Motion"), lambda item: words.motion(item.segment.motion), (words.AT_REST,)),
@@ -81,5 +81,5 @@ HELD: tuple[Shown[SegmentSummary], ...] = (
     Shown(TableColumn("Samples", Role.COUNT), _samples),
     Shown(TableColumn("Rejected", Role.COUNT), _rejected, ("0",)),
 )
-"""What a segment was to hold and how much of it was recorded."""
+"""Columns of the planned state and of the recorded length."""
 REMARKS: tuple[Shown[SegmentSummary], ...] = (Shown(TableColumn("Remarks"), lambda item: item.remark, ("",)),)

@@ -23,14 +23,14 @@ from planrunner.reporting.view import coefficient_row, named, table_view
 MAX_PICTURES = 200
 MAX_BARS = 5000
 _IDLE = ("–", "0")
-"""Cells that say nothing; a column of nothing else is left out."""
+"""Cells without information; a column with only such cells is left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShowContext:
-    """A schedule and what is expected of it.
+    """A schedule and its expected results.
 
-    designs: estimate's name → its design, whose `predicted` coefficients carry the standard uncertainties to expect.
+    designs: estimate's name → its design, whose `predicted` coefficients have the expected standard uncertainties.
     """
 
     title: str
@@ -50,7 +50,7 @@ def render_show(context: ShowContext, template: str = "show.html", folder: Path 
 
 
 def show_view(context: ShowContext) -> dict[str, Any]:
-    """What the template is given: title, description, facts, timeline (SVG), segments, pictures, predictions …"""
+    """Data for the template: title, description, facts, timeline (SVG), segments, pictures, predictions …"""
     from markupsafe import Markup
 
     from planrunner.reporting.plots import timeline_svg
@@ -91,8 +91,8 @@ def show_view(context: ShowContext) -> dict[str, Any]:
 
 
 def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> dict[str, Any]:
-    """A schedule and what is expected of it as plain JSON data: total_s, segments, predicted (by estimate), in the units that the keys
-    name. None stands for what the plan leaves open."""
+    """A schedule and its expected results as plain JSON data: total_s, segments, predicted (by estimate), in the units named in the
+    keys. None: not specified in the plan."""
     return {
         "total_s": schedule.total,
         "segments": [_segment_json(item) for item in schedule.segments],
@@ -136,7 +136,7 @@ def predicted_rows(coefficients: Sequence[Coefficient], probability: float) -> l
 
 
 def totals(schedule: Schedule) -> dict[str, str]:
-    """The sums that a planner looks for first."""
+    """The totals for the planner."""
     segments = schedule.segments
     recorded = sum(item.dwell or 0.0 for item in segments)
     settling = sum(item.settle + item.soak for item in segments)
@@ -163,7 +163,7 @@ def totals(schedule: Schedule) -> dict[str, str]:
 
 
 def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
-    """Segments grouped by where their axes point, in the order of first use."""
+    """Segments grouped by attitude, in the order of first use."""
     groups: dict[Any, list[Segment]] = {}
     for item in segments:
         key = None if item.attitude is None else tuple(np.round(item.attitude, 7).ravel() + 0.0)
@@ -180,9 +180,9 @@ def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
 
 
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:
-    """One row a segment: when, how it is reached, what is held, for how long. Idle columns are left out.
+    """One row per segment: start, transition, state, duration. Columns without information are left out.
 
-    brief: for a terminal's width: soaking and settling in one column, no end, no orientation when there is only one.
+    brief: for the width of a terminal: soaking and settling in one column, no end time, no orientation if there is only one.
     """
     segments = schedule.segments
     ends = {span.segment.index: words.clock(span.end) for span in spans(schedule) if span.segment.dwell is not None}
@@ -213,7 +213,8 @@ _SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
 
 
 def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[Shown[Segment]]:
-    """Nothing at rest; a rate in numbers when all motions are rates about one direction; else the motion in words."""
+    """No column if all segments are at rest; rates as numbers if all motions are rates about one direction; otherwise the motions in
+    words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
         return []

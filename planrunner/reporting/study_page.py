@@ -1,4 +1,4 @@
-"""The page of a design study: what was found as facts, tables, charts and notes, from the template `design-study.html`."""
+"""The page of a design study, with results as facts, tables, charts and notes, from the template `design-study.html`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from planrunner.reporting.view import named, table_view
 
 @dataclass(frozen=True, slots=True)
 class StudyPage:
-    """kicker: what kind of study it is; footer: how its figures are meant."""
+    """kicker: kind of study; footer: explanation of its figures."""
 
     kicker: str
     title: str

@@ -1,4 +1,4 @@
-"""What a template is given, as JSON, so that a user's template is filled in by another process than the one that holds the results."""
+"""Data for templates as JSON, so that a user's template can be filled in a separate process."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ class Told(dict[str, str]):
         return ""
 
 
-# The only JSON objects are these, so that no name or value of the data can pass for one.
+# All JSON objects have this form, so that no name or value in the data can imitate one.
 _PAIRS, _TOLD, _HTML = "pairs", "told", "html"
 
 
 def to_json(given: Mapping[str, Any]) -> str:
-    """The data as JSON text; pictures are drawn. Raises TypeError for what is not plain data."""
+    """The data as JSON text, with pictures drawn. Raises TypeError for anything except plain data."""
     return json.dumps(_plain(given), ensure_ascii=True)
 
 
 def from_json(text: str) -> dict[str, Any]:
-    """The data again; pictures as markup that is not escaped."""
+    """The data from JSON text, with pictures as markup that is not escaped."""
     given: dict[str, Any] = json.loads(text, object_hook=_restored)
     return given
 

@@ -1,8 +1,8 @@
-"""The child process in which a user's template is laid out: reads a request from standard input, limits itself, answers with JSON.
+"""The child process that lays out a user's template: it reads a request from standard input, limits its resources, and answers with JSON.
 
-Computing time is watched by a thread, which knows the line that the template is at; the system's own limits, where it has them (Linux, and
-in part macOS), stand behind it: on time, on memory, and on writing files or starting processes at all. Windows has none of these: there
-the watching thread and the parent's patience bound the time, and the sandbox alone what a template may hold.
+A thread limits the computing time and knows the current line of the template. In addition the limits of the operating system are set where
+they exist (Linux, partly macOS): on time and memory, and against writing files and starting processes. Windows has no such limits. There
+the thread and the time-out of the parent limit the time, and only the sandbox limits what a template can do.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CHECK_EVERY = 0.2  # s
 
 
 def main() -> None:
-    """Lay out one template as `planrunner.reporting.templates` asks for."""
+    """Lay out one template on request of `planrunner.reporting.templates`."""
     request: dict[str, Any] = json.loads(sys.stdin.buffer.read())
     _import_what_is_needed()
     _limit(request["seconds"], request["memory"])
@@ -41,7 +41,7 @@ _ANSWERING = threading.Lock()
 
 
 def _answer(answer: dict[str, str]) -> None:
-    """The first answer is the only one; the process ends with it, without waiting for anything."""
+    """Send the answer and end the process at once; only the first answer counts."""
     _ANSWERING.acquire()
     sys.stdout.buffer.write(json.dumps(answer).encode())
     sys.stdout.flush()
@@ -49,7 +49,7 @@ def _answer(answer: dict[str, str]) -> None:
 
 
 def _import_what_is_needed() -> None:
-    """Before the limits hold, so that a report that comes close to them is not ended by an import."""
+    """Imports before the limits are set, so that an import does not end a report that is close to them."""
     import jinja2.ext
     import jinja2.sandbox
     import markupsafe
@@ -62,10 +62,12 @@ def _limit(seconds: float, memory: int) -> None:
         import resource
     except ImportError:  # Windows
         return
-    processor = int(time.process_time() + 2 * seconds) + 5  # the watching thread, which knows the line, comes first
+    processor = (
+        int(time.process_time() + 2 * seconds) + 5
+    )  # higher than the limit of the thread, which can report the line
     limits = {"RLIMIT_CPU": processor, "RLIMIT_AS": memory, "RLIMIT_FSIZE": 0, "RLIMIT_CORE": 0}
     for name, value in limits.items():
-        with contextlib.suppress(AttributeError, ValueError, OSError):  # as far as the system has them and lets us
+        with contextlib.suppress(AttributeError, ValueError, OSError):  # as far as the system supports and permits them
             resource.setrlimit(getattr(resource, name), (value, value))
 
 
@@ -89,7 +91,7 @@ def _place(frame: FrameType | None) -> str | None:
 
 
 def _line(frame: FrameType) -> int:
-    """The line that a frame is at, or came from: the jump at the end of a loop belongs to none."""
+    """The current line of a frame, or the one before: the jump at the end of a loop has no line."""
     passed = [line for start, _, line in frame.f_code.co_lines() if line is not None and start <= frame.f_lasti]
     return passed[-1] if passed else frame.f_code.co_firstlineno
 

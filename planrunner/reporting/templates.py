@@ -1,8 +1,8 @@
-"""Templates into pages: the shipped ones in this process, a user's own in a child process with limits on time and memory.
+"""Makes pages from templates: shipped templates in this process, templates of users in a child process with limits on time and memory.
 
-Both are laid out in the sandbox. A shipped template is part of the program and is tested with it; a template that came from elsewhere may
-loop for ever or fill the memory without leaving the sandbox, and a run of hours must not end with that. So the data go to the child as
-JSON, the page or the error comes back, and whatever happens to the child is a `ReportError`.
+Both use the sandbox. Shipped templates are part of the program and are tested with it. Other templates may loop for ever or fill the memory
+without leaving the sandbox, and a long run must not fail because of that. Therefore a child process receives the data as JSON and returns
+the page or the error. Any failure of the child is a `ReportError`.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from planrunner.reporting.template_data import to_json
 __all__ = ["ReportError", "available", "render"]
 
 MAX_SECONDS = 30.0
-"""Of computing time that a user's template may take."""
+"""Maximum computing time of a user's template, s."""
 MAX_MEMORY = 1 << 30
-"""Bytes of memory that laying out a user's template may take, with the program that does it."""
+"""Maximum memory for a user's template in bytes, including the program that lays it out."""
 PATIENCE = 10
-"""Times `MAX_SECONDS` until the child is ended from outside, on a computer that has other work."""
+"""Multiple of `MAX_SECONDS` after which the parent ends the child; it allows for a busy computer."""
 
 
 def render(name: str, given: Mapping[str, Any], folder: Path | None = None) -> str:
-    """The text that the template `name` (with or without `.j2`) makes of `given`, which must be plain data.
+    """The text made from `given`, which must be plain data, with the template `name` (with or without `.j2`).
 
-    A language may stand before the ending: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one.
-    Raises `ReportError`.
+    The name may contain a language: `certificate.zh.html`. folder: a user's template folder, searched before the shipped one. Raises
+    `ReportError`.
     """
     return lay_out(name, given) if folder is None else _lay_out_apart(name, given, folder)
 
@@ -57,7 +57,7 @@ def _lay_out_apart(name: str, given: Mapping[str, Any], folder: Path) -> str:
         raise ReportError(f"{name}: no process can be started for it: {error.strerror or error}") from None
     try:
         answer = json.loads(done.stdout)
-    except ValueError:  # ended by the system, most likely for its memory or its time
+    except ValueError:  # ended by the system, most likely because of memory or time
         limits = f"{MAX_SECONDS:g} s of computing or {MAX_MEMORY / 1e9:.1f} GB of memory"
         raise ReportError(f"{name}: the template takes more than {limits}; {_LOOK}") from None
     if "page" not in answer:

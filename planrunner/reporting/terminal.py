@@ -1,6 +1,6 @@
-"""Tables for the terminal, as rich renderables; on anything but a terminal rich prints them as plain text.
+"""Tables for the terminal as rich renderables. If the output is not a terminal, rich prints plain text.
 
-Text from files is shown as it stands: no markup is read from it and control characters are shown as codes.
+Text from files is not interpreted as markup, and control characters are shown as codes.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _GAP = 2  # between columns
-_MOST_TEXT = 24  # characters of a text column that are kept on one line on a narrow terminal
+_MOST_TEXT = 24  # minimum width of a text column on a narrow terminal, characters
 VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "none": "bold"}
 
 
 def console(width: int | None = None, file: TextIO | None = None) -> Console:
-    """A console for these tables. Away from a terminal it is wide enough not to break rows, and has no colour."""
+    """A console for these tables. If the output is not a terminal, it is wide enough for unbroken rows and has no colour."""
     from rich.console import Console
     from rich.segment import Segment
 
     class Piped(Console):
-        """A reader that went away, such as `head`, is the caller's affair, not the end of the process."""
+        """Lets the caller handle a closed pipe, as from `head`, instead of ending the process."""
 
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
         def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-            """Whatever is printed shows characters that would steer the terminal as codes; rich's own steering is beside the text."""
+            """Prints with control characters in the text shown as codes. Control sequences from rich are separate from the text."""
             for segment in super().render(renderable, options):
                 text = segment.text if segment.control else printable(segment.text)
                 yield segment if text == segment.text else Segment(text, segment.style)
@@ -64,7 +64,7 @@ def coefficients_table(
 
 
 def predicted_table(name: str, design: Design, probability: float = 0.95) -> RenderableType:
-    """The uncertainties to expect, at the declared nominal values."""
+    """The expected uncertainties at the declared nominal values."""
     return _coefficients(f"{name}: predicted", design.predicted, probability, "nominal")
 
 
@@ -78,7 +78,7 @@ def _coefficients(title: str, shown: Iterable[Coefficient], probability: float, 
 
 
 def limits_table(limits: Sequence[LimitVerdict]) -> RenderableType:
-    """Limits with their verdicts, coloured on a terminal and always in words. P(false): the chance that this verdict is wrong."""
+    """Limits with their verdicts in words, coloured on a terminal. P(false): probability that the verdict is wrong."""
     titles = ("quantity", "requirement", "value", "± U", "unit", "k", "rule", "P(false)", "verdict")
     keys = ("quantity", "requirement", "value", "expanded", "unit", "factor", "rule_in_words", "false")
     rows, risks = [], []
@@ -123,10 +123,10 @@ def _plain(facts: Iterable[tuple[str, str]]) -> RichTable:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """A table that prints as several, one under the other, where its columns do not fit side by side.
+    """A table that is divided into several, one below the other, if its columns do not fit side by side.
 
-    Numbers are never broken or cut: titles and text are broken first, then columns move down, led by the first one again.
-    columns: (title, whether it holds numbers).
+    Numbers are never wrapped or cut. Titles and text are wrapped first; then columns move to a further part, which repeats the first
+    column. columns: (title, whether it has numbers).
     """
 
     title: str
@@ -141,7 +141,7 @@ class _Columns:
             yield _text(line)
 
     def _parts(self, width: int) -> list[list[int]]:
-        """Columns of each part. The first column leads every part."""
+        """Columns of each part. Every part begins with the first column."""
         least = [self._least(place, width) + _GAP for place in range(len(self.columns))]
         parts: list[list[int]] = [[]]
         for place, size in enumerate(least):

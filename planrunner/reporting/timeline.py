@@ -16,7 +16,7 @@ PHASES = (("reaching", "#c9d1d9"), ("soaking, settling", "#f0c48a"), ("recording
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """When one segment is reached, settled and recorded, s since the run began."""
+    """Times at which one segment is reached, settled and recorded, s since the run began."""
 
     segment: Segment
     leave: float
@@ -36,7 +36,7 @@ def spans(schedule: Schedule) -> list[Span]:
 
 
 def panels_of(schedule: Schedule) -> list[Panel]:
-    """The panels that this schedule has something to show in."""
+    """The panels that this schedule has data for."""
     panels: list[Panel] = ["segments"]
     if any(item.temperature is not None or item.ramp_to is not None for item in schedule.segments):
         panels.append("temperature")
@@ -46,7 +46,7 @@ def panels_of(schedule: Schedule) -> list[Panel]:
 
 
 def draw_panels(rows: Sequence[Any], panels: Sequence[Panel], schedule: Schedule) -> None:
-    """Draw each panel into its matplotlib axes, one under the other with time in common."""
+    """Draw the panels one below the other in their matplotlib axes, with a common time axis."""
     times = spans(schedule)
     longest = max([schedule.total, *(span.end for span in times)], default=0.0) or 1.0
     unit, divisor = ("h", 3600.0) if longest >= 7200 else ("min", 60.0) if longest >= 120 else ("s", 1.0)

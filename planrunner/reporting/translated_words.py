@@ -1,8 +1,8 @@
 """Words of the shipped estimators and benches that certificates translate, for the catalogues.
 
-A certificate looks up what it is given (names of conditions and references, estimators, descriptions of coefficients, warnings) in its
-language's catalogue and shows as it stands what the catalogue lacks. `make catalogues` finds the words here, because the places that make
-them speak English only. `%(name)s` stands where those places put a name or a number; it is kept in the translation.
+A certificate looks up texts from the data (names of conditions and references, estimators, descriptions of coefficients, warnings) in the
+catalogue of its language; texts without a translation stay in English. `make catalogues` finds the words here, because the code that makes
+them is in English only. `%(name)s` marks a name or number inserted by that code; translations keep it.
 """
 
 from __future__ import annotations

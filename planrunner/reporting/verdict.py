@@ -1,4 +1,4 @@
-"""The verdict that stands on top of every page and at the end of the terminal's output, and what stands beside it."""
+"""The verdict at the top of every page and at the end of the terminal output, and its stamp."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Kind = Literal["pass", "warned", "fail", "none"]
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """kind: warned means passed, with warnings; none that the plan sets no limits."""
+    """kind: `warned` means passed with warnings; `none` means that the plan sets no limits."""
 
     kind: Kind
     text: str
@@ -22,7 +22,7 @@ class Headline:
 
 
 def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnings: int) -> Headline:
-    """Whether the limits are met, and how many warnings stand against believing it."""
+    """Whether the limits are met, with the number of warnings that may invalidate the verdict."""
     failed = [limit.quantity for limit in limits if limit.verdict != "pass"]
     total = len(limits)
     beside = "" if not warnings else f"with {warnings} warning{'' if warnings == 1 else 's'}"
@@ -50,8 +50,8 @@ def _and(verdict: str, beside: str, why: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What stands beside every verdict on samples that no item gave in this run. about: the same in a sentence; alarming: whether no item
-    gave them at all."""
+    """The mark beside every verdict on samples that were not measured in this run. about: an explanation in a sentence; alarming:
+    whether the samples were never measured on an item."""
 
     word: str
     about: str
@@ -67,5 +67,5 @@ _STAMPS = {
 
 
 def stamp(origin: Origin | None) -> Stamp | None:
-    """None for what was measured, and for results that do not say."""
+    """The stamp; None for measured samples, and for results without this information."""
     return None if origin is None else _STAMPS.get(origin)

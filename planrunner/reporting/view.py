@@ -1,6 +1,6 @@
-"""What a report's template is given: plain dictionaries, lists, text and numbers, made from a `ReportContext`.
+"""Data for a report's template: plain dictionaries, lists, text and numbers, made from a `ReportContext`.
 
-Templates see nothing else: a template can lay a report out but cannot reach a file or change a result. The keys:
+Templates have access to nothing else: they can lay out a report but cannot read a file or change a result. The keys:
 
     title, description                text
     headline                          {kind: pass, warned, fail or none; text; detail}
@@ -23,8 +23,8 @@ Templates see nothing else: a template can lay a report out but cannot reach a f
     certificate                       as `certificate.certificate_view` gives it
     warnings, notes                   lists of text; the estimates' own are with the estimates
 
-Cells of a table are rounded and aligned by the roles of its columns (`planrunner.estimators.interface.Role`): an uncertainty is shown in
-two digits, and values to the left of it are rounded by it.
+Cells of a table are rounded and aligned by the roles of its columns (`planrunner.estimators.interface.Role`): an uncertainty is shown with
+two digits, and values to its left are rounded to its last digit.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ from planrunner.uncertainty.decision import coverage_factor
 __all__ = ["coefficient_row", "limit_row", "report_view", "table_view"]
 
 MAX_ROWS = 2000
-STRONG = 0.3  # correlations from here on are named in words
+STRONG = 0.3  # stronger correlations are listed in words
 _PROPER = {"id": "ID", "utc": "UTC"}
 
 
 def report_view(context: ReportContext) -> dict[str, Any]:
-    """The whole context as templates see it."""
+    """The complete context for templates."""
     return {
         "title": context.title,
         "description": context.description,
@@ -83,12 +83,12 @@ def report_view(context: ReportContext) -> dict[str, Any]:
 
 
 def stamped(origin: Origin | None) -> dict[str, Any]:
-    """The stamp as templates see it; without a word where there is none."""
+    """The stamp for templates; `word` is empty if there is none."""
     return asdict(stamp(origin) or Stamp("", "", False))
 
 
 def estimate_view(estimate: Estimate, index: int, probability: float) -> dict[str, Any]:
-    """One estimate with its pictures. `index` keeps ids in the page apart."""
+    """One estimate with its pictures. index: makes ids in the page unique."""
     from planrunner.reporting.plots import correlation, correlation_svg, plot_svg, strong
 
     key = f"e{index + 1}"
@@ -167,7 +167,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
 
 
 def table_view(table: Table) -> dict[str, Any]:
-    """A table as text, with which columns hold numbers; at most MAX_ROWS rows, and says so when there are more."""
+    """A table as text, with a flag for numeric columns; at most MAX_ROWS rows, with a note if there are more."""
     roles = [column.role for column in table.columns]
     guides = [_guide(roles, index) for index in range(len(roles))]
     rows = [
@@ -184,7 +184,7 @@ def table_view(table: Table) -> dict[str, Any]:
 
 
 def _guide(roles: Sequence[Role], index: int) -> int | None:
-    """The column that rounds the numbers of column `index`: itself, or the next to the right that holds an uncertainty."""
+    """The column that determines the rounding of column `index`: itself, or the next column to the right with an uncertainty."""
     if not (roles[index] is Role.VALUE or roles[index].uncertain):
         return None
     return next((place for place in range(index, len(roles)) if roles[place].uncertain), None)
@@ -207,7 +207,7 @@ def _measured(value: Cell) -> TypeGuard[float]:
 
 
 def cell(value: Any) -> str:
-    """A cell as text; numbers without uncertainty in five significant digits."""
+    """A cell as text; numbers without uncertainty have five significant digits."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -242,7 +242,7 @@ def readable(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """SVG made here, which is not escaped again; drawn when a template shows it."""
+    """SVG made here, which is not escaped again. It is drawn when a template shows it."""
 
     draw: Callable[[], str]
 

@@ -1,4 +1,4 @@
-"""States and times in the words that reports, the show page and the terminal share."""
+"""Wording of states and times, common to reports, the show page and the terminal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AT_REST = "rest"
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A number that has no uncertainty of its own, in at most `digits` significant digits."""
+    """A number without uncertainty, with at most `digits` significant digits."""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "not a number")
     text = re.sub(r"e([+-])0*(?=\d)", lambda match: "e-" if match[1] == "-" else "e", f"{value:.{digits}g}")
@@ -22,7 +22,7 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def rule(name: str, factor: float, coverage: float) -> str:
-    """A decision rule with what is not usual about it: a guard band other than U, or a coverage other than 95 %."""
+    """A decision rule with its deviations from the usual: a guard band other than U, or a coverage other than 95 %."""
     if name != "guarded" or math.isnan(factor):
         return name
     band = [] if factor == 1 else [f"w = {number(factor)}·U"]
@@ -31,7 +31,7 @@ def rule(name: str, factor: float, coverage: float) -> str:
 
 
 def probability(value: float) -> str:
-    """In percent, saying no more than is known at the ends."""
+    """In percent, as a bound near 0 % and 100 %."""
     if math.isnan(value):
         return "–"
     if value > 0.9995:
@@ -67,7 +67,7 @@ def celsius(kelvin: float) -> str:
 
 
 def temperature(segment: Segment) -> str:
-    """The temperature in °C, with where a ramp leads; a dash when the plan does not hold one."""
+    """The temperature in °C, with the target of a ramp; a dash if the plan holds no temperature."""
     held = "–" if segment.temperature is None else celsius(segment.temperature)
     return held if segment.ramp_to is None else f"{held} → {celsius(segment.ramp_to)}"
 
@@ -102,7 +102,7 @@ def motion(what: Motion) -> str:
 
 
 def orientation(segment: Segment) -> str:
-    """Where the axes point: as the plan says, else from the attitude."""
+    """Directions of the axes: as written in the plan, otherwise from the attitude."""
     if segment.orientation:
         return segment.orientation
     return "unknown" if segment.attitude is None else in_words(segment.attitude)

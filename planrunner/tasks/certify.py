@@ -1,4 +1,4 @@
-"""Issuing a calibration certificate of a run: what it shows, and what stands against issuing it."""
+"""Issuing a calibration certificate of a run: its contents, and the obstacles to issuing it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from planrunner.reporting.certificate_requirements import (
 from planrunner.reporting.context import CertificateFacts, Traced
 from planrunner.tasks.check import Sound
 
-ISSUED = "issued.json"  # beside a certificate: under which number it was issued, and what it amends
+ISSUED = "issued.json"  # stored with a certificate: its number, and the certificate that it amends
 ROOM = ("temperature", "pressure", "humidity")
 
 
@@ -39,7 +39,7 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """What a certificate of this run shows. given: run information supplied at the issue, which takes precedence over that of the run."""
+    """Contents of a certificate of this run. given: run information supplied at the issue, which takes precedence over that of the run."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench
@@ -69,7 +69,7 @@ _SHOWN = ("name", "address", "location", "contact", "accreditation", "traceabili
 
 
 def recorded_information(reader: RunReader) -> dict[str, str]:
-    """Run information as the run folder holds it."""
+    """Run information in the run folder."""
     return {name: str(value) for name, value in reader.run["info"].items()}
 
 
@@ -126,7 +126,7 @@ def _events(reader: RunReader) -> Iterable[tuple[str, str, str]]:
 
 
 def obstacles(reader: RunReader, sound: Sound, results: Results, shown: CertificateFacts) -> list[Finding]:
-    """What stands against issuing a certificate of this run, all of it."""
+    """All obstacles to issuing a certificate of this run."""
     log = Findings()
     mark = Mark(str(reader.path))
     told = {name for name, text in shown.told.items() if text}
@@ -187,7 +187,7 @@ def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Fin
 
 
 def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
-    """7.8.8: a certificate that was issued is replaced by one of its own number that says which it replaces, and why."""
+    """7.8.8: an issued certificate is replaced by a new one with a different number that names the replaced certificate and the reason."""
     told = shown.told
     earlier = [one for one in reader.analyses if any(map(is_certificate, one.files))]
     numbers = [_number_of(one) for one in earlier]
@@ -212,13 +212,13 @@ def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log
 
 
 def issued_as(shown: CertificateFacts) -> dict[str, Any]:
-    """What is kept beside a certificate, so that a later one can be held against it."""
+    """Data stored with a certificate, so that later ones can be checked against it."""
     kept = {name: shown.told.get(name, "") for name in ("certificate_number", "amends", "amendment_reason")}
     return {"planrunner_issued": 1, **{name: text for name, text in kept.items() if text}, "issued": shown.issued}
 
 
 def _number_of(analysis: StoredAnalysis) -> str | None:
-    """The number of the certificate that was issued with an analysis; None where that was not kept. Raises `IntegrityError`."""
+    """The number of the certificate that was issued with an analysis; None if that was not stored. Raises `IntegrityError`."""
     if ISSUED not in analysis.files:
         return None
     number = analysis.read_json(ISSUED, "issued", "planrunner_issued", 1).get("certificate_number")
@@ -226,7 +226,7 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """Whether the run before an adjustment is the certified one itself, or was made on another item."""
+    """Obstacles to using a run as the one before the adjustment: it is the certified run itself, or was made on another item."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"
         hint = "give the run of the same item before its adjustment"
@@ -242,5 +242,5 @@ def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader)
 
 
 def names() -> list[str]:
-    """The run information that a certificate knows."""
+    """The run information that certificates use."""
     return [item.name for item in ASKED]

@@ -1,9 +1,7 @@
 """The checks of a plan on a bench, all in one run: form, meaning, physics.
 
-checked = check_plan(Path("plans/x.yaml"))
-checked.findings       everything that is wrong, with file:line:column
-checked.schedule       what would be done, with times
-checked.designs        what each estimate could learn, with predicted uncertainties
+checked = check_plan(Path("plans/x.yaml")) checked.findings       all findings, with file:line:column checked.schedule       the planned
+steps, with times checked.designs        the expected results of each estimate, with predicted uncertainties
 """
 
 from __future__ import annotations
@@ -44,7 +42,7 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """A plan as far as it could be read and checked. `plan_bytes` and `bench_bytes` are exactly what was read."""
+    """A plan as far as it could be read and checked. plan_bytes, bench_bytes: the exact bytes read."""
 
     file: str
     findings: Findings
@@ -59,7 +57,7 @@ class Checked:
 
     @property
     def setup(self) -> Setup:
-        """How the sensor is tested, as far as plan and bench say."""
+        """The test set-up, as far as plan and bench state it."""
         if self.plan is None or self.models is None or self.bench is None:
             return Setup()
         return Setup(
@@ -74,7 +72,7 @@ class Checked:
         return self.schedule is not None and not self.findings.errors
 
     def sound(self) -> Sound:
-        """The plan with all that is needed to run it. Raises `InputError` with the findings when there are errors."""
+        """The plan with everything needed to run it. Raises `InputError` with the findings if there are errors."""
         if (
             self.findings.errors
             or self.plan is None
@@ -83,7 +81,7 @@ class Checked:
             or self.schedule is None
         ):
             raise InputError(self.findings)
-        assert self.models.sensor is not None  # a bench without one is an error
+        assert self.models.sensor is not None  # a bench without a sensor is an error
         return Sound(
             self.file,
             self.findings,
@@ -118,7 +116,7 @@ class Sound:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The bytes of a plan or bench file, and the name that findings show for it."""
+    """The bytes of a plan or bench file, and its name in findings."""
 
     data: bytes
     shown: str
@@ -127,11 +125,11 @@ class Document:
 def check_plan(
     plan_file: Path | Document, bench: str | Path | Document | None = None, today: date | None = None
 ) -> Checked:
-    """Everything that can be said of a plan before it runs. Never raises for what the files contain.
+    """All checks of a plan before it runs. Never raises because of the content of the files.
 
-    plan_file: where the plan is, or the plan itself; its own bench is then sought beside the name that it shows. bench: used instead of
-    the plan's own: a shipped name or a file relative to the working folder, exactly this path, or the bench itself. today: the day that
-    calibrations must hold on, the present one without it.
+    plan_file: path of the plan, or the plan itself; its bench is then sought relative to the shown name. bench: replaces the plan's bench:
+    a shipped name or a file relative to the working folder, exactly this path, or the bench itself. today: the day on which calibrations
+    must be valid, by default the current day.
     """
     checked = Checked(plan_file.shown if isinstance(plan_file, Document) else str(plan_file), Findings())
     try:
@@ -165,7 +163,7 @@ def check_plan(
 
 @cache
 def report_names() -> tuple[str, ...]:
-    """The reports that can be written of a run: the shipped templates but those of `show`, `design` and `diagnose`."""
+    """The reports that can be written for a run: the shipped templates except those of `show`, `design` and `diagnose`."""
     return tuple(name for name in available() if not name.startswith(("show.", "design.", "design-", "diagnosis.")))
 
 
@@ -196,7 +194,7 @@ def _check_physics(checked: Checked, plan: Plan, stated: list[StatedSegment]) ->
     _check_sensor(plan, checked.models, log)
     if not stated:
         return
-    # A bench for another kind of sensor is the wrong bench: what else it cannot do follows from that.
+    # A bench for another kind of sensor is the wrong bench; all other faults follow from that.
     with log.resting_on(*plan.sensor.origin.parts("kind"), *plan.origin.meant.get("defaults", ())):
         schedule = build_schedule([segment for segment in stated if segment.sound], checked.models, log, plan.mounting)
         if len(schedule.segments) == len(stated) and all(spec.sound for spec in plan.segments):
@@ -275,7 +273,7 @@ def _check_estimate(
         add(remark.code, spec.at(remark.key), f"'{name}': {remark.message}", remark.hint)
     checked.judged[name] = identify(design)
     explained = any(remark.conditions for remark in design.remarks)
-    with log.resting_on(spec.origin.mark):  # on what the estimator says is wrong with the segments
+    with log.resting_on(spec.origin.mark):  # depends on what the estimator reports about the segments
         said = [one for one in checked.judged[name] if not (explained and one.sound and one.condition <= HOPELESS)]
         for alike in _alike(said):
             _report(name, alike, spec.at("segments"), log)
@@ -348,13 +346,13 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
-    """Warns of a guarded limit that is narrower than the uncertainty to expect: no value could pass it."""
+    """Warns about a guarded limit that is narrower than the expected uncertainty: no value could pass it."""
     if limit.rule != "guarded":
         return
     try:
         low, high = bounds(limit, coefficient)
     except EstimationError:
-        return  # the plan's own checks say what is wrong with it
+        return  # other checks of the plan report the fault
     from statistics import NormalDist
 
     # Infinitely many degrees of freedom; fewer only make intervals wider.

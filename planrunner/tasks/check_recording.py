@@ -1,6 +1,6 @@
-"""The checks of the recording behind a plan, before it is run: the file from its first row to its last, then every estimate, tried on it.
+"""Checks of the recording of a plan before the run: the whole file, then a trial of every estimate.
 
-What is found goes where the other findings of a plan go. No value is kept: a check says whether a run will come to its end, not how.
+Findings are added to those of the plan. No value is kept: the check shows only whether a run will complete.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from planrunner.tasks.check import Checked, Sound
 
 
 def check_recording(checked: Checked, data_root: Path, progress: Callable[[int], None] | None = None) -> None:
-    """Adds what is wrong with the recording that a plan's bench plays back; nothing for another bench. progress: called with the rows
-    looked at so far. Never raises for what the files hold."""
+    """Adds findings about the recording that a plan's bench plays back; nothing for other benches. progress: called with the number of
+    examined rows. Never raises because of the content of the files."""
     bench, models, log = checked.bench, checked.models, checked.findings
     if bench is None or models is None:
         return
@@ -42,7 +42,7 @@ def check_recording(checked: Checked, data_root: Path, progress: Callable[[int],
 
 
 def _try_estimates(sound: Sound, player: RecordingPlayer) -> None:
-    """Every estimate of a plan on the recording: those that it cannot give are errors."""
+    """Tries every estimate of a plan on the recording. An estimate that fails is an error."""
     estimates = {name: replace(spec, validate=None) for name, spec in sound.plan.estimates.items()}
     try:
         recording = played(player, sound.schedule.segments)

@@ -1,10 +1,10 @@
-"""Designing the rotation cycle of a segment: what the planned one leaves of a constant horizontal error, and cycles that leave nothing.
+"""Designing the rotation cycle of a segment: the residual of a constant horizontal error for the planned cycle, and cycles with zero
+residual.
 
-study = design_cycle(Path("plans/x.yaml"), CycleOptions())
-study.cycles["planned"], ["same order"], ["free order"]     as far as there are any
+study = design_cycle(Path("plans/x.yaml"), CycleOptions()) study.cycles["planned"], ["same order"], ["free order"]     if available
 study.text                                                  the plan with the chosen cycle in it
 
-Angles and turns of a study are counted in the plan's sense, clockwise where it says so.
+Angles and turns of a study have the sense of the plan, clockwise if it says so.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ORDERS = {"same": "same order", "free": "free order"}
 
 @dataclass(frozen=True, slots=True)
 class CycleOptions:
-    """segment: label of the segment with the cycle, the first that has one without. order: which cycle goes into the plan."""
+    """segment: label of the segment with the cycle, by default the first one with a cycle. order: which cycle goes into the plan."""
 
     segment: str | None = None
     order: str = "free"
@@ -53,13 +53,13 @@ class CycleStudy:
 
 
 def has_cycle_alone(checked: Checked) -> bool:
-    """Whether a plan holds a cycle and no estimate whose positions could be designed."""
+    """Whether a plan has a cycle and no estimate whose positions could be designed."""
     cycles = checked.schedule is not None and any(isinstance(item.motion, Cycle) for item in checked.schedule.segments)
     return cycles and not any(design.blocks for design in checked.designs.values())
 
 
 def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) -> CycleStudy:
-    """Raises `InputError` with the plan's findings, and `EstimationError` where there is no cycle to design."""
+    """Raises `InputError` with the plan's findings, and `EstimationError` if there is no cycle to design."""
     checked = check_plan(path, bench=bench)
     if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:
         raise InputError(checked.findings)

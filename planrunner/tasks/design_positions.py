@@ -1,4 +1,4 @@
-"""Designing the positions of a plan on its bench: the information from the planned positions, the best that can be found, and the bound.
+"""Designing the positions of a plan on its bench: the information from the planned positions, from the best set found, and the bound.
 
 study = design_plan(Path("plans/x.yaml"))
 study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
@@ -39,13 +39,13 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
-_REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may do away with
+_REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may resolve
 _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for; that of G is that of D
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """estimate, output: which to design for, the first that has a design without. criterion: D, A, G or I. orientations: which set goes
+    """estimate, output: which to design for, by default the first with a design. criterion: D, A, G or I. orientations: which set goes
     into the plan: free, cardinal or planned. time: s, the whole plan's; dwells are allotted within it."""
 
     estimate: str | None = None
@@ -75,8 +75,8 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """D, A, I: what no set of as many positions passes, as criteria of such a set. certificate: max variance of the D-optimal
-    continuous design and the number of terms, which it cannot be below."""
+    """D, A, I: bounds of the criteria that no set with this number of positions exceeds. certificate: maximum variance of the D-optimal
+    continuous design, and the number of terms, which is its lower bound."""
 
     merit: Merit
     certificate: float
@@ -102,7 +102,7 @@ class Study:
 
 
 def design_plan(path: Path, options: Options, bench: str | None = None, progress: Progress | None = None) -> Study:
-    """Raises `InputError` with the plan's findings, and `EstimationError` where there is nothing to design."""
+    """Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
     checked = check_plan(path, bench=bench)
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
@@ -205,7 +205,8 @@ class _Designer:
             )
 
     def _require_time(self) -> None:
-        """Raises `EstimationError` where the time budget is spent by what no choice of positions changes, before any are searched for."""
+        """Raises `EstimationError` before the search if the parts of the plan that do not depend on positions already use up the time
+        budget."""
         if self.options.time is None:
             return
         recorded = [segment for place in self.places for segment in place.segments]
@@ -218,7 +219,7 @@ class _Designer:
         self._left(others, "the other segments take")
 
     def _left(self, spent: float, what: str) -> float:
-        """Time [s] that the budget leaves for each recording of all positions. Raises `EstimationError` where it is too little."""
+        """Time [s] in the budget for each recording of all positions. Raises `EstimationError` if it is too short."""
         assert self.options.time is not None
         left = (self.options.time - spent) / len(self.places[0].segments)
         if left < 10 * self.count:

@@ -1,13 +1,13 @@
-"""Designing the rates of a plan: which pairs of rates give most information about a scale factor, and how long to record each within a time
+"""Designing the rates of a plan: the pairs of rates with most information about a scale factor, and their recording times within a time
 budget.
 
 study = design_rates(Path("plans/x.yaml"), RateOptions())
 study.sets["planned"], ["best"]      rates with criteria and what the estimates could then learn
 study.text                           the plan with the chosen rates in it
 
-What a rate adds is asked of the estimator itself: one sweep of the plan is moved, everything else stays and counts. A straight line wants
-nothing but the largest rates, so by default the columns |rate| and rate³ stand beside the estimator's own terms: asymmetry and
-nonlinearity, which a scale-factor test reports too.
+The estimator gives the information of each rate: one sweep of the plan is changed, and everything else stays. For a straight line only the
+largest rates would be chosen. By default the columns |rate| and rate³ are therefore added to the estimator's terms, for asymmetry and
+nonlinearity, which a scale-factor test also reports.
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ class _RateDesigner:
         except Unreachable as error:
             raise EstimationError(str(error)) from None
 
-    # -- information from a rate ---------------------------------------------------------------------------------------------
+    # -- information from a rate ---------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
         checked = self.checked

@@ -1,5 +1,5 @@
-"""The plan that a design study proposes: what its estimates could then learn, its text, and writing it beside the one that it was made
-for, once it passes its checks."""
+"""The plan proposed by a design study: the expected results of its estimates, its text, and writing it to a file once it passes its
+checks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Place = tuple[int, int]
 
 
 class Proposal(Protocol):
-    """text: the proposed plan; checked: the one it was made for."""
+    """text: the proposed plan; checked: the original plan."""
 
     @property
     def text(self) -> str: ...
@@ -37,8 +37,8 @@ class Proposal(Protocol):
 
 
 def write_plan(study: Proposal, path: Path, bench: str | None = None) -> Checked:
-    """Writes the plan with what was designed, once it passes its checks. Raises `InputError` with what is wrong, and
-    `EstimationError` rather than writing over the plan that was designed for."""
+    """Writes the designed plan once it passes its checks. Raises `InputError` with the findings, and `EstimationError` if it would
+    overwrite the original plan."""
     if path.exists() and path.samefile(study.checked.file):
         raise EstimationError(f"{path} is the plan itself: write to another file")
     data = study.text.encode()

@@ -1,6 +1,6 @@
 """Diagnosing a recording from start to finish: check → read a run folder or a file → look it over → diagnose.
 
-The layers know nothing of one another; here they are put together, for the command line and for programs.
+The layers are independent of one another; they are combined here, for the command line and for programs.
 
 Recordings of one sensor made one after the other, such as of a plan and of what was proposed after it, are joined to one recording.
 """
@@ -42,8 +42,8 @@ DIAGNOSIS_FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording beside the plan that it was made by. where: the run folder or the file, for messages; bench: name or file of the bench,
-    as another plan would have it. created: when a run was begun; remarks: what is to be known of its folder."""
+    """A recording with its plan. where: the run folder or the file, for messages; bench: name or file of the bench, for use in another
+    plan. created: start of the run; remarks: notes on its folder."""
 
     sound: Sound
     segments: tuple[RecordedSegment, ...]
@@ -55,7 +55,7 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """A diagnosis, what was remarked of the recording, whose it is, and what to measure next, None where nothing is left open."""
+    """A diagnosis with remarks on the recording, the recording itself, and what to measure next, None if nothing is open."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -69,9 +69,8 @@ class Diagnosed:
 
 
 def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: int = 1) -> Diagnosed:
-    """What the recording holds beyond its simulation. options: as the plan has them without it; jobs: threads of the linear algebra, which
-    solves many small systems here: more than one mostly wait for each other. Raises `InputError` with everything that stands against a
-    diagnosis."""
+    """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear algebra;
+    with many small systems more than one rarely helps. Raises `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=jobs, user_api="blas"):
@@ -126,8 +125,8 @@ def _lasting(item: RecordedSegment) -> RecordedSegment:
 
 
 def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple[Observed, Findings]:
-    """The samples beside their planned state, and warnings. nominal: what the simulation fits. Raises `InputError` with what stands
-    against a diagnosis."""
+    """The samples with their planned states, and warnings. nominal: terms that the simulation fits. Raises `InputError` with the
+    obstacles to a diagnosis."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.observation.poses import poses, unknown_orientations
     from planrunner.observation.refusals import ObservationError
@@ -302,8 +301,8 @@ def _only(units: dict[str, str], dimension: str) -> str | None:
 def joined(first: Recorded, runs: Sequence[Path]) -> Recorded:
     """A recording and later runs of the same sensor, which stayed switched on in between.
 
-    Times go on: a later run begins as much later as the run folders say, but not before the end of the one before it. Raises
-    `InputError` where a run has other channels, and for what stands against reading it.
+    Times continue: a later run is delayed by the difference of the start times in the run folders, but begins not before the end of the
+    previous one. Raises `InputError` if a run has other channels or cannot be read.
     """
     whole, origin = first, first.created
     for run in runs:

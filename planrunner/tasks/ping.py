@@ -1,4 +1,4 @@
-"""Asking every instrument of a bench whether it is there, who it is, and what it sees of itself, without moving anything."""
+"""Asking every instrument of a bench for its presence, identity and readings, without moving anything."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TIMES = 3
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """What one instrument answered. identity and readings as it says itself; faults: why it could not go on now; round_trip: s;
+    """The answer of one instrument. identity, readings: as reported by it; faults: reasons why it could not be used now; round_trip: s;
     failure: why it could not be asked, or empty."""
 
     name: str
@@ -45,8 +45,8 @@ class Ping:
 
 
 def ping(bench: Bench, shown: str, data_root: Path | None = None) -> list[Ping]:
-    """Connect to every instrument in the order of the bench's file, ask, and let go; one that fails does not keep the next from being
-    asked. shown: the bench's file, for messages. Raises `InputError` when a run holds the bench."""
+    """Connect to every instrument in the order of the bench's file, ask it, and disconnect; if one fails, the next is still asked.
+    shown: the bench's file, for messages. Raises `InputError` if a run holds the bench."""
     clock = VirtualClock() if runs_on_virtual_clock(bench) else real_clock(bench)
     surroundings = Surroundings(clock, site_of(bench), data_root, bench.seed, real_time=isinstance(clock, WallClock))
     answers = []

@@ -1,8 +1,8 @@
-"""The plan that would settle what a diagnosis leaves open: what the bench can do, which of it to measure, and the plan's text.
+"""The plan to settle the open questions of a diagnosis: possible segments on the bench, the choice among them, and the plan's text.
 
-A segment is an option where the plan language can say it and the schedule finds nothing against it on the bench; what it costs is the
-schedule's time to get there. Of a bench that only plays recordings back nothing is known but what the recording shows: there, options stay
-within the rates and temperatures that it visited, and moves last as long as its own did.
+A segment is an option if the plan language can express it and the schedule has no findings for it on the bench. Its cost is the scheduled
+time of its transition. For a bench that only plays recordings back, only the recording is known: options stay within its rates and
+temperatures, and moves take as long as those in the recording.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NO_TEXT = ("null", "true", "false")  # words that YAML does not read as text
 
 @dataclass(frozen=True)
 class Frame:
-    """What a proposed plan takes over from the one that was run. settle, soak: s; before: s, from its beginning to its first sample."""
+    """Values that a proposed plan takes from the executed plan. settle, soak: s; before: s, from its beginning to its first sample."""
 
     title: str
     bench: str
@@ -49,7 +49,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Next:
-    """A proposal and its plan's text, empty where nothing on the bench helps."""
+    """A proposal and the text of its plan, empty if no segment on the bench helps."""
 
     proposal: Proposal
     text: str
@@ -99,7 +99,7 @@ def words(found: Proposal, planned: bool) -> str:
 def propose_next(
     diagnosis: Diagnosis, recording: Sequence[RecordedSegment], models: BenchModels, frame: Frame
 ) -> Next | None:
-    """What to measure next on a bench; None where nothing is left open. Raises `InputError` where it cannot be said in a plan."""
+    """What to measure next on a bench; None if nothing is open. Raises `InputError` if no plan can express it."""
     from planrunner.gap.answer.next import propose
 
     options, grounds = _Options(recording, models, frame), diagnosis.grounds

@@ -1,4 +1,4 @@
-"""A report's context from a run folder, the plan and bench that it was run with, and what was estimated from it."""
+"""Makes the context of a report from a run folder, its plan and bench, and its estimates."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def report_context(
     analysed: str | None = None,
     certificate: CertificateFacts | None = None,
 ) -> ReportContext:
-    """Everything that a report shows of one analysis.
+    """All data that a report shows for one analysis.
 
-    analysis: its number, if it is known; analysed: when it was made, UTC in ISO 8601, now unless given.
+    analysis: its number, if known; analysed: time of the analysis, UTC in ISO 8601, by default now.
     """
     segments = tuple(SegmentSummary.of(item) for item in recording)
     moment = analysed or datetime.now(UTC).isoformat(timespec="seconds")
@@ -99,8 +99,8 @@ def _minute(moment: str, before: str = "") -> str:
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """What the results rest on: times, digests and versions, those of the run and, where they differ, of the analysis. seeded: whether
-    the run's seed decided anything."""
+    """Provenance of the results: times, digests and versions of the run and, if different, of the analysis. seeded: whether the run's
+    seed had any influence."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

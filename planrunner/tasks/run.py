@@ -1,6 +1,6 @@
 """Running a plan from start to finish: check → open the bench → execute → estimate → report.
 
-The layers know nothing of one another; here they are put together, for the command line and for programs.
+The layers are independent of one another; they are combined here, for the command line and for programs.
 """
 
 from __future__ import annotations
@@ -49,9 +49,8 @@ RESULTS = "results.json"
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis of a run: where it was written and what it found. withheld: why certificates that the plan asks for were not written;
-    remarks: what is to be known of the run folder; before: number of the analysis before this one, if there is one, and whether it has the
-    same numbers."""
+    """An analysis of a run: its folder and its results. withheld: why certificates requested by the plan were not written; remarks:
+    notes on the run folder; before: number of the previous analysis, if any, and whether its numbers are equal."""
 
     folder: Path
     results: Results
@@ -65,7 +64,7 @@ class Analysis:
 
 @dataclass(frozen=True, slots=True)
 class Retake:
-    """Recorded segments to set aside and take again, by label, and why."""
+    """Recorded segments to reject and repeat, by label, with the reason."""
 
     labels: tuple[str, ...]
     reason: str
@@ -73,8 +72,8 @@ class Retake:
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """What is asked for when reports are written after a run: which, run information supplied only now, and the run folder of the same item
-    before it was adjusted."""
+    """Request for reports after a run: their names, run information supplied at that time, and the run folder of the same item before
+    its adjustment."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -93,10 +92,10 @@ def start(
     progress: ProgressCallback | None = None,
     operator: Operator | None = None,
 ) -> tuple[Path, Outcome]:
-    """Carry out a sound plan in a new run folder beneath `runs`; the folder and how it ended.
+    """Execute a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
-    Disk space is checked and every instrument connected before the folder is made and anything moves. operator: who answers the plan's
-    prompts; nobody is there without one. Raises `InputError` and `InstrumentError` for what prevents the start.
+    Disk space is checked and every instrument connected before the folder is made and anything moves. operator: answers the plan's prompts;
+    None for an unattended run. Raises `InputError` and `InstrumentError` for what prevents the start.
     """
     operator = _attended(sound, operator)
     seed = sound.bench.seed if seed is None else seed
@@ -120,13 +119,14 @@ def resume(
     bench: str | None = None,
     trust_bench: bool = False,
 ) -> Outcome:
-    """Go on with a run that was cut short, from its own plan and bench; or take segments of it again, whether it is finished or not.
+    """Continue an interrupted run with its plan and bench, or repeat segments of a finished or unfinished run.
 
-    bench: a shipped name or a file to be used instead of the folder's; it may say otherwise only how instruments are reached. A folder that
-    was not made on this computer goes on with such a bench, or with its own where `trust_bench` says so: it names what is connected to.
+    bench: a shipped name or a file that replaces the bench in the folder; it may differ only in the connections of instruments. A folder
+    that was not made on this computer needs such a bench, or `trust_bench` to use its own, because the bench names the devices to connect
+    to.
 
-    The folder is locked first, then the bench, and only then is anything connected: of two that resume a run, one is refused before it has
-    looked at an instrument.
+    The folder is locked first, then the bench, and only then are instruments connected. If two processes resume a run, one is refused
+    before it connects to any instrument.
     """
     folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)
@@ -305,12 +305,12 @@ def sound_run(reader: RunReader, today: date | None = None, bench: Document | No
 
 
 def analyse_run(run: Path, issue: Issue | None = None, checked: Sound | None = None) -> Analysis:
-    """Estimate from a run's recording alone; write results and reports as a new analysis.
+    """Estimate from a run's recording only; write results and reports as a new analysis.
 
-    checked: the plan as it was checked for this run, which is not checked again if the folder contains the same plan and bench.
+    checked: the plan as checked for this run; it is not checked again if the folder contains the same plan and bench.
 
-    issue: which reports and the information for them; without it, the plan's. A certificate that the plan asks for and that cannot be
-    issued is withheld; one that the issue asks for raises `InputError` with everything that stands against it.
+    issue: the reports and the information for them; by default those of the plan. If a certificate requested by the plan cannot be issued
+    it is withheld; if it is requested by the issue, `InputError` is raised with all obstacles.
     """
     issue = issue or Issue()
     made = _analyse(run, issue, checked, kept=True)
@@ -353,7 +353,7 @@ def _read_results(analysis: StoredAnalysis) -> Any:
 
 
 def report_through(run: Path, template: Path, issue: Issue | None = None) -> str:
-    """A run's results through a template of one's own; nothing is written into the run folder."""
+    """The results of a run laid out with a user's template; nothing is written into the run folder."""
     made = _analyse(run, issue or Issue())
     return render_report(made.context, template.name.removesuffix(".j2"), template.parent)
 

@@ -1,7 +1,7 @@
-"""Validating this installation: reference recordings with known answers, through the whole pipeline, on the user's machine.
+"""Validating this installation: reference recordings with known answers pass through the whole pipeline on the user's machine.
 
 Each reference plan in `plans/self_test` is checked, played back, recorded, estimated and compared with `answers.yaml`. Then one byte of a
-recorded file is changed, which must be noticed.
+recorded file is changed, which must be detected.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from planrunner.tasks.run import analyse_run, start
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One known answer beside what this installation found. `difference` is relative, in absolute value."""
+    """One known answer and the value found by this installation. `difference` is relative, in absolute value."""
 
     case: str
     quantity: str

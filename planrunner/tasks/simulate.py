@@ -1,7 +1,7 @@
-"""Simulating a plan with effects added: the bench with one more instrument, and everything else as in any run.
+"""Simulating a plan with added effects: the bench gets one more instrument, and everything else is as in any run.
 
-What is added stands in the bench file of the run folder, so that resuming, estimating and diagnosing know of it, and the same bench
-file run tomorrow has it again.
+The added effects are in the bench file of the run folder, so that resuming, estimating and diagnosing use them, and the bench file
+reproduces them later.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ INSTRUMENT = "added"
 
 @dataclass(frozen=True)
 class Simulation:
-    """A plan and bench that pass their checks, the bench with its effects, and what was added."""
+    """A plan and bench that pass their checks, the bench with its effects, and the added effects."""
 
     sound: Sound
     additions: tuple[Addition, ...]
@@ -45,7 +45,7 @@ class Simulation:
 def simulation(plan: Path, bench: str | None, effects: Sequence[str]) -> Simulation:
     """The plan on a virtual bench with effects, each as `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…`.
 
-    Raises `InputError` for whatever stands against it.
+    Raises `InputError` with all obstacles.
     """
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     _check_virtual(sound)

@@ -1,6 +1,6 @@
 """JSON Schemas (draft 2020-12) of plans and benches, generated from the records that also read them.
 
-`python -m planrunner.tasks.write_schemas schemas` writes them; a test holds the files equal to what the records say.
+`python -m planrunner.tasks.write_schemas schemas` writes them; a test checks that the files are up to date.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def bench_schema() -> Schema:
 
 
 def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Schema:
-    """The whole schema; what many keys have in common, such as a quantity of time, stands in `$defs` once."""
+    """The whole schema; parts common to many keys, such as a quantity of time, are in `$defs` once."""
     shared = _shared()
     names = {json.dumps(part, sort_keys=True): name for name, part in shared.items()}
     used: set[str] = set()

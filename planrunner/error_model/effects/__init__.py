@@ -1,1 +1,1 @@
-"""Candidate effects: what may be missing from a simulation, one small class each."""
+"""Candidate effects that a simulation may lack, one small class each."""

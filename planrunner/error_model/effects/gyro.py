@@ -1,4 +1,4 @@
-"""Effects within a gyro: terms of its output that a 3×3 matrix and a bias do not hold."""
+"""Effects within a gyro: terms of its output beyond a 3×3 matrix and a bias."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class GyroScaleTemperature:
 
 
 class GyroScaleNonlinearity:
-    """Output + k·ω³ per axis: odd, as the lowest term that a scale factor does not hold."""
+    """Output + k·ω³ per axis: the lowest odd term beyond a scale factor."""
 
     id, stage = "gyro_scale_nonlinearity", "sensor"
 

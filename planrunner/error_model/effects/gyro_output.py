@@ -1,4 +1,4 @@
-"""Effects at a gyro's output: its bandwidth, its dead zone and its limits, exact at every value of a grid; and those on its noise."""
+"""Effects at a gyro's output: its bandwidth, dead zone and limits, exact at every grid value; and effects on its noise."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class GyroBandwidth(Shaped):
 
 
 def lagged(observed: Observed, tau: float) -> Array:
-    """The nominal rate (N, 3) behind a first-order lag, while the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), p its pulsation, as steady
-    harmonic motion has it."""
+    """The nominal rate (N, 3) behind a first-order lag, while the table rocks: (ω − τ·dω/dt)/(1 + (pτ)²), with p the angular frequency,
+    for steady harmonic motion."""
     pulse = observed.pulsation
     change = -(tau * observed.acceleration + (pulse * tau) ** 2 * observed.rate) / (1 + (pulse * tau) ** 2)
     return np.asarray(observed.omega + np.where(pulse > 0, change, 0.0)[:, None] * observed.table_axis)
@@ -81,7 +81,7 @@ def _largest(observed: Observed) -> Array:
 def _changed(
     observed: Observed, output: Callable[[Array], Array], shape: float, acting: NDArray[np.bool_] | None
 ) -> Variant:
-    """A function of the gyros' nominal output, as what it adds. acting: (S,), the only segments where it adds anything, if not in all."""
+    """The change caused by a function of the gyros' nominal output. acting: (S,), the segments where it is not zero; None for all."""
     nominal, gyros = observed.nominal_output, observed.of_kind("gyro")
     change = np.zeros((len(nominal), len(gyros)))
     for part in [slice(None)] if acting is None else [observed.segments()[index] for index in np.flatnonzero(acting)]:

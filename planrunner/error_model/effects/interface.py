@@ -1,8 +1,8 @@
-"""What a candidate effect is: physics that the nominal simulation lacks, as columns over the samples of a recording.
+"""Interface of candidate effects: physics that the nominal simulation lacks, as columns over the samples of a recording.
 
-An effect is a class found through the entry-point group `planrunner.effects`, a group beside that of the error-model terms: a term is one
-column of one output at segment means and is solved for; an effect may act on several channels at once, on samples, with a shape, or on the
-noise, and is asked whether the data want it.
+An effect is a class found through the entry-point group `planrunner.effects`. Error-model terms are different: a term is one column of one
+output at segment means, and its coefficient is estimated. An effect may act on several channels at once, on samples, with a shape, or on
+the noise, and the diagnosis decides whether the data support it.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name
@@ -10,10 +10,10 @@ noise, and is asked whether the data want it.
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit); its columns are linear in their amplitudes. An effect of stage
-covariance gives none: its `noise` names what it does, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
-drawn anew for every orientation; its columns are then those of the orientations in turn, numbered by the order of their first use.
+covariance has no columns: its `noise` names its kind, 'random walk', 'white' or 'resolution'. `each = "orientation"`: its amplitudes are
+independent for every orientation; its columns are then those of each orientation in turn, in the order of first use.
 
-An effect that is not linear once it is large has a method `around` besides, as `Curved` says.
+An effect that becomes nonlinear when large also has a method `around` (see `Curved`).
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: SI value of one
-    unit, for people. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI; segments: (S,), where it
-    acts, everywhere without it. whole: the effect is there as a whole or not at all, so that its amplitude is no parameter."""
+    """One amplitude of an effect. magnitude: its prior scale in SI, relative to the effect's other columns. unit, factor: unit for
+    display and its SI value. parts: channel index → signature (N,), SI output for an amplitude of 1 in SI. segments: (S,), where it
+    acts; None for everywhere. whole: the effect is either present or absent, so its amplitude is not a parameter."""
 
     name: str
     unit: str
@@ -47,8 +47,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without one. widths: where several
-    effects stand together, how many columns each has in turn."""
+    """An effect at one value of its shape. shape: the value in `shape_unit`, None for an effect without shape. widths: for several
+    combined effects, the number of columns of each."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
@@ -62,25 +62,25 @@ class Effect(Protocol):
     stage: str
 
     def variants(self, observed: Observed) -> list[Variant]:
-        """The effect's forms on this recording; empty where it cannot act (no such channel, no rotation)."""
+        """The variants of the effect for this recording; empty if it cannot act (no such channel, no rotation)."""
 
 
 class Curved(Protocol):
-    """An effect that is linear only while it is small."""
+    """An effect that is linear only for small amplitudes."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Its columns as secants: multiplied by these amplitudes, SI, they give the whole of it."""
+        """Its columns as secants: multiplied by these amplitudes, SI, they give the complete effect."""
 
 
 class Shaped:
-    """An effect whose shape is one positive number: `shape_name`, in `shape_unit`. Its variants are those `at` the values of a `grid` in
-    even ratios; between them the diagnosis asks for more."""
+    """An effect whose shape is one positive number: `shape_name`, in `shape_unit`. Its variants are given by `at` for the values of a
+    `grid` with constant ratio; the diagnosis refines between them."""
 
     shape_name: str
     shape_unit: str
 
     def grid(self, observed: Observed) -> Array:
-        """Values of the shape, empty where the effect cannot act."""
+        """Values of the shape; empty if the effect cannot act."""
         raise NotImplementedError
 
     def at(self, observed: Observed, value: float) -> Variant:
@@ -94,7 +94,7 @@ class Shaped:
 def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
-    """One column an input axis of a triad: `signature` (N,) for all, or (N, 3), of which each takes its own."""
+    """One column per input axis of a triad: `signature` (N,) for all axes, or (N, 3) with one column per axis."""
     columns = []
     for axis, index, share in observed.inputs(kind):
         own = signature if signature.ndim == 1 else signature[:, axis]
@@ -104,7 +104,7 @@ def per_axis(
 
 
 def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) -> Mapping[int, Array]:
-    """Parts of a column that changes what is felt: additional rate (N, 3) and specific force (N, 3)."""
+    """Parts of a column that changes the stimulus: additional rate (N, 3) and specific force (N, 3)."""
     parts = {}
     for index, channel in enumerate(observed.channels):
         felt = omega if channel.kind == "gyro" else force
@@ -114,7 +114,7 @@ def on_stimulus(observed: Observed, omega: Array | None, force: Array | None) ->
 
 
 def whole(parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None) -> Column:
-    """The column of an effect that is there as a whole, at its shape alone: a lag, a limit, a delay."""
+    """The column of an effect that is fully determined by its shape: a lag, a limit, a delay."""
     return Column("share", "1", 1.0, 1.0, parts, segments, True)
 
 
@@ -124,5 +124,5 @@ def single(columns: Sequence[Column]) -> list[Variant]:
 
 
 def is_whole(columns: Sequence[Column]) -> bool:
-    """Whether an effect is there as a whole, at its shape alone: a lag, a limit, a delay."""
+    """Whether an effect is fully determined by its shape: a lag, a limit, a delay."""
     return len(columns) == 1 and columns[0].whole

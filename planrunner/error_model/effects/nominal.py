@@ -1,4 +1,4 @@
-"""What a full nominal model holds, as candidates for a poorer one: bias, scale factor, misalignment, Earth rate."""
+"""Terms of the full nominal model, as candidates for a smaller nominal model: bias, scale factor, misalignment, Earth rate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ G = 9.80665
 
 
 def felt(observed: Observed, kind: str) -> Array:
-    """What a triad measures, (N, 3)."""
+    """The quantity that a triad measures, (N, 3)."""
     return observed.omega if kind == "gyro" else observed.force
 
 
@@ -24,12 +24,12 @@ def bias(observed: Observed, kind: str) -> list[Column]:
 
 
 def scale_factor(observed: Observed, kind: str) -> list[Column]:
-    """Output + k·(what the axis feels) per axis."""
+    """Output + k·(input of the axis) per axis."""
     return per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
-    """Output + m·(what another axis of the sensor feels), six per triad; in unknown orientations the sums of opposite ones, three."""
+    """Output + m·(input of another axis of the sensor), six per triad; in unknown orientations only three, the sums of opposite ones."""
     columns = []
     for other in range(3):
         for column in per_axis(
@@ -59,7 +59,7 @@ class _OfTriad:
 
 
 class EarthRate:
-    """The Earth's rotation, where the nominal simulation leaves it out."""
+    """The Earth's rotation, if the nominal simulation omits it."""
 
     id, stage = "earth_rate", "stimulus"
 

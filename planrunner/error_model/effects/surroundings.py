@@ -1,4 +1,4 @@
-"""Effects of the site, of where the sensor sits, and of how its data are taken."""
+"""Effects of the site, of the position of the sensor, and of data acquisition."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class LeverArm:
 
 
 class TimeLatency(Shaped):
-    """Sensor data are late by a constant delay: what was felt earlier."""
+    """Sensor data are late by a constant delay: they show an earlier stimulus."""
 
     id, stage, shape_name, shape_unit = "time_latency", "acquisition", "delay", "s"
 

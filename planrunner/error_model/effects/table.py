@@ -1,4 +1,4 @@
-"""Effects of the table: where it really points and how it really turns."""
+"""Effects of the table: errors of its orientation and of its rotation."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ EAST, NORTH, UP = np.eye(3)
 
 
 def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
-    """The base turned by an angle ε about a site axis: every site vector v is felt as v − ε·axis × v by the sensor.
+    """The base turned by an angle ε about a site axis: the sensor sees every site vector v as v − ε·axis × v.
 
-    Attitude = A·R(−θ)·(I − ε[axis×]): the table's own rate turns with the base and is felt as before. turned: (3,), rad, the rotation
-    vector φ that all columns make up together; zero where the angles are small.
+    Attitude = A·R(−θ)·(I − ε[axis×]): the rate of the table turns with the base and is unchanged for the sensor. turned: (3,), rad, the
+    rotation vector φ of all columns together; zero for small angles.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(_secant(axis, earth, turned))
@@ -58,7 +58,7 @@ class TableAzimuth:
 
 
 class TablePositionError:
-    """Each orientation is set with its own small random error, the same each time it is set: three angles in sensor axes."""
+    """Each orientation has a small random error that is the same each time it is set: three angles in sensor axes."""
 
     id, stage, each = "table_position_error", "stimulus", "orientation"
 
@@ -100,9 +100,8 @@ class TableRateRipple:
 class TableWobble:
     """While the table turns, attitude = (I + [δ×])·R(θ), δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes, and the rate that goes with it.
 
-    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]): seen from the turning table the payload is tilted by the constant δ₀ = a·(cos φ, sin
-    φ, 0), and
-    everything that the sensor feels, the table's rate included, is turned by −δ₀ in its axes.
+    With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]): seen from the turning table the payload is tilted by the constant δ₀ = a·(cos φ, sin φ, 0),
+    and the whole stimulus of the sensor, including the rate of the table, is rotated by −δ₀ in its axes.
     """
 
     id, stage = "table_wobble", "stimulus"
