@@ -33,7 +33,7 @@ def stream(motion: Any, samples: int, carried: bool = False) -> float:
     """Seconds to stream `samples` of the bench `virtual_imu`."""
     from planrunner.bench.model import read_bench
     from planrunner.bench.opening import open_bench
-    from planrunner.instruments.virtual.track import Progress, Track
+    from planrunner.instruments.virtual.track import Track, TrackProgress
     from planrunner.plan.schedule import Segment
 
     segment = Segment(0, "long", np.eye(3), "", motion, samples / RATE)
@@ -43,7 +43,7 @@ def stream(motion: Any, samples: int, carried: bool = False) -> float:
     with open_bench(bench) as opened:
         if carried:
             site = opened.site
-            opened.sensor.world.track = Track(site.latitude, site.longitude, 0.0, 0.5, Progress(10.0))
+            opened.sensor.world.track = Track(site.latitude, site.longitude, 0.0, 0.5, TrackProgress(10.0))
         opened.clock.sleep(opened.table.begin_motion(motion, segment.dwell or 0.0))
         began = time.perf_counter()
         count = sum(block.time.size for block in opened.sensor.stream(segment))

@@ -225,7 +225,7 @@ def streams(
             crc16_by_steps,
             crc16_by_library,
         ),
-        "VN-100 text": (vectornav.Lines("VNYMR", 40.0), lines, lines_loop, xor_in_python, None),
+        "VN-100 text": (vectornav.LineDecoder("VNYMR", 40.0), lines, lines_loop, xor_in_python, None),
     }
 
 

@@ -287,3 +287,32 @@ def test_files_that_somebody_named_are_opened_in_one_place() -> None:
             if opened or (by_path and not ours):
                 found.add(path.relative_to(PACKAGE).as_posix())
     assert found == set(OPENERS)
+
+
+DEVICES = ("planrunner.instruments.tables", "planrunner.instruments.chambers", "planrunner.instruments.sensors")
+"""A simulated device has the name of the device: the driver's class and the simulator's are one thing seen from both ends of a line."""
+
+
+def named_in_public(path: Path) -> Iterator[tuple[str, str]]:
+    """Public classes and aliases of types at the top of a module, each with what it means: an alias means what it stands for."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, f"class in {path}"
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name = node.targets[0].id
+            if name[0].isupper() and not name.isupper():
+                yield name, ast.unparse(node.value)
+
+
+def test_public_names_of_types_have_one_meaning() -> None:
+    meanings: dict[str, dict[str, str]] = {}
+    for module, path in modules().items():
+        for name, meaning in named_in_public(path):
+            meanings.setdefault(name, {})[meaning] = module
+    twice = {}
+    for name, found in meanings.items():
+        rooms_of_it = sorted(found.values())
+        device = len(found) == 2 and rooms_of_it[0].startswith(DEVICES) and room_of(rooms_of_it[1]) == "simulators"
+        if len(found) > 1 and not device:
+            twice[name] = rooms_of_it
+    assert twice == {}, "give each its own name, in the words of its field"

@@ -40,7 +40,7 @@ MENDED = ("run-seal-missing", "run-journal-torn")
 MOST_SHOWN = 20
 """Maximum number of errors in one message."""
 
-Recorded = dict[str, Entry]
+RecordedEntries = dict[str, Entry]
 
 
 @dataclass
@@ -132,7 +132,7 @@ def examine(folder: GuardedFolder, *, samples: bool = False) -> Examined:
     return found
 
 
-def _entries(found: Examined) -> Recorded | None:
+def _entries(found: Examined) -> RecordedEntries | None:
     try:
         return found.folder.entries()
     except OSError as error:
@@ -140,7 +140,7 @@ def _entries(found: Examined) -> Recorded | None:
         return None
 
 
-def _recorded(found: Examined, standing: Recorded) -> Recorded:
+def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
     """Entries in the folder of samples, listed before the journal is read. The journal then contains the event of every listed file that
     has one."""
     if SEGMENTS not in standing:
@@ -153,7 +153,7 @@ def _recorded(found: Examined, standing: Recorded) -> Recorded:
         return {}
 
 
-def _read_seal(found: Examined, standing: Recorded) -> None:
+def _read_seal(found: Examined, standing: RecordedEntries) -> None:
     if seals.NAME not in standing:
         return
     data = _read(found, seals.NAME, seals.MOST_BYTES)
@@ -164,7 +164,7 @@ def _read_seal(found: Examined, standing: Recorded) -> None:
             found.seal = seals.parse_seal(data, found.folder.path / seals.NAME)
 
 
-def _read_analyses(found: Examined, standing: Recorded) -> None:
+def _read_analyses(found: Examined, standing: RecordedEntries) -> None:
     """The existing analyses, each with the faults of its files."""
     if stored.FOLDER not in standing:
         return
@@ -230,7 +230,7 @@ def _check_given(found: Examined) -> None:
             found.error("run-changed", f"{path}: its name of the run differs from the one in the journal")
 
 
-def _check_seal(found: Examined, standing: Recorded) -> None:
+def _check_seal(found: Examined, standing: RecordedEntries) -> None:
     assert found.state is not None and found.scan is not None
     path = found.folder.path
     if found.seal is not None:
@@ -308,7 +308,7 @@ def _follows_seal(found: Examined, basis: Basis) -> bool:
     return found.seal is not None and basis.events >= int(found.seal["journal"]["events"])
 
 
-def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
+def _check_samples(found: Examined, recorded: RecordedEntries, samples: bool) -> None:
     """Checks every file of samples in the journal: that it exists, has the recorded size and, on request, the recorded digest."""
     assert found.state is not None
     known: dict[str, Part] = {}
@@ -352,7 +352,7 @@ def _check_samples(found: Examined, recorded: Recorded, samples: bool) -> None:
             found.unknown.append((path, entry))
 
 
-def _check_names(found: Examined, standing: Recorded) -> None:
+def _check_names(found: Examined, standing: RecordedEntries) -> None:
     """Reports entries that do not belong in a run folder, and entries of the wrong kind."""
     for name, entry in standing.items():
         path = found.folder.path / name

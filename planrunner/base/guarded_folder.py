@@ -37,7 +37,7 @@ _NEVER = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(o
 _REPARSE_POINT = 0x400  # FILE_ATTRIBUTE_REPARSE_POINT: links and junctions of Windows
 _LOOKS = 3
 
-Kind = Literal["file", "folder", "other"]
+EntryKind = Literal["file", "folder", "other"]
 
 
 class NotOrdinaryError(OSError):
@@ -52,7 +52,7 @@ class NotOrdinaryError(OSError):
 class Entry:
     """The entry at a name: its kind and, for a file, its size in bytes. `other` is a link, a pipe, a device, or a file with two names."""
 
-    kind: Kind
+    kind: EntryKind
     size: int
     what: str
 
@@ -269,7 +269,7 @@ def _identity(status: os.stat_result) -> tuple[int, int]:
 
 def _entry(status: os.stat_result) -> Entry:
     what = _what(status)
-    kind: Kind = "folder" if what == "a folder" else "file" if what == "a file" else "other"
+    kind: EntryKind = "folder" if what == "a folder" else "file" if what == "a file" else "other"
     return Entry(kind, status.st_size, what)
 
 

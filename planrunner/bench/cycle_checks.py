@@ -19,7 +19,7 @@ from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
 from planrunner.physics.table_motion import cycle_excess
 from planrunner.plan.schedule import Cycle
 
-Place = Callable[[str], Mark]
+MarkOf = Callable[[str], Mark]
 """The mark of one of the motion's keys."""
 
 _UPRIGHT = math.cos(math.radians(0.1))
@@ -27,7 +27,7 @@ _DESIGN = "`planrunner design` finds cycles without a residual"
 
 
 def check_cycle(
-    axis: TableAxis, start: float, motion: Cycle, dwell: float | None, site: Site, at: Place, log: Findings
+    axis: TableAxis, start: float, motion: Cycle, dwell: float | None, site: Site, at: MarkOf, log: Findings
 ) -> tuple[float, float]:
     """Adds findings about a cycle that begins with the joint at `start` [rad]. Returns the angle [rad] of the joint at rest after the
     dwell, and the time [s] to come to rest."""

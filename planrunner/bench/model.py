@@ -20,9 +20,9 @@ from planrunner.base.findings import Findings, InputError, Mark, closest, neares
 from planrunner.base.shipped import shipped
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
-from planrunner.bench.simulation import Simulation
+from planrunner.bench.simulation import SimulationSpec
 from planrunner.instruments.interfaces import Counting, Resumable, Watched
-from planrunner.instruments.models import ChamberModel, Origin, SensorModel, TableModel
+from planrunner.instruments.models import ChamberModel, DataOrigin, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
 from planrunner.plan.kinds import Choice, Kind, ListOf, MapOf, Number, Plugged, QuantityOf, Record, RecordOf, Text, key
@@ -189,8 +189,8 @@ class Bench(Record):
         {"name": "Inertial calibration laboratory", "address": "1 Example Street, 00000 Example Town"},
         default=None,
     )
-    simulation: Simulation | None = key(
-        RecordOf(Simulation),
+    simulation: SimulationSpec | None = key(
+        RecordOf(SimulationSpec),
         "Simulated instruments at the addresses of this bench, for `planrunner simulate-bench`; a run then uses the "
         "clock of the simulation. A bench with real instruments does not have this key.",
         {"bench": "virtual", "control": "127.0.0.1:9870"},
@@ -253,7 +253,7 @@ class BenchModels:
     replays: bool = False
     measures: bool = True
     counts: bool = True
-    origin: Origin = "measured"
+    origin: DataOrigin = "measured"
 
 
 def driver_of(entry: InstrumentEntry) -> Any:
@@ -293,7 +293,7 @@ def models(bench: Bench) -> BenchModels:
     return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts, origin)
 
 
-def _origin(bench: Bench, drivers: Iterable[Any], replays: bool) -> Origin:
+def _origin(bench: Bench, drivers: Iterable[Any], replays: bool) -> DataOrigin:
     """The origin is simulated if one instrument is: in this program (its state is restored after a crash), or in the process behind its
     address."""
     inside = any(issubclass(driver, Resumable) and not getattr(driver, "replays", False) for driver in drivers)

@@ -14,7 +14,7 @@ import numpy as np
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark
-from planrunner.bench.cycle_checks import Place, check_cycle
+from planrunner.bench.cycle_checks import MarkOf, check_cycle
 from planrunner.bench.model import BenchModels
 from planrunner.instruments.models import TableModel
 from planrunner.physics.kinematics import Array, Unreachable
@@ -54,7 +54,7 @@ def start_motion(
     input_axes: Array | None,
     state: TableState,
     models: BenchModels,
-    at: Place,
+    at: MarkOf,
     log: Findings,
 ) -> tuple[float, TableState]:
     """Seconds until the table is in motion, and its state after the dwell. A motion that it cannot execute becomes a finding at its place

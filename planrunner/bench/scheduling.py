@@ -36,15 +36,15 @@ Add = Callable[[str, Mark, str, str], None]
 
 def wait_of(state: Mapping[str, Any], name: str) -> tuple[float, Stability | None]:
     """Planned seconds of `settle` or `soak`, and the quantities that must have settled afterwards, if the plan names any."""
-    stated: Quantity | holding_spec.Stability | None = state.get(name)
-    if not isinstance(stated, holding_spec.Stability):
+    stated: Quantity | holding_spec.StabilitySpec | None = state.get(name)
+    if not isinstance(stated, holding_spec.StabilitySpec):
         return (0.0 if stated is None else stated.value), None
     duration = stated.for_.value
     return duration, Stability(_in_si(stated), duration, stated.within.value)
 
 
 def watch_of(state: Mapping[str, Any]) -> Watch | None:
-    stated: holding_spec.Watch | None = state.get("watch")
+    stated: holding_spec.WatchSpec | None = state.get("watch")
     if stated is None:
         return None
     lost, corrupt = stated.lost_frames, stated.corrupt_frames
@@ -358,7 +358,7 @@ class _Planner:
         whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
 
         def at(key: str) -> Mark:
-            return stated.at(key) if key and isinstance(stated, model.Motion) else whole
+            return stated.at(key) if key and isinstance(stated, model.MotionSpec) else whole
 
         seen = None if orientation.attitude is None else self.input_axes @ orientation.attitude
         stopping, before = self.state.stopping, replace(self.state, stopping=0.0)

@@ -18,7 +18,7 @@ LOOPBACK = r"(127\.0\.0\.1|localhost):\d{1,5}"
 _PATIENCE = 5.0  # s for an answer
 
 
-class Simulation(Record):
+class SimulationSpec(Record):
     """The bench that `planrunner simulate-bench` serves at the addresses."""
 
     bench: str = key(
@@ -62,7 +62,7 @@ def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> d
     return reply
 
 
-def attach(simulation: Simulation, addresses: Mapping[str, str]) -> WallClock:
+def attach(simulation: SimulationSpec, addresses: Mapping[str, str]) -> WallClock:
     """A clock at the speed of the simulated bench. addresses: of the bench's instruments by name. Raises `InstrumentError` if the
     process does not run or does not serve all of them."""
     told = ask(simulation.control, {"ask": "bench"})

@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    asked = Asked("--json" in arguments)
+    asked = AnswerForm("--json" in arguments)
     with Interruption() as interruption:
         try:
             code = _run(arguments, asked)
@@ -77,7 +77,7 @@ def _main(arguments: list[str]) -> int:
 
 
 @dataclass(slots=True)
-class Asked:
+class AnswerForm:
     """Requested form of the output. json: pure JSON on standard output, including errors."""
 
     json: bool
@@ -86,7 +86,7 @@ class Asked:
 class _Parser(argparse.ArgumentParser):
     """With JSON output, wrong usage is a finding; otherwise argparse prints it."""
 
-    asked = Asked(False)
+    asked = AnswerForm(False)
 
     def error(self, message: str) -> NoReturn:
         if self.asked.json:
@@ -136,7 +136,7 @@ def _imported(name: str) -> ModuleType:
             gc.enable()
 
 
-def _run(arguments: list[str], asked: Asked) -> int:
+def _run(arguments: list[str], asked: AnswerForm) -> int:
     _Parser.asked = asked
     parser = _Parser(
         prog="planrunner",

@@ -29,11 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def study(args: argparse.Namespace, seconds: float | None, progress: Callable[[str, float], None] | None) -> Study:
-    from planrunner.tasks.design_positions import Options, design_plan
+    from planrunner.tasks.design_positions import PositionOptions, design_plan
 
     if args.restarts < 1 or args.seed < 0:
         raise EstimationError("--restarts must be at least 1 and --seed at least 0")
-    options = Options(args.estimate, args.output, args.criterion, args.orientations, seconds, args.restarts, args.seed)
+    options = PositionOptions(
+        args.estimate, args.output, args.criterion, args.orientations, seconds, args.restarts, args.seed
+    )
     return design_plan(Path(args.plan), options, args.bench, progress)
 
 

@@ -13,7 +13,7 @@ from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_findings, print_json, write_file
 
 if TYPE_CHECKING:
-    from planrunner.gap.answer.diagnosis import Options
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.reporting.diagnosis_page import DiagnosisContext
     from planrunner.tasks.diagnose import Diagnosed, Recorded
 
@@ -95,15 +95,15 @@ def run(args: argparse.Namespace) -> int:
     return exit_codes.DONE
 
 
-def _options(nominal: list[str] | None) -> Options | None:
+def _options(nominal: list[str] | None) -> DiagnosisOptions | None:
     """The requested options; None: as stated in the plan."""
-    from planrunner.gap.answer.diagnosis import Options
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 
     for name in nominal or ():
         if name not in FULL:
             raise InputError.at(Mark("--nominal"), "gap-nominal", f"'{name}' is no nominal term", closest(name, FULL))
-    return None if nominal is None else Options(nominal=tuple(nominal))
+    return None if nominal is None else DiagnosisOptions(nominal=tuple(nominal))
 
 
 def _recorded(args: argparse.Namespace) -> Recorded:

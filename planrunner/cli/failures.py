@@ -13,7 +13,7 @@ from planrunner.cli.printing import print_findings
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class CommandFailure:
     """text: shown on the terminal instead of the findings, if it says more."""
 
     code: int
@@ -48,13 +48,13 @@ _SYSTEM = _Known(exit_codes.WRONG_INPUT, "file-system")
 _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
-def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> Failure:
+def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailure:
     """The failure for an exception. where: file or folder of the command, for findings without a place.
 
     For an unexpected exception the traceback is saved in a temporary file, which the message names.
     """
     if isinstance(error, InputError):
-        return Failure(exit_codes.WRONG_INPUT, tuple(error.findings))
+        return CommandFailure(exit_codes.WRONG_INPUT, tuple(error.findings))
     for kind in type(error).__mro__:
         known = _KINDS.get(kind.__name__)
         if known is not None:
@@ -68,8 +68,10 @@ def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> Failure:
         file.write("".join(traceback.format_exception(error)))
     message, hint = f"{type(error).__name__}: {error}", f"Please report it with the file {file.name}."
     finding = Finding(Mark(where), _INTERNAL.code, "error", message, hint)
-    return Failure(_INTERNAL.exit_code, (finding,), f"internal error: {message}\n{hint}")
+    return CommandFailure(_INTERNAL.exit_code, (finding,), f"internal error: {message}\n{hint}")
 
 
-def _failure(known: _Known, where: str, message: str, shown: str = "") -> Failure:
-    return Failure(known.exit_code, (Finding(Mark(where), known.code, "error", message),), f"error: {shown or message}")
+def _failure(known: _Known, where: str, message: str, shown: str = "") -> CommandFailure:
+    return CommandFailure(
+        known.exit_code, (Finding(Mark(where), known.code, "error", message),), f"error: {shown or message}"
+    )

@@ -35,7 +35,7 @@ _WALK = 1e-4  # deg/s/√s, by default
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class EffectParameter:
     """natural: default value, in `unit`."""
 
     name: str
@@ -83,7 +83,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     return Addition(effect, values, {one.name: one.unit for one in known.values()})
 
 
-def _value(text: str, parameter: Parameter, effect: str, mark: Mark) -> float:
+def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> float:
     """A number in the parameter's unit, from a text with that unit, one of its dimension, or none."""
     number, _, given = text.strip().partition(" ")
     wanted = parameter.unit
@@ -104,7 +104,7 @@ def _value(text: str, parameter: Parameter, effect: str, mark: Mark) -> float:
     return value
 
 
-def parameters(effect: Any, observed: Observed) -> list[Parameter]:
+def parameters(effect: Any, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act."""
     if effect.stage == "covariance":
         gyros = observed.of_kind("gyro")
@@ -117,7 +117,7 @@ def parameters(effect: Any, observed: Observed) -> list[Parameter]:
             "resolution": max(channel.resolution, channel.white * math.sqrt(observed.sample_rate)),
             "random walk": _WALK * math.radians(1.0) / _UNUSUAL,
         }[effect.noise]
-        return [Parameter(name, text, _UNUSUAL * declared / math.radians(1.0))]
+        return [EffectParameter(name, text, _UNUSUAL * declared / math.radians(1.0))]
     found = []
     variants = effect.variants(observed)
     if not variants:
@@ -125,12 +125,14 @@ def parameters(effect: Any, observed: Observed) -> list[Parameter]:
     middle: Variant = variants[len(variants) // 2]
     shape = getattr(effect, "shape_name", None)
     if shape is not None and middle.shape is not None:
-        found.append(Parameter(shape, effect.shape_unit, middle.shape))
+        found.append(EffectParameter(shape, effect.shape_unit, middle.shape))
     if getattr(effect, "each", None) == "orientation":
         column = middle.columns[0]
-        return [*found, Parameter("size", column.unit, column.magnitude / column.factor)]
+        return [*found, EffectParameter("size", column.unit, column.magnitude / column.factor)]
     if not is_whole(middle.columns):
-        found += [Parameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns]
+        found += [
+            EffectParameter(column.name, column.unit, column.magnitude / column.factor) for column in middle.columns
+        ]
     return found
 
 

@@ -8,9 +8,9 @@ from typing import Protocol
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
-from planrunner.estimators.table_effects import table_effects
-from planrunner.observation.flicker import flicker_effects
-from planrunner.observation.observation_effects import Array
+from planrunner.estimators.table_errors import table_errors
+from planrunner.observation.correlated_errors import Array
+from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -42,7 +42,7 @@ def fit_positions(
     parameters = request.parameters
     about = fit_outputs(matrix, observations, magnitudes, model.names).coefficients
     effects = (
-        *flicker_effects(observations, request.setup.inputs, parameters.drift_span.value),
-        *table_effects(model, segments, request.site, request.setup, about),
+        *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
+        *table_errors(model, segments, request.site, request.setup, about),
     )
     return fit_outputs(matrix, observations, magnitudes, model.names, parameters.uncertainty, pooled, effects=effects)

@@ -5,7 +5,7 @@
 
 `estimate` is both. `foresight` is the first alone, on the observations that the schedule leads one to expect: so whoever checks a plan
 knows every coefficient that a run will print, with its uncertainty, by the formula that prints it. Where that would cost too much, or
-the samples themselves are needed, an estimator has a foresight of its own (`Foresees`), which tests hold against a run.
+the samples themselves are needed, an estimator has a foresight of its own (`ForeseesResults`), which tests hold against a run.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ F = TypeVar("F", bound=Record, contravariant=True)
 
 
 @runtime_checkable
-class Foresees(Protocol[F]):
+class ForeseesResults(Protocol[F]):
     """An estimator with a foresight of its own."""
 
     def foresee(self, request: DesignRequest[F]) -> Foresight: ...
@@ -158,7 +158,7 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 def foresight(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
     """What a run of the planned segments will give; nothing where the estimator cannot evaluate what they lead one to expect."""
-    if isinstance(estimator, Foresees):
+    if isinstance(estimator, ForeseesResults):
         return estimator.foresee(request)
     return by_expectation(estimator, request)
 

@@ -1,7 +1,7 @@
 """Several outputs fitted by one design: coefficients with joint covariance on either basis, and their degrees of freedom.
 
 What is known beforehand of the observations is one covariance V for each output: the noise seen within the segments, and the effects that
-are stated beside it (`observation_effects`). The fit is generalised least squares with V. Two bases of uncertainty follow, which answer
+are stated beside it (`correlated_errors`). The fit is generalised least squares with V. Two bases of uncertainty follow, which answer
 different questions:
 
     within_segment   V is believed. The noise has its many degrees of freedom; the effects are influences, to be added. Blind to whatever
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.observation.observation_effects import Effect, explained, functionals_of, mixed
-from planrunner.observation.observations import SIGNIFICANCE, Noise, Observations, within_segment_noise
+from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed
+from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -44,12 +44,12 @@ class OutputsFit:
 
     outputs: tuple[str, ...]
     fits: tuple[LinearFit, ...]
-    noises: tuple[Noise, ...]
+    noises: tuple[WithinSegmentNoise, ...]
     spreads: Array
     between: Array
     ratios: Array
-    effects: tuple[Effect, ...]
-    unweighted: tuple[Effect, ...]
+    effects: tuple[CorrelatedError, ...]
+    unweighted: tuple[CorrelatedError, ...]
     cofactors: Mapping[str, Array]
     gains: Array
     pooled: bool = False
@@ -118,7 +118,7 @@ def fit_outputs(
     basis: str = "within_segment",
     pooled: bool = False,
     equal: bool = False,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[CorrelatedError] = (),
 ) -> OutputsFit:
     """Fit every observed channel by the same terms. Raises `EstimationError`.
 
@@ -175,11 +175,11 @@ class _Weighting:
     observed: Array
     magnitudes: Array
     names: Sequence[str]
-    effects: tuple[Effect, ...]
+    effects: tuple[CorrelatedError, ...]
     output: int
     expected: bool = False
 
-    def known(self, noise: Noise, residual: bool) -> _Fitted:
+    def known(self, noise: WithinSegmentNoise, residual: bool) -> _Fitted:
         """By noise and effects; residual: with a part between segments where the residuals ask for it."""
         spread, between = noise.sigma, 0.0
         found = self._fit(spread)
@@ -194,7 +194,7 @@ class _Weighting:
             weighted = self.matrix / spread[:, None] ** 2
         return _Fitted(found, found.cofactor @ weighted.T, spread, ratio, between)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
 
-    def equal(self, noise: Noise) -> _Fitted:
+    def equal(self, noise: WithinSegmentNoise) -> _Fitted:
         """All segments alike. How large the residuals are for what is known is judged by the fit that weights them by it: of residuals of
         unlike size a few would decide."""
         spread = np.full(len(self.observed), np.sqrt(np.mean(noise.sigma**2)))
@@ -210,7 +210,11 @@ class _Weighting:
 
 
 def _cofactors(
-    gains: Array, noises: Sequence[Noise], spreads: Array, correlation: Array, effects: Sequence[Effect]
+    gains: Array,
+    noises: Sequence[WithinSegmentNoise],
+    spreads: Array,
+    correlation: Array,
+    effects: Sequence[CorrelatedError],
 ) -> dict[str, Array]:
     """By basis. The noise's correlation between outputs is that of the samples on either basis: the residuals of a few segments would
     say next to nothing of it."""
@@ -225,7 +229,7 @@ def _cofactors(
 
 
 def _pooled_freedom(
-    matrix: Array, gains: Array, spreads: Array, correlation: Array, effects: Sequence[Effect]
+    matrix: Array, gains: Array, spreads: Array, correlation: Array, effects: Sequence[CorrelatedError]
 ) -> float:
     """Of the mean of the outputs' variance factors: that of a chi-squared variable with its mean and variance (Satterthwaite)."""
     m, p, n = gains.shape
@@ -244,12 +248,14 @@ def _pooled_freedom(
     return (m * (n - p)) ** 2 / common if common else 0.0
 
 
-def _between_outputs(spreads: Array, correlation: Array, effects: Sequence[Effect], one: int, other: int) -> Array:
+def _between_outputs(
+    spreads: Array, correlation: Array, effects: Sequence[CorrelatedError], one: int, other: int
+) -> Array:
     noise = np.diag(correlation[one, other] * spreads[one] * spreads[other])
     return np.asarray(noise + sum(effect.covariance(one, other) for effect in effects))
 
 
-def exceeds_noise(found: LinearFit, noise: Noise) -> bool:
+def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:
     """Whether the residuals are larger than the noise within the segments explains (F-test)."""
     if not (found.degrees_of_freedom and noise.known and found.variance_factor > 1):
         return False

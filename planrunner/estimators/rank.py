@@ -21,7 +21,7 @@ TOLERANCE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class MatrixRank:
     """singular: singular values of the scaled matrix, largest first. null: orthonormal rows, shape (columns − rank, columns)."""
 
     rank: int
@@ -36,13 +36,13 @@ class Sight:
         return float(self.singular[0] / self.singular[-1])
 
 
-def look(scaled: Array, tolerance: float = TOLERANCE) -> Sight:
+def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
     """Rank and null space of a matrix (n, p) whose columns are already scaled; n may be smaller than p."""
     p = scaled.shape[1]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=len(scaled) < p)
     largest = singular[0] if len(singular) else 0.0
     rank = int(np.sum(singular > tolerance * max(largest, 1e-300)))
-    return Sight(rank, singular, rows[rank:p])
+    return MatrixRank(rank, singular, rows[rank:p])
 
 
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:

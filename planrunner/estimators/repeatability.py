@@ -123,13 +123,13 @@ class Variance:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter(Quantities):
+class ScatterQuantities(Quantities):
     """Each quantity with its analysis of variance."""
 
     splits: tuple[tuple[Repeats, Variance], ...]
 
 
-class Repeatability(Method[RepeatabilityParameters, Scatter]):
+class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
     """The plug-in."""
 
     name = "repeatability"
@@ -143,7 +143,7 @@ class Repeatability(Method[RepeatabilityParameters, Scatter]):
         _grouped(names, parameters.groups, bool(parameters.channels))
         return Design(())
 
-    def quantities(self, request: EstimateRequest[RepeatabilityParameters]) -> Scatter:
+    def quantities(self, request: EstimateRequest[RepeatabilityParameters]) -> ScatterQuantities:
         """Scatter of every quantity. Raises `EstimationError`."""
         parameters = request.parameters
         names = _items(parameters, [recorded.label for recorded in request.segments], list(request.uses))
@@ -152,9 +152,9 @@ class Repeatability(Method[RepeatabilityParameters, Scatter]):
         splits = tuple((one, analysis_of_variance(one.value, one.group, one.expected)) for one in found)
         coefficients = tuple(item for pair in splits for item in _reported(*pair))
         spread = np.array([item.standard_uncertainty for item in coefficients])
-        return Scatter(coefficients=coefficients, covariance=np.diag(spread**2), splits=splits)
+        return ScatterQuantities(coefficients=coefficients, covariance=np.diag(spread**2), splits=splits)
 
-    def words(self, request: EstimateRequest[RepeatabilityParameters], found: Scatter) -> Words:
+    def words(self, request: EstimateRequest[RepeatabilityParameters], found: ScatterQuantities) -> Words:
         """The values and their variances."""
         groups: Mapping[str, Sequence[str]] = request.parameters.groups
         tables = [(_values(one, list(groups)), _variances(one, split)) for one, split in found.splits]

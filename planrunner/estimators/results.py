@@ -18,10 +18,10 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
 from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate, Plot, Role, Table, TableColumn
 from planrunner.estimators.limits import LimitVerdict
-from planrunner.instruments.models import Origin
+from planrunner.instruments.models import DataOrigin
 from planrunner.uncertainty.influences import Budget, BudgetLine
 
-__all__ = ["FORMAT", "Origin", "Results", "segment_statistics"]
+__all__ = ["FORMAT", "DataOrigin", "Results", "segment_statistics"]
 
 FORMAT = 2
 """2: a table's columns name their title, unit and role; 1, which had titles alone, is still read."""
@@ -41,7 +41,7 @@ class Results:
     limits: tuple[LimitVerdict, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
     segments: tuple[Mapping[str, Any], ...] = ()
-    origin: Origin | None = None
+    origin: DataOrigin | None = None
     unfit: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:

@@ -34,9 +34,9 @@ from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
-from planrunner.estimators.table_effects import rate_effects
-from planrunner.observation.flicker import drift_span, flicker_effects
-from planrunner.observation.observation_effects import Effect
+from planrunner.estimators.table_errors import rate_errors
+from planrunner.observation.correlated_errors import CorrelatedError
+from planrunner.observation.flicker import drift_span, flicker_errors
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
@@ -132,7 +132,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         magnitudes = np.array([1.0, np.abs(rates).max()])
         slopes = fit_outputs(matrix, observations, magnitudes, TERMS).coefficients[:, 1]
         effects = (
-            *flicker_effects(observations, request.setup.inputs, parameters.drift_span.value),
+            *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
             *_held(request, slopes, rates),
         )
         equal = parameters.weights == "equal"
@@ -226,10 +226,10 @@ def _found(
     )
 
 
-def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[Effect, ...]:
+def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates: Array) -> tuple[CorrelatedError, ...]:
     """How well the bench says that each rate is held, on outputs of these slopes (m,)."""
     stated = request.setup.inputs.get("table rate")
-    return rate_effects(stated, np.outer(slopes, rates), rates) if stated else ()
+    return rate_errors(stated, np.outer(slopes, rates), rates) if stated else ()
 
 
 def _common(

@@ -2,7 +2,7 @@
 
 With A the matrix at the stated site, β the coefficients and G = (AᵀWA)⁻¹·AᵀW, an input stated wrong by δ moves the coefficients by
 −G·(∂A/∂input)·β·δ, because the data were made with the right one. Both change what terms are worth: segments do not scatter for them, as
-they do for what the table has wrong (`table_effects`), so that they are added to whatever the data show.
+they do for what the table has wrong (`table_errors`), so that they are added to whatever the data show.
 """
 
 from __future__ import annotations

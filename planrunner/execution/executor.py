@@ -38,7 +38,7 @@ from planrunner.plan.schedule import Schedule, Segment
 SAFE_ATTEMPTS = 3
 
 
-class OpenBench(Protocol):
+class ConnectedBench(Protocol):
     """A bench with connected instruments. instruments: all of them by name, including those with a role. limits: limits that the
     instruments enforce themselves."""
 
@@ -80,7 +80,7 @@ class OpenBench(Protocol):
 
 def execute(
     schedule: Schedule,
-    bench: OpenBench,
+    bench: ConnectedBench,
     writer: RunWriter,
     *,
     stop: StopRequest,
@@ -101,7 +101,7 @@ class _Execution:
     def __init__(
         self,
         schedule: Schedule,
-        bench: OpenBench,
+        bench: ConnectedBench,
         writer: RunWriter,
         stop: StopRequest,
         progress: ProgressCallback | None,
@@ -359,7 +359,7 @@ def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:
     return None if counts is None else {**asdict(counts), "details": finite(counts.details)}
 
 
-def _make_safe(bench: OpenBench) -> list[str]:
+def _make_safe(bench: ConnectedBench) -> list[str]:
     """Makes the bench safe despite interruptions: after a signal or an exception it tries again, and failures are reported."""
     told = "the bench could not be made safe: switch the table and the chamber off by hand"
     for _ in range(SAFE_ATTEMPTS):

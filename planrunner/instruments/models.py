@@ -13,9 +13,9 @@ from typing import Literal
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
-__all__ = ["ChamberModel", "NoiseModel", "Origin", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
+__all__ = ["ChamberModel", "DataOrigin", "NoiseModel", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
 
-Origin = Literal["measured", "simulated", "replayed"]
+DataOrigin = Literal["measured", "simulated", "replayed"]
 """Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
 
 Senses = Literal["angular rate", "acceleration"]

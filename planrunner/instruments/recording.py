@@ -20,7 +20,7 @@ from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Sur
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
-from planrunner.instruments.recording_scan import Progress, Wanted, scan
+from planrunner.instruments.recording_scan import ScanProgress, Wanted, scan
 from planrunner.instruments.recording_segments import SegmentTable, read_segment_table, stretches
 from planrunner.plan.schedule import Segment
 from planrunner.plan.span import Span
@@ -107,7 +107,7 @@ class RecordingPlayer:
         if found.errors:
             raise UnservedError(found.errors)
 
-    def look_over(self, segments: Sequence[Segment], log: Findings, progress: Progress | None = None) -> None:
+    def look_over(self, segments: Sequence[Segment], log: Findings, progress: ScanProgress | None = None) -> None:
         """Everything that can be said of the recording before these segments are played back, in one pass over it, into `log`. progress:
         called with the rows checked so far."""
         name = self.parameters.file

@@ -119,7 +119,7 @@ Array = NDArray[np.float64]
 BATCH = 65_536  # rows
 HELD = 1_000_000  # rows of a recording that are held in memory where many stretches of it are wanted
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
-Rows = Iterator[tuple[Array, dict[str, Array]]]
+ReadRows = Iterator[tuple[Array, dict[str, Array]]]
 
 
 def beneath(root: Path | None, name: str) -> Path:
@@ -152,7 +152,7 @@ class RecordingFile(Protocol):
     @property
     def interval(self) -> float: ...
 
-    def rows(self, span: Span = EVERYTHING) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """Times [s], shape (n,), and channels, each (n,), of the samples in a span, in batches of at most `BATCH`
         rows. A missing number is NaN. Raises `InstrumentError` where time does not increase."""
 
@@ -211,7 +211,7 @@ class HeldRecording:
         columns = {name: np.concatenate([values[name] for _, values in pieces]) for name in names}
         return cls(file.origin, file.interval, time, columns)
 
-    def rows(self, span: Span = EVERYTHING) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """As of a file; one batch at most."""
         part = span.of(self.time, self.interval)
         if part.start < part.stop:
@@ -262,7 +262,7 @@ class _File:
         """(number of the first row, counted from 1; record batch), possibly with rows outside the span."""
         raise NotImplementedError
 
-    def rows(self, span: Span = EVERYTHING) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> ReadRows:
         import pyarrow as pa
 
         before: float | None = None
@@ -408,7 +408,7 @@ class _Spooled:
                 writer.close()
         return spooled
 
-    def rows(self, span: Span = EVERYTHING) -> Rows:
+    def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """As of a file."""
         return self.file.rows(span)
 

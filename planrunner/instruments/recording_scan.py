@@ -20,7 +20,7 @@ from planrunner.instruments.recording_file import RecordingFile
 from planrunner.plan.span import ROUNDING, Span
 
 Array = NDArray[np.float64]
-Progress = Callable[[int], None]
+ScanProgress = Callable[[int], None]
 
 GAP = 1.5
 """Sample periods: between samples further apart, one is missing. A segment may end so far behind the last sample, too."""
@@ -118,7 +118,7 @@ def scan(
     sample_rate: float,
     wanted: Sequence[Wanted],
     log: Findings,
-    progress: Progress | None = None,
+    progress: ScanProgress | None = None,
 ) -> None:
     """Everything that is wrong with a recording, into `log`. name: of the file, for messages; sample_rate: Hz, as declared; progress:
     called with the rows checked so far. Raises `InstrumentError` where the file cannot be read on."""

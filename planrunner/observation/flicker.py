@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import Observations
 from planrunner.plan.kinds import QuantityOf, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -36,7 +36,7 @@ def drift_span() -> Quantity:
     return span
 
 
-def flicker_effects(observations: Observations, inputs: Inputs, span: float) -> tuple[Effect, ...]:
+def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
     """One for each output whose bias instability is stated. span: s."""
     outputs = observations.channels
     stated = {
@@ -46,7 +46,7 @@ def flicker_effects(observations: Observations, inputs: Inputs, span: float) -> 
         return ()
     root = square_root(mean_covariance(observations.start, observations.end, span))
     seen = scatter_within(observations.batches)
-    return tuple(Effect(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
+    return tuple(CorrelatedError(quantity, {k: root}, within={k: seen}) for k, quantity in stated.items())
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:

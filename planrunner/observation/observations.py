@@ -47,7 +47,7 @@ class Observations:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class WithinSegmentNoise:
     """Within-segment standard uncertainty of one channel's means. sigma: (n,), all positive. known: False where nothing could be learnt
     from within the segments; sigma is then 1. weighting: 'pooled' over the segments or 'individual'. degrees_of_freedom: of sigma."""
 
@@ -115,7 +115,9 @@ def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
     return start, start + length
 
 
-def within_segment_noise(observations: Observations, channel: int, explained: Array | float = 0.0) -> Noise:
+def within_segment_noise(
+    observations: Observations, channel: int, explained: Array | float = 0.0
+) -> WithinSegmentNoise:
     """The noise of one channel's means, for weights and for uncertainties.
 
     The variance of a mean, times its recorded time, is pooled over the segments unless Bartlett's test (Snedecor and Cochran,
@@ -125,18 +127,20 @@ def within_segment_noise(observations: Observations, channel: int, explained: Ar
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
-        return Noise(error, True, "as declared", math.inf)
+        return WithinSegmentNoise(error, True, "as declared", math.inf)
     degrees = np.where(np.isfinite(error), observations.batches - 1, 0).astype(float)
     usable = (degrees > 0) & (error > 0)
     n = len(error)
     if not usable.any():
-        return Noise(np.ones(n), False, "equal", 0.0)
+        return WithinSegmentNoise(np.ones(n), False, "equal", 0.0)
     spread = error**2 * observations.seconds
     pooled = float(np.sum(degrees[usable] * spread[usable]) / np.sum(degrees[usable]))
     if usable.all() and n > 1 and variances_differ(spread, degrees, pooled):
         freedom = float(np.sum(error**2) ** 2 / np.sum(error**4 / degrees))
-        return Noise(_left(error**2, explained), True, "individual", freedom)
-    return Noise(_left(pooled / observations.seconds, explained), True, "pooled", float(np.sum(degrees[usable])))
+        return WithinSegmentNoise(_left(error**2, explained), True, "individual", freedom)
+    return WithinSegmentNoise(
+        _left(pooled / observations.seconds, explained), True, "pooled", float(np.sum(degrees[usable]))
+    )
 
 
 def _left(variance: Array, explained: Array | float) -> Array:

@@ -32,7 +32,7 @@ from planrunner.plan.kinds import (
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symmetric, parse_symmetric
 from planrunner.plan.segments import NAME, STATE_KEYS, Ramp, SegmentKind, SegmentSpec, State
 from planrunner.plan.selection import Detection, SelectionKind
-from planrunner.plan.state import MOVE, POSITION, Motion, RockSpec, Turns
+from planrunner.plan.state import MOVE, POSITION, MotionSpec, RockSpec, Turns
 
 NOMINAL_TERMS = (
     "gyro_bias",
@@ -99,7 +99,7 @@ __all__ = [
     "STATE_KEYS",
     "EstimateSpec",
     "Limit",
-    "Motion",
+    "MotionSpec",
     "MountedAxis",
     "Plan",
     "Ramp",

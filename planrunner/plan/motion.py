@@ -35,7 +35,7 @@ def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float 
     rate: Quantity | None = state.get("rate")
     if rate is not None:
         return Spin(rate.value) if rate.value else Rest()
-    motion: model.Motion | str | None = state.get("motion")
+    motion: model.MotionSpec | str | None = state.get("motion")
     if motion is None or isinstance(motion, str):
         return Rest()
     if motion.origin.broken:
@@ -45,7 +45,7 @@ def motion_of(state: Mapping[str, Any], marks: Mapping[str, Mark], dwell: float 
 
 
 def _stated_motion(
-    motion: model.Motion, marks: Mapping[str, Mark], dwell: float | None, log: Findings
+    motion: model.MotionSpec, marks: Mapping[str, Mark], dwell: float | None, log: Findings
 ) -> Motion | None:
     stated = [name for name in _KEYS if getattr(motion, name) is not None]
     if len(stated) != 1:
@@ -71,7 +71,7 @@ def _stated_motion(
     return _cycle(motion, sign, log)
 
 
-def _rock(motion: model.Motion, rock: model.RockSpec, dwell: float | None, log: Findings) -> Rock | None:
+def _rock(motion: model.MotionSpec, rock: model.RockSpec, dwell: float | None, log: Findings) -> Rock | None:
     phases = tuple(phase.value for phase in rock.phases) or (0.0,)
     endless = Rock(
         rock.amplitude.value, rock.frequency.value, phases, math.inf, motion.after.value if motion.after else 0.0
@@ -90,7 +90,7 @@ def _rock(motion: model.Motion, rock: model.RockSpec, dwell: float | None, log: 
     return replace(endless, duration=duration)
 
 
-def _cycle(motion: model.Motion, sign: float, log: Findings) -> Cycle | None:
+def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None:
     positions = {name: angle.value for name, angle in (motion.cycle or {}).items()}
     needed = {"moves": motion.moves, "turn_rate": motion.turn_rate, "stop": motion.stop}
     missing = [name for name, value in needed.items() if not value]
@@ -123,7 +123,9 @@ def _cycle(motion: model.Motion, sign: float, log: Findings) -> Cycle | None:
     return Cycle(signed, tuple(moves), motion.turn_rate.value, motion.stop.value)
 
 
-def _check_positions(moves: list[Move], positions: Mapping[str, float], motion: model.Motion, log: Findings) -> None:
+def _check_positions(
+    moves: list[Move], positions: Mapping[str, float], motion: model.MotionSpec, log: Findings
+) -> None:
     """One finding for each name that is not a position, regardless of the number of moves that use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
@@ -152,7 +154,7 @@ def _check_move(
         log.error("meaning-cycle-landing", mark, message, f"to land on {move.end}, turn {_turns(positions, move)}")
 
 
-def _check_cycle(moves: list[Move], net: float, motion: model.Motion, log: Findings) -> None:
+def _check_cycle(moves: list[Move], net: float, motion: model.MotionSpec, log: Findings) -> None:
     if moves[-1].end != moves[0].start:
         message = f"the cycle starts at {moves[0].start} and ends at {moves[-1].end}, so it cannot be repeated"
         at = motion.at(f"moves[{len(moves) - 1}]")

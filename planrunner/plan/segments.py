@@ -24,7 +24,7 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.orientation import Orientation, OrientationKind
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.state import RATE_UNCERTAINTY, STABILITY, WATCH, Motion, Stability, Turns, Watch
+from planrunner.plan.state import RATE_UNCERTAINTY, STABILITY, WATCH, MotionSpec, StabilitySpec, Turns, WatchSpec
 from planrunner.plan.sweep import ForEachKind, StateTraits, Sweep, traits_of
 
 TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"
@@ -73,8 +73,8 @@ class State(Record):
             swept=True, directed=True, decisive=True, replaces="motion", sweep_example="±300, ±150 deg/s"
         ),
     )
-    motion: Motion | None = key(
-        WordOr(("rest",), RecordOf(Motion)),
+    motion: MotionSpec | None = key(
+        WordOr(("rest",), RecordOf(MotionSpec)),
         "What the table does while recording; at rest without it.",
         {"rate": "10 deg/s"},
         default=None,
@@ -91,14 +91,14 @@ class State(Record):
         default=None,
         traits=StateTraits(swept=True, decisive=True, sweep_example="-40, 20, 60 degC"),
     )
-    soak: Quantity | Stability | None = key(
+    soak: Quantity | StabilitySpec | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after a new temperature is reached: for a time, or until readings have settled.",
         "60 min",
         default=None,
         traits=StateTraits(swept=True),
     )
-    settle: Quantity | Stability | None = key(
+    settle: Quantity | StabilitySpec | None = key(
         ByShape(QuantityOf("time", "not negative"), STABILITY, what="a time or {for: …}"),
         "Wait after the motion is steady, before recording: for a time, or until readings have settled.",
         "30 s",
@@ -128,7 +128,7 @@ class State(Record):
         "navigation",
         default=None,
     )
-    watch: Watch | None = key(
+    watch: WatchSpec | None = key(
         WATCH,
         "Limits on what the instruments read while the segment records.",
         {"position_error": "5 arcsec", "lost_frames": "0.1 %", "retakes": 2},

@@ -41,7 +41,7 @@ class Tolerated(Record):
         return {name: getattr(self, name) for name in READINGS if getattr(self, name) is not None}
 
 
-class Stability(Tolerated):
+class StabilitySpec(Tolerated):
     """Waiting until readings have settled: each within its limit, for a while at a stretch."""
 
     for_: Quantity = key(
@@ -52,7 +52,7 @@ class Stability(Tolerated):
     )
 
 
-class Watch(Tolerated):
+class WatchSpec(Tolerated):
     """Limits on the readings while the segment records, and what happens when a limit is exceeded."""
 
     lost_frames: Quantity | None = key(
@@ -86,7 +86,7 @@ def _check_difference(record: Tolerated, log: Findings) -> None:
         log.error("meaning-range", record.at("temperature_error"), f"{stated} is a temperature, not a difference", hint)
 
 
-def _check_stability(stability: Stability, log: Findings) -> None:
+def _check_stability(stability: StabilitySpec, log: Findings) -> None:
     _check_difference(stability, log)
     if not stability.stated():
         hint = "add for example `temperature_drift: 0.1 K/min`, or write a time alone"
@@ -96,8 +96,8 @@ def _check_stability(stability: Stability, log: Findings) -> None:
         log.error("meaning-stability", stability.at("within"), message, "make `within` longer")
 
 
-STABILITY = RecordOf(Stability, _check_stability)
-WATCH = RecordOf(Watch, _check_difference)
+STABILITY = RecordOf(StabilitySpec, _check_stability)
+WATCH = RecordOf(WatchSpec, _check_difference)
 
 
 RATE_UNCERTAINTY = (
@@ -124,7 +124,7 @@ _TURN = r"[-+−]?(?:[0-9]{1,6}(?:\.[0-9]{0,9})?|\.[0-9]{1,9})"
 MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSITION}) *"
 
 
-class Motion(Record):
+class MotionSpec(Record):
     """What the table does while the segment records. One of rate, rock and cycle; at rest without any."""
 
     rate: Quantity | None = key(

@@ -41,7 +41,7 @@ STANDARD = "ISO/IEC 17025:2017"
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class CertificateItem:
     """Run information that a certificate shows. required: without it no certificate is written. instead: an alternative name."""
 
     name: str
@@ -52,34 +52,42 @@ class Asked:
 
 
 ASKED = (
-    Asked("certificate_number", "7.8.2.1 d", "unique identification of the certificate", True),
-    Asked("customer", "7.8.2.1 e", "name of the customer", True),
-    Asked("customer_contact", "7.8.2.1 e", "contact information of the customer", True),
-    Asked("item_description", "7.8.2.1 g", "what the item is: kind, manufacturer, type", True),
-    Asked("device_serial", "7.8.2.1 g", "unambiguous identification of the item", True, "item_identification"),
-    Asked("date_received", "7.8.2.1 h", "date of receipt of the item", True),
-    Asked("issued_by", "7.8.2.1 o", "the person who authorises the certificate", True),
-    Asked("item_identification", "7.8.2.1 g", "an identification instead of, or in addition to, `device_serial`"),
-    Asked("item_condition", "7.8.2.1 g", "condition of the item as received"),
-    Asked("location", "7.8.2.1 c", "place of the calibration, if it differs from the bench file"),
-    Asked("method", "7.8.2.1 f", "a method reference in addition to the plan"),
-    Asked("date_issued", "7.8.2.1 j", "date of issue, if not today"),
-    Asked("sampling", "7.8.2.1 k", "sampling plan and method, where the laboratory sampled"),
-    Asked("deviations", "7.8.2.1 n", "additions to, deviations or exclusions from the method"),
-    Asked(
+    CertificateItem("certificate_number", "7.8.2.1 d", "unique identification of the certificate", True),
+    CertificateItem("customer", "7.8.2.1 e", "name of the customer", True),
+    CertificateItem("customer_contact", "7.8.2.1 e", "contact information of the customer", True),
+    CertificateItem("item_description", "7.8.2.1 g", "what the item is: kind, manufacturer, type", True),
+    CertificateItem(
+        "device_serial", "7.8.2.1 g", "unambiguous identification of the item", True, "item_identification"
+    ),
+    CertificateItem("date_received", "7.8.2.1 h", "date of receipt of the item", True),
+    CertificateItem("issued_by", "7.8.2.1 o", "the person who authorises the certificate", True),
+    CertificateItem(
+        "item_identification", "7.8.2.1 g", "an identification instead of, or in addition to, `device_serial`"
+    ),
+    CertificateItem("item_condition", "7.8.2.1 g", "condition of the item as received"),
+    CertificateItem("location", "7.8.2.1 c", "place of the calibration, if it differs from the bench file"),
+    CertificateItem("method", "7.8.2.1 f", "a method reference in addition to the plan"),
+    CertificateItem("date_issued", "7.8.2.1 j", "date of issue, if not today"),
+    CertificateItem("sampling", "7.8.2.1 k", "sampling plan and method, where the laboratory sampled"),
+    CertificateItem("deviations", "7.8.2.1 n", "additions to, deviations or exclusions from the method"),
+    CertificateItem(
         "certified_estimates",
         "7.8.2.1 m",
         "the estimates that the certificate shows, by their names in the plan, if not all",
     ),
-    Asked("external_provider", "7.8.2.1 p", "who provided results that are not the laboratory's own"),
-    Asked("external_estimates", "7.8.2.1 p", "the estimates that are these results, by their names in the plan"),
-    Asked("customer_information", "7.8.2.2", "information from the customer that can affect the results"),
-    Asked("adjustment", "7.8.4.1 d", "adjustment or repair that was made"),
-    Asked("agreed_interval", "7.8.4.3", "interval to the next calibration, only where agreed with the customer"),
-    Asked("specification", "7.8.6.2 b", "the specification that the plan's limits come from"),
-    Asked("opinions", "7.8.7", "opinions and interpretations"),
-    Asked("amends", "7.8.8", "number of the certificate that this one replaces"),
-    Asked("amendment_reason", "7.8.8.1", "what was changed, and why"),
+    CertificateItem("external_provider", "7.8.2.1 p", "who provided results that are not the laboratory's own"),
+    CertificateItem(
+        "external_estimates", "7.8.2.1 p", "the estimates that are these results, by their names in the plan"
+    ),
+    CertificateItem("customer_information", "7.8.2.2", "information from the customer that can affect the results"),
+    CertificateItem("adjustment", "7.8.4.1 d", "adjustment or repair that was made"),
+    CertificateItem(
+        "agreed_interval", "7.8.4.3", "interval to the next calibration, only where agreed with the customer"
+    ),
+    CertificateItem("specification", "7.8.6.2 b", "the specification that the plan's limits come from"),
+    CertificateItem("opinions", "7.8.7", "opinions and interpretations"),
+    CertificateItem("amends", "7.8.8", "number of the certificate that this one replaces"),
+    CertificateItem("amendment_reason", "7.8.8.1", "what was changed, and why"),
 )
 DATES = ("date_received", "date_issued")
 

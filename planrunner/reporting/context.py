@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.limits import LimitVerdict
-from planrunner.estimators.results import Origin
+from planrunner.estimators.results import DataOrigin
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 from planrunner.reporting.verdict import Headline, headline
@@ -97,7 +97,7 @@ class ReportContext:
     probability: float = 0.95
     certificate: CertificateFacts | None = None
     on_top: Mapping[str, str] = field(default_factory=dict)
-    origin: Origin | None = None
+    origin: DataOrigin | None = None
 
     @property
     def headline(self) -> Headline:

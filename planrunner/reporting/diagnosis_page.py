@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from planrunner.estimators.interface import Role, Table, TableColumn
-from planrunner.estimators.results import Origin
+from planrunner.estimators.results import DataOrigin
 from planrunner.reporting.columns import alike
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
@@ -41,7 +41,7 @@ class DiagnosisContext:
     facts: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     next_plan: str = ""
-    origin: Origin | None = None
+    origin: DataOrigin | None = None
 
 
 def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:

@@ -15,7 +15,7 @@ PHASES = (("reaching", "#c9d1d9"), ("soaking, settling", "#f0c48a"), ("recording
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class SegmentTimes:
     """Times at which one segment is reached, settled and recorded, s since the run began."""
 
     segment: Segment
@@ -25,13 +25,13 @@ class Span:
     end: float
 
 
-def spans(schedule: Schedule) -> list[Span]:
+def spans(schedule: Schedule) -> list[SegmentTimes]:
     """The planned times of every segment. A dwell of unknown length has none."""
     result = []
     for segment in schedule.segments:
         arrive = segment.start - segment.settle - segment.soak
         end = segment.start + (segment.dwell or 0.0)
-        result.append(Span(segment, arrive - segment.transition, arrive, segment.start, end))
+        result.append(SegmentTimes(segment, arrive - segment.transition, arrive, segment.start, end))
     return result
 
 
@@ -57,7 +57,7 @@ def draw_panels(rows: Sequence[Any], panels: Sequence[Panel], schedule: Schedule
     rows[-1].set_xlabel(f"time since the first move [{unit}]")
 
 
-def _bars(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
+def _bars(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) -> None:
     from matplotlib.patches import Patch
 
     for place, (_, colour) in enumerate(PHASES):
@@ -82,7 +82,7 @@ def _bars(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, borderaxespad=0.2, handlelength=1)
 
 
-def _temperature(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
+def _temperature(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) -> None:
     xs: list[float] = []
     ys: list[float] = []
     last = math.nan
@@ -101,7 +101,7 @@ def _temperature(axes: Any, times: list[Span], divisor: float, longest: float) -
     axes.set_ylabel("temperature\n[°C]", fontsize=8.5)
 
 
-def _rate(axes: Any, times: list[Span], divisor: float, longest: float) -> None:
+def _rate(axes: Any, times: list[SegmentTimes], divisor: float, longest: float) -> None:
     xs, ys = [0.0], [0.0]
     for span in times:
         motion = span.segment.motion

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 from planrunner.estimators.limits import LimitVerdict
-from planrunner.estimators.results import Origin
+from planrunner.estimators.results import DataOrigin
 
-Kind = Literal["pass", "warned", "fail", "none"]
+VerdictKind = Literal["pass", "warned", "fail", "none"]
 
 
 @dataclass(frozen=True, slots=True)
 class Headline:
     """kind: `warned` means passed with warnings; `none` means that the plan sets no limits."""
 
-    kind: Kind
+    kind: VerdictKind
     text: str
     detail: str = ""
 
@@ -66,6 +66,6 @@ _STAMPS = {
 }
 
 
-def stamp(origin: Origin | None) -> Stamp | None:
+def stamp(origin: DataOrigin | None) -> Stamp | None:
     """The stamp; None for measured samples, and for results without this information."""
     return None if origin is None else _STAMPS.get(origin)

@@ -37,7 +37,7 @@ from typing import Any, TypeGuard
 
 from planrunner.estimators.interface import Cell, Coefficient, Estimate, Role, Table
 from planrunner.estimators.limits import LimitVerdict
-from planrunner.estimators.results import Origin
+from planrunner.estimators.results import DataOrigin
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band
@@ -82,7 +82,7 @@ def report_view(context: ReportContext) -> dict[str, Any]:
     }
 
 
-def stamped(origin: Origin | None) -> dict[str, Any]:
+def stamped(origin: DataOrigin | None) -> dict[str, Any]:
     """The stamp for templates; `word` is empty if there is none."""
     return asdict(stamp(origin) or Stamp("", "", False))
 

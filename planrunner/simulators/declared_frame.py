@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FieldPlace:
     """Where a number stands. kind: `i24`, `u16`, `f32` …; a value v goes out as (v − zero)/scale, in `unit`."""
 
     at: int
@@ -38,13 +38,13 @@ class Place:
 class Running:
     """The counter: its place, counts a frame, and where it starts anew."""
 
-    place: Place
+    place: FieldPlace
     step: int
     modulus: float
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class FrameCheck:
     """How the check is computed, bytes that it takes, the first byte that it covers."""
 
     of: Callable[[Bytes], NDArray[np.generic]]
@@ -76,9 +76,9 @@ CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
 class DeclaredFrame:
     sync: bytes
     length: int
-    fields: Mapping[str, Place]
+    fields: Mapping[str, FieldPlace]
     running: Running | None = None
-    check: Check | None = None
+    check: FrameCheck | None = None
     steady: Sequence[tuple[int, bytes]] = ()
     """Bytes at their places that are the same in all frames, such as a status word."""
 

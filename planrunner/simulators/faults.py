@@ -154,7 +154,7 @@ def _check(fault: Fault, roles: Mapping[str, str], log: Findings) -> None:
 
 
 @dataclass(slots=True)
-class Standing:
+class DeclaredFault:
     """A fault that was declared. begins, ends: s on the bench's clock; begun: whether it has taken effect; left: replies that it
     still takes."""
 
@@ -170,7 +170,7 @@ class Standing:
 class FaultBoard:
     """The faults of a simulated bench, in the order they were declared."""
 
-    standing: dict[int, Standing] = field(default_factory=dict)
+    standing: dict[int, DeclaredFault] = field(default_factory=dict)
     declared: int = 0
 
     def declare(self, fault: Fault, now: float) -> int:
@@ -178,7 +178,7 @@ class FaultBoard:
         self.declared += 1
         begins = now + fault.begins.value
         ends = begins + (fault.lasts.value if fault.lasts else float("inf"))
-        self.standing[self.declared] = Standing(self.declared, fault, begins, ends, fault.count)
+        self.standing[self.declared] = DeclaredFault(self.declared, fault, begins, ends, fault.count)
         return self.declared
 
     def clear(self, number: int | None = None) -> None:
@@ -210,7 +210,7 @@ class FaultBoard:
                 return item.fault
         return None
 
-    def _active(self, instrument: str, now: float) -> list[Standing]:
+    def _active(self, instrument: str, now: float) -> list[DeclaredFault]:
         mine = (item for item in self.standing.values() if item.fault.instrument == instrument)
         return [item for item in mine if item.begins <= now < item.ends and item.left != 0]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from planrunner.base.findings import InputError, closest
 from planrunner.bench.model import Bench, InstrumentEntry, driver_of, read_bench, site_of
-from planrunner.bench.simulation import Simulation
+from planrunner.bench.simulation import SimulationSpec
 from planrunner.instruments.interfaces import Surroundings
 from planrunner.instruments.virtual.world import World
 from planrunner.simulators import sensor_units as units
@@ -21,7 +21,15 @@ from planrunner.simulators.acutrol import Acutrol
 from planrunner.simulators.aerosmith import Aerosmith
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import Controller
-from planrunner.simulators.declared_frame import CHECKS, Alarms, Check, DeclaredFrame, DeclaredUnit, Place, Running
+from planrunner.simulators.declared_frame import (
+    CHECKS,
+    Alarms,
+    DeclaredFrame,
+    DeclaredUnit,
+    FieldPlace,
+    FrameCheck,
+    Running,
+)
 from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.kvh1775 import Kvh1775
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
@@ -66,7 +74,7 @@ class Streamed:
     """A sensor: its unit, its feed of samples, where, and the line's bits a second."""
 
     name: str
-    unit: units.Unit
+    unit: units.SensorUnit
     feed: SensorFeed
     address: Address
     baud: float
@@ -82,13 +90,13 @@ class Simulated:
     roles: Mapping[str, str]
 
 
-def simulation_of(bench: Bench) -> Simulation:
+def simulation_of(bench: Bench) -> SimulationSpec:
     """What the bench says of its simulation. Raises `InputError` where it says nothing."""
     if bench.simulation is None:
         message = "the bench does not name the virtual bench that is served at its addresses"
         hint = "add for example `simulation: {bench: virtual, control: 127.0.0.1:9870}`"
         raise InputError.at(bench.origin.mark, "form-missing-key", message, hint)
-    found: Simulation = bench.simulation
+    found: SimulationSpec = bench.simulation
     return found
 
 
@@ -172,25 +180,25 @@ def _not_simulated(entry: InstrumentEntry, known: Mapping[str, Any]) -> InputErr
 # -- sensors by driver -------------------------------------------------------------------------------------------------
 
 
-def _stim300(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
+def _stim300(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.SensorUnit:
     keys = entry.parameters
     form = Stim300(keys.datagram, int(keys.acceleration_range.split()[0]), keys.gyro_output == "increment")
     return units.Stim300Unit(_outputs(live), form, feed.rate)
 
 
-def _kvh1775(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
+def _kvh1775(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.SensorUnit:
     keys = entry.parameters
     form, degrees, increments = Kvh1775(keys.format), keys.angle_unit == "deg", keys.rotation == "delta"
     return units.KvhUnit(_outputs(live), form, feed.rate, degrees, increments, keys.temperature_unit == "C_100")
 
 
-def _xsens(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
+def _xsens(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.SensorUnit:
     names = {"acceleration": 0x4020, "delta_v": 0x4010, "rate": 0x8020, "delta_q": 0x8030, "temperature": 0x0810}
     items = (0x1020, *(names[name] for name in entry.parameters.outputs), 0xE020)
     return XsensUnit(_outputs(live), Xsens(items), feed.rate)
 
 
-def _vectornav(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
+def _vectornav(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.SensorUnit:
     keys = entry.parameters
     return VectorNavUnit(_outputs(live), VectorNav(keys.fields), "" if keys.output == "binary" else keys.output)
 
@@ -199,7 +207,7 @@ def _outputs(live: LiveWorld) -> units.Outputs:
     return units.Outputs(live.sensor.channels())
 
 
-def _declared(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.Unit:
+def _declared(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> units.SensorUnit:
     """The frame that the bench file declares, filled with the virtual sensor's outputs of the same names."""
     keys, own = entry.parameters, live.sensor.channels()
     missing = [name for name in keys.fields if name not in own]
@@ -207,16 +215,16 @@ def _declared(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> unit
         message = f"the virtual sensor has no output '{missing[0]}', only {', '.join(own)}"
         raise InputError.at(entry.origin.mark, "meaning-simulation", message, closest(missing[0], own))
     fields = {
-        name: Place(item.place, item.type, _order(item), item.scale, item.zero, item.unit)
+        name: FieldPlace(item.place, item.type, _order(item), item.scale, item.zero, item.unit)
         for name, item in keys.fields.items()
     }
     running = check = None
     alarms = None
     if (counter := keys.counter) is not None:
         modulus = float(counter.modulus or 2 ** (8 * _WORD_BYTES[counter.type]))
-        running = Running(Place(counter.place, counter.type, _order(counter)), counter.step, modulus)
+        running = Running(FieldPlace(counter.place, counter.type, _order(counter)), counter.step, modulus)
     if (declared := keys.checksum) is not None:
-        check = Check(*CHECKS[declared.type], declared.start, _order(declared))
+        check = FrameCheck(*CHECKS[declared.type], declared.start, _order(declared))
     if (status := keys.status) is not None:
         alarms = Alarms(status.place, _WORD_BYTES[status.type], _order(status), status.bits, status.set_is_good)
     form = DeclaredFrame(bytes.fromhex(keys.sync), keys.length, fields, running, check)
@@ -228,7 +236,7 @@ def _order(item: Any) -> Any:
     return "little" if item.little_endian else "big"
 
 
-SENSORS: Mapping[str, Callable[[InstrumentEntry, LiveWorld, SensorFeed], units.Unit]] = {
+SENSORS: Mapping[str, Callable[[InstrumentEntry, LiveWorld, SensorFeed], units.SensorUnit]] = {
     "stim300": _stim300,
     "kvh_1775": _kvh1775,
     "xsens_mti": _xsens,

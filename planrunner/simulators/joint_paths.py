@@ -72,21 +72,21 @@ class Swing:
         return self.begin + 1 / self.frequency
 
 
-Piece = Glide | Swing
+PathPiece = Glide | Swing
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
     """One joint's pieces by their beginnings; the last goes on for ever. arrival: s, when what was commanded is reached."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[PathPiece, ...]
     arrival: float = 0.0
 
     @classmethod
     def standing(cls, angle: float) -> Path:
         return cls((Glide(0.0, angle),))
 
-    def then(self, now: float, pieces: Sequence[Piece], arrival: float) -> Path:
+    def then(self, now: float, pieces: Sequence[PathPiece], arrival: float) -> Path:
         """The same until `now`, then other pieces."""
         past = [piece for piece in self.pieces if piece.begin < now]
         ends = [*(piece.begin for piece in past[1:]), now]
@@ -100,7 +100,7 @@ class Path:
         acceleration = piece.acceleration if isinstance(piece, Glide) else (piece.at(time + 1e-4)[1] - rate) / 1e-4
         return float(angle), float(rate), float(acceleration)
 
-    def current(self, time: float) -> Piece:
+    def current(self, time: float) -> PathPiece:
         return next((piece for piece in reversed(self.pieces) if piece.begin <= time), self.pieces[0])
 
     def follow(self, times: Array) -> tuple[Value, Value]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planrunner.instruments.interfaces import Block
 from planrunner.simulators import vectornav, xsens
 from planrunner.simulators.frames import Bytes
-from planrunner.simulators.sensor_units import Counting, Outputs
+from planrunner.simulators.sensor_units import Outputs, SampleNumber
 
 Array = NDArray[np.float64]
 _GO_TO_CONFIG, _GO_TO_MEASUREMENT, _DEVICE, _OUTPUTS, _ERROR = 0x30, 0x10, 0x00, 0xC0, 0x42
@@ -32,7 +32,7 @@ class XsensUnit:
     outputs: Outputs
     form: xsens.Xsens
     rate: float
-    counting: Counting = field(default_factory=Counting)
+    counting: SampleNumber = field(default_factory=SampleNumber)
     silent: bool = False
     heard: bytes = b""
     ails: frozenset[str] = frozenset()

@@ -24,7 +24,7 @@ _LATENCY = 500.0  # µs between a sample and its datagram
 _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
-class Unit(Protocol):
+class SensorUnit(Protocol):
     """A sensor's electronics between its samples and its line. ails: what its status has to say against its samples, `overload` and
     `self-test`, as far as its frames have room for it."""
 
@@ -59,7 +59,7 @@ class Outputs:
 
 
 @dataclass(slots=True)
-class Counting:
+class SampleNumber:
     """The running number of the next sample."""
 
     next: int = 0
@@ -78,7 +78,7 @@ class Stim300Unit:
     form: Stim300
     rate: float
     serial: str = "N00000000000000"
-    counting: Counting = field(default_factory=Counting)
+    counting: SampleNumber = field(default_factory=SampleNumber)
     service: bool = False
     heard: bytes = b""
     ails: frozenset[str] = frozenset()
@@ -142,7 +142,7 @@ class KvhUnit:
     degrees: bool = False
     increments: bool = False
     hundredths: bool = False
-    counting: Counting = field(default_factory=Counting)
+    counting: SampleNumber = field(default_factory=SampleNumber)
     heard: bytes = b""
     doubtful: int = 0
     ails: frozenset[str] = frozenset()

@@ -36,7 +36,7 @@ from planrunner.tasks.check import Checked, check_plan
 from planrunner.tasks.designed_plan import moved, with_positions
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
+SearchProgress = Callable[[str, float], None]
 
 SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
 _REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may resolve
@@ -44,7 +44,7 @@ _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class PositionOptions:
     """estimate, output: which to design for, by default the first with a design. criterion: D, A, G or I. orientations: which set goes
     into the plan: free, cardinal or planned. time: s, the whole plan's; dwells are allotted within it."""
 
@@ -86,7 +86,7 @@ class Bounds:
 class Study:
     sight: Sight
     places: tuple[Place, ...]
-    options: Options
+    options: PositionOptions
     sets: Mapping[str, PositionSet]
     best: Mapping[str, Merit]
     bounds: Mapping[str, Bounds]
@@ -101,7 +101,9 @@ class Study:
         return self.sets[self.options.orientations]
 
 
-def design_plan(path: Path, options: Options, bench: str | None = None, progress: Progress | None = None) -> Study:
+def design_plan(
+    path: Path, options: PositionOptions, bench: str | None = None, progress: SearchProgress | None = None
+) -> Study:
     """Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
     checked = check_plan(path, bench=bench)
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
@@ -110,7 +112,7 @@ def design_plan(path: Path, options: Options, bench: str | None = None, progress
 
 
 class _Designer:
-    def __init__(self, checked: Checked, options: Options, progress: Progress):
+    def __init__(self, checked: Checked, options: PositionOptions, progress: SearchProgress):
         assert checked.plan and checked.models and checked.schedule and checked.models.sensor
         self.checked, self.options, self.progress = checked, options, progress
         self.plan, self.models, self.schedule = checked.plan, checked.models, checked.schedule

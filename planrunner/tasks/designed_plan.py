@@ -23,11 +23,11 @@ from planrunner.plan.rewriting import RewriteError, with_dwells, with_orientatio
 from planrunner.plan.schedule import Schedule
 from planrunner.tasks.check import Checked, Document, check_plan
 
-Place = tuple[int, int]
+TextPlace = tuple[int, int]
 """(line, column) of what is changed in the plan."""
 
 
-class Proposal(Protocol):
+class PlanProposal(Protocol):
     """text: the proposed plan; checked: the original plan."""
 
     @property
@@ -36,7 +36,7 @@ class Proposal(Protocol):
     def checked(self) -> Checked: ...
 
 
-def write_plan(study: Proposal, path: Path, bench: str | None = None) -> Checked:
+def write_plan(study: PlanProposal, path: Path, bench: str | None = None) -> Checked:
     """Writes the designed plan once it passes its checks. Raises `InputError` with the findings, and `EstimationError` if it would
     overwrite the original plan."""
     if path.exists() and path.samefile(study.checked.file):
@@ -53,7 +53,7 @@ def write_plan(study: Proposal, path: Path, bench: str | None = None) -> Checked
     return checked
 
 
-def moved(checked: Checked, attitudes: Mapping[Place, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
+def moved(checked: Checked, attitudes: Mapping[TextPlace, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
     """The plan with other orientations, attitudes (3, 3) by where they are stated: its schedule with real transition times, and what its
     estimates could learn. Raises `EstimationError` where the bench cannot do it."""
     assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
@@ -81,7 +81,7 @@ def moved(checked: Checked, attitudes: Mapping[Place, NDArray[np.float64]]) -> t
     return schedule, designs
 
 
-def with_positions(checked: Checked, orientations: Mapping[Place, str], dwells: Mapping[Place, float]) -> str:
+def with_positions(checked: Checked, orientations: Mapping[TextPlace, str], dwells: Mapping[TextPlace, float]) -> str:
     """The plan's text with other orientations and, where they are given, dwells [s]. Raises `EstimationError`."""
     text = source.decode(checked.plan_bytes, checked.file)
     try:

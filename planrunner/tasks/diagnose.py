@@ -33,7 +33,7 @@ from planrunner.tasks.run import sound_run
 
 if TYPE_CHECKING:
     from planrunner.error_model.observed import Observed
-    from planrunner.gap.answer.diagnosis import Diagnosis, Options
+    from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
     from planrunner.tasks.propose import Next
 from functools import partial
 
@@ -68,7 +68,7 @@ class Diagnosed:
         return found | {"next": None if self.following is None else self.following.to_json()}
 
 
-def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: int = 1) -> Diagnosed:
+def diagnose_recorded(recorded: Recorded, options: DiagnosisOptions | None = None, jobs: int = 1) -> Diagnosed:
     """Diagnoses how a recording differs from its simulation. options: by default those of the plan; jobs: threads of the linear algebra;
     with many small systems more than one rarely helps. Raises `InputError` with all obstacles to a diagnosis."""
     from threadpoolctl import threadpool_limits
@@ -77,12 +77,12 @@ def diagnose_recorded(recorded: Recorded, options: Options | None = None, jobs: 
         return _diagnosed(recorded, options)
 
 
-def _diagnosed(recorded: Recorded, options: Options | None) -> Diagnosed:
-    from planrunner.gap.answer.diagnosis import Options, diagnose
+def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None) -> Diagnosed:
+    from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
     from planrunner.observation.refusals import ObservationError
 
     spec = recorded.sound.plan.diagnosis
-    options = options or (Options() if spec is None else Options(nominal=spec.nominal))
+    options = options or (DiagnosisOptions() if spec is None else DiagnosisOptions(nominal=spec.nominal))
     observed, findings = observe(recorded, options.nominal)
     try:
         found = diagnose(observed, options)

@@ -19,14 +19,14 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.findings import Findings, InputError, Mark
 from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
-from planrunner.gap.answer.segment_menu import Entry, menu
+from planrunner.gap.answer.segment_menu import MenuEntry, menu
 from planrunner.plan.expand import StatedSegment, expand
 from planrunner.plan.reader import parse_plan
 from planrunner.plan.schedule import Segment
 
 if TYPE_CHECKING:
     from planrunner.gap.answer.diagnosis import Diagnosis
-    from planrunner.gap.answer.next import Proposal
+    from planrunner.gap.answer.next import SegmentProposal
 
 DEFAULT_SOAK = 1800.0  # s, where the plan never changes temperature
 _CHANGED = 1.0  # K between segments: less is no change of temperature
@@ -51,7 +51,7 @@ class Frame:
 class Next:
     """A proposal and the text of its plan, empty if no segment on the bench helps."""
 
-    proposal: Proposal
+    proposal: SegmentProposal
     text: str
 
     def to_json(self) -> dict[str, object]:
@@ -72,7 +72,7 @@ class Next:
         return {"plan": None, "text": self.text, "expected": expected}
 
 
-def words(found: Proposal, planned: bool) -> str:
+def words(found: SegmentProposal, planned: bool) -> str:
     """What the proposal comes to, in sentences."""
     names = [name for name, _ in found.rivals]
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
@@ -121,7 +121,7 @@ def propose_next(
     return Next(proposal, plan_text(frame, entries, words(proposal, True)) if entries else "")
 
 
-def plan_text(frame: Frame, entries: Sequence[Entry], description: str) -> str:
+def plan_text(frame: Frame, entries: Sequence[MenuEntry], description: str) -> str:
     """A plan with one segment a line."""
     lines = [
         "planrunner: 1",
@@ -154,7 +154,7 @@ class _Options:
         self._move, self._change = _pauses(recording)
         self._last = recording[-1].segment
 
-    def entry(self, segment: Segment) -> Entry:
+    def entry(self, segment: Segment) -> MenuEntry:
         return self._of[segment.label][1]
 
     def seconds(self, before: Segment | None, segment: Segment) -> float:

@@ -54,10 +54,10 @@ def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Sch
 
 
 def _shared() -> dict[str, Schema]:
-    from planrunner.plan.model import Motion
+    from planrunner.plan.model import MotionSpec
     from planrunner.plan.orientation import OrientationKind
 
-    parts: dict[str, Schema] = {"orientation": OrientationKind().schema(), "motion": object_schema(keys_of(Motion))}
+    parts: dict[str, Schema] = {"orientation": OrientationKind().schema(), "motion": object_schema(keys_of(MotionSpec))}
     for dimension in (None, *DIMENSIONS):
         name = (dimension or "any").replace(" ", "-")
         parts[f"uncertain-{name}"] = quantity.schema(dimension, uncertain=True)

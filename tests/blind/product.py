@@ -17,7 +17,7 @@ from planrunner.bench.model import BenchModels
 from planrunner.bench.scheduling import build_schedule
 from planrunner.error_model.effects.interface import Variant
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import Choice, predictions
+from planrunner.gap.answer.closure import FoldChoice, predictions
 from planrunner.gap.answer.diagnosis import Diagnosis
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
 from planrunner.gap.hypotheses.whole import forms, whole
@@ -156,7 +156,7 @@ def _shrinks_by(gap: Array, difference: Array) -> float:
     return float(1 - np.linalg.norm(gap - difference) / np.linalg.norm(gap))
 
 
-def _told(answer: Diagnosis, effects: Sequence[str]) -> list[Choice]:
+def _told(answer: Diagnosis, effects: Sequence[str]) -> list[FoldChoice]:
     """What remains to be chosen where the effects are known: their shapes. Empty where none of them changes the outputs' means."""
     weighing, by_id = answer.grounds.weighing, {c.id: c for c in answer.grounds.candidates if c.variants}
     known = [by_id[name] for name in sorted(effects) if name in by_id]
@@ -166,9 +166,9 @@ def _told(answer: Diagnosis, effects: Sequence[str]) -> list[Choice]:
         pair = answer.posterior.pairs.get("+".join(one.id for one in known))
         columns = [one.best.variant.columns for one in known]
         apart = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
-        return [Choice(pair or weighing.weigh([apart])[0], 1.0)]
+        return [FoldChoice(pair or weighing.weigh([apart])[0], 1.0)]
     exact = forms(weighing, known[0].effect) if whole(known[0]) else []
-    return [Choice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
+    return [FoldChoice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from planrunner.plan import source
 from planrunner.plan.orientation import OrientationKind, in_words
 from planrunner.plan.rewriting import as_written, cardinal_orientations, orientation_text, with_orientations
 from planrunner.tasks.check import Checked, check_plan
-from planrunner.tasks.design_positions import Options, Study, design_plan, residual_ratios
+from planrunner.tasks.design_positions import PositionOptions, Study, design_plan, residual_ratios
 from planrunner.tasks.designed_plan import write_plan
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
-QUICK = Options(restarts=2)
+QUICK = PositionOptions(restarts=2)
 
 
 def predicted(checked: Checked, name: str) -> dict[str, float]:
@@ -72,7 +72,7 @@ def test_the_written_plan_passes_and_promises_smaller_uncertainties(study: Study
 
 
 def test_a_poor_set_is_replaced_by_one_that_is_better_in_every_coefficient(tmp_path: Path) -> None:
-    found = design_plan(FLAGSHIP, Options(estimate="traditional", restarts=1))
+    found = design_plan(FLAGSHIP, PositionOptions(estimate="traditional", restarts=1))
     assert found.sets["planned"].merit.determinant == pytest.approx(88.26, abs=0.005)
     old, new = (predicted(one, "traditional") for one in (found.checked, write_plan(found, tmp_path / "new.yaml")))
     assert all(new[name] <= old[name] * (1 + 1e-4) for name in old)
@@ -94,18 +94,18 @@ def test_product_terms_get_positions_that_see_them(plan_file: Callable[..., Path
     assert found.sets["free"].merit.rank == 8
     assert write_plan(found, tmp_path / "seen.yaml").ok
     with pytest.raises(EstimationError, match="no 8 cardinal orientations"):
-        design_plan(plan, Options(restarts=1, orientations="cardinal"))
+        design_plan(plan, PositionOptions(restarts=1, orientations="cardinal"))
 
 
 def test_dwells_fill_the_time_budget(tmp_path: Path) -> None:
-    found = design_plan(FLAGSHIP, Options(restarts=1, orientations="cardinal", time=4000.0))
+    found = design_plan(FLAGSHIP, PositionOptions(restarts=1, orientations="cardinal", time=4000.0))
     assert found.dwell_gain < 1.0 + 1e-9
     checked = write_plan(found, tmp_path / "timed.yaml")
     assert checked.schedule is not None
     assert 4000.0 - 8 <= checked.schedule.total <= 4000.0
     assert [segment.dwell for segment in checked.schedule.segments[:8]] == list(found.dwells)
     with pytest.raises(EstimationError, match="too little"):
-        design_plan(FLAGSHIP, Options(restarts=1, time=600.0))
+        design_plan(FLAGSHIP, PositionOptions(restarts=1, time=600.0))
 
 
 def test_orientations_are_written_as_they_are_read() -> None:

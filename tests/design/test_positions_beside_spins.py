@@ -10,13 +10,13 @@ import pytest
 
 from planrunner.design import continuous, exchange
 from planrunner.estimators.interface import EstimationError
-from planrunner.tasks.design_positions import Options, design_plan
+from planrunner.tasks.design_positions import PositionOptions, design_plan
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 
 
 def test_spins_stay_and_count() -> None:
-    study = design_plan(PLANS / "imu_multi_position.yaml", Options(output="gyro_x", restarts=1))
+    study = design_plan(PLANS / "imu_multi_position.yaml", PositionOptions(output="gyro_x", restarts=1))
     block = next(one for one in study.checked.designs["imu"].blocks if one.output == "gyro_x")
     rows = block.matrix / block.magnitudes
     rest = np.array([label.startswith("P") for label in block.labels])
@@ -32,10 +32,10 @@ def test_spins_stay_and_count() -> None:
 
 def test_without_spins_the_rates_cannot_be_told() -> None:
     """Earth rate alone: an accelerometer sees no spin, and its design has no fixed rows."""
-    study = design_plan(PLANS / "imu_multi_position.yaml", Options(output="accel_z", restarts=1))
+    study = design_plan(PLANS / "imu_multi_position.yaml", PositionOptions(output="accel_z", restarts=1))
     assert not len(study.sight.fixed)
     with pytest.raises(EstimationError, match="see different things"):
-        design_plan(PLANS / "imu_multi_position.yaml", Options(restarts=1))
+        design_plan(PLANS / "imu_multi_position.yaml", PositionOptions(restarts=1))
 
 
 def test_exchange_and_bound_beside_fixed_information() -> None:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from planrunner.estimators.rocking.influences import drifts_of
 from planrunner.estimators.rocking.runs import Quadruple, find_runs, quadruples
-from planrunner.estimators.rocking.solution import Conditions, ReducedRun, Window
+from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, Window
 from planrunner.estimators.rocking.statistics import StateDrifts, combine
 from planrunner.uncertainty.decision import coverage_factor
 
@@ -23,7 +23,7 @@ STATES = ("vertical", "horizontal")
 MIDDLES = np.array([61.0, 599.0])  # s, of the windows
 ROCKED = np.array([61.0, 480.0])  # s of rocking by then
 NAMES = ("static-1", "dynamic-1", "dynamic-2", "static-2")
-CONDITIONS = Conditions(EARTH, GRAVITY, np.zeros(6))
+CONDITIONS = RockingConditions(EARTH, GRAVITY, np.zeros(6))
 TRUTH = ROCKING / PER_HOUR * (ROCKED[1] - ROCKED[0]) / (MIDDLES[1] - MIDDLES[0])
 
 

@@ -11,7 +11,7 @@ from rocking_recordings import planned
 from planrunner.estimators.rocking.report import comparison, sentence
 from planrunner.estimators.rocking.runs import by_state, find_runs, quadruples
 from planrunner.estimators.rocking.statistics import Pairings, StateDrifts, combine, pair
-from planrunner.estimators.rocking.windows import Piece, low_pass, passed
+from planrunner.estimators.rocking.windows import RecordPiece, low_pass, passed
 
 
 def four_runs(state: str, count: int = 1):
@@ -112,12 +112,12 @@ def test_the_filter_has_no_delay_and_no_edges_for_slow_tilts():
     """A parabola passes unchanged to its very ends; a slow sine is not shifted; rocking is taken out as its gain says."""
     time = np.arange(6000) / 50
     slow = 1e-3 + 2e-4 * time + 3e-7 * time**2
-    np.testing.assert_allclose(low_pass(Piece(time, slow[:, None]), 0.05)[:, 0], slow, rtol=1e-9)
+    np.testing.assert_allclose(low_pass(RecordPiece(time, slow[:, None]), 0.05)[:, 0], slow, rtol=1e-9)
     sine = np.sin(2 * np.pi * 0.01 * time)
     inside = slice(2000, 4000)
-    np.testing.assert_allclose(low_pass(Piece(time, sine[:, None]), 0.05)[inside, 0], sine[inside], atol=2e-3)
+    np.testing.assert_allclose(low_pass(RecordPiece(time, sine[:, None]), 0.05)[inside, 0], sine[inside], atol=2e-3)
     rocking = np.sin(2 * np.pi * 0.2 * time)
-    left = low_pass(Piece(time, rocking[:, None]), 0.1)[inside, 0]
+    left = low_pass(RecordPiece(time, rocking[:, None]), 0.1)[inside, 0]
     assert np.abs(left).max() == pytest.approx(1 / 257, rel=0.05)
     assert passed(0.2, 0.1) == pytest.approx(1 / 257)
 
@@ -126,6 +126,6 @@ def test_noise_at_the_end_of_a_record_is_averaged_too():
     """The last window counts as much as the first: its noise is that of some seconds, not that of its last sample."""
     draw = np.random.default_rng(1)
     time = np.arange(3000) / 50
-    ends = [low_pass(Piece(time, draw.standard_normal((3000, 1))), 0.05)[-100:].mean() for _ in range(300)]
+    ends = [low_pass(RecordPiece(time, draw.standard_normal((3000, 1))), 0.05)[-100:].mean() for _ in range(300)]
     # 0.05 Hz averages over about 10 s, half of them at an end: 1/√250 of a sample's noise, not 1
     assert np.std(ends) < 3 / math.sqrt(250)

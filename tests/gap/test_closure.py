@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import binom
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.closure import FOLDS, Known, dealt_by_motion, measured
-from planrunner.gap.answer.diagnosis import Diagnosis, Options, diagnose
+from planrunner.gap.answer.closure import FOLDS, KnownCause, dealt_by_motion, measured
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.plan.schedule import Rock
 from tests.gap.turntable import kept, record
 
@@ -48,7 +48,7 @@ def test_intervals_of_an_explained_gap_cover_the_truth_and_no_more() -> None:
         covariance = np.linalg.inv(4 * gram)
         mean = covariance @ (signature.T @ residual + 3 * gram @ predicted)
         difference = signature @ predicted
-        cause = Known(1.0, gram, signature.T @ difference, mean, covariance)
+        cause = KnownCause(1.0, gram, signature.T @ difference, mean, covariance)
         found, any_gap = measured(residual, difference, [cause], 0.0), measured(residual, difference)
         shrinks = 1 - np.linalg.norm(signature @ (true - predicted)) / np.linalg.norm(signature @ true)
         covered += bool(found.interval_90[0] <= shrinks <= found.interval_90[1])
@@ -83,7 +83,7 @@ def _rocking(number: int) -> Diagnosis:
     whole = record(seed=41, fault=_late)
     rocks = [index for index, motion in enumerate(whole.motions) if isinstance(motion, Rock)]
     others = [index for index in range(len(whole)) if index not in rocks]
-    return diagnose(kept(whole, sorted([*others, *rocks[:number]])), Options(effects=SHOWN_BY_ROCKING))
+    return diagnose(kept(whole, sorted([*others, *rocks[:number]])), DiagnosisOptions(effects=SHOWN_BY_ROCKING))
 
 
 @pytest.mark.parametrize(("rocks", "resolvable"), [(1, False), (3, True)])

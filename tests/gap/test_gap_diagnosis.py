@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import Options, diagnose
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.answer.posterior import PRIORS
 from planrunner.gap.answer.where import levels
 from planrunner.gap.hypotheses.candidates import FULL, Weighing
@@ -116,7 +116,7 @@ def test_effects_on_the_noise() -> None:
 
 def test_a_poorer_nominal_model_leaves_its_terms_as_candidates() -> None:
     poor = tuple(name for name in FULL if name != "gyro_misalignment")
-    found = diagnose(record(seed=18), Options(nominal=poor))
+    found = diagnose(record(seed=18), DiagnosisOptions(nominal=poor))
     assert found.verdict.effects[0] == "gyro_misalignment"
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import Diagnosis, Options, diagnose
-from planrunner.gap.answer.next import FEWEST, Proposal, propose
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
+from planrunner.gap.answer.next import FEWEST, SegmentProposal, propose
 from planrunner.plan.schedule import Motion, Rest, Segment, Spin
 from tests.gap.turntable import DEG, Fault, G, _frames, record
 
@@ -31,7 +31,7 @@ def _options(rates: tuple[float, ...] = (20.0, 90.0), frames: int = 12) -> list[
     return found
 
 
-def _proposed(found: Diagnosis, options: list[Segment], soak: float = 0.0) -> Proposal | None:
+def _proposed(found: Diagnosis, options: list[Segment], soak: float = 0.0) -> SegmentProposal | None:
     """soak: s, before the first of the segments, but not before a ramp."""
     grounds = found.grounds
     return propose(
@@ -51,7 +51,7 @@ def _proposed(found: Diagnosis, options: list[Segment], soak: float = 0.0) -> Pr
 def weak() -> Diagnosis:
     """An asymmetry that is neither named nor excluded."""
     for size in np.geomspace(2.8e-5, 4e-6, 12):
-        found = diagnose(record(seed=31, fault=_asymmetry(float(size))), Options(effects=EFFECTS))
+        found = diagnose(record(seed=31, fault=_asymmetry(float(size))), DiagnosisOptions(effects=EFFECTS))
         if 0.3 < found.posterior.probability["gyro_scale_asymmetry"] < 0.8:
             return found
     raise AssertionError("no size leaves the question open")
@@ -88,5 +88,5 @@ def test_nothing_is_proposed_where_nothing_is_open() -> None:
     def unbalance(o: Observed, omega: Array, force: Array, d: np.random.Generator) -> tuple[Array, float]:
         return force / G @ np.array([[0, 3, 0], [-2, 0, 1], [0, 1, 0]]) * 1e-3 * DEG, 0.0
 
-    found = diagnose(record(seed=32, fault=unbalance), Options(effects=EFFECTS))
+    found = diagnose(record(seed=32, fault=unbalance), DiagnosisOptions(effects=EFFECTS))
     assert _proposed(found, _options()) is None

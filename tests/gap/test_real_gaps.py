@@ -15,7 +15,7 @@ import pyarrow.parquet
 import pytest
 
 from planrunner.estimators.accelerometer.gravity_magnitude import fit_magnitude
-from planrunner.gap.answer.diagnosis import Diagnosis, Options
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
 from planrunner.gap.hypotheses.candidates import FULL
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_file
 
@@ -24,7 +24,7 @@ G = 9.80665
 
 
 def diagnosed(plan: str, recording: Path, nominal: tuple[str, ...] | None = None) -> Diagnosis:
-    options = None if nominal is None else Options(nominal=nominal)
+    options = None if nominal is None else DiagnosisOptions(nominal=nominal)
     return diagnose_recorded(recorded_file(PLANS / f"{plan}.yaml", None, recording), options).diagnosis
 
 

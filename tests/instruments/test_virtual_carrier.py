@@ -16,7 +16,7 @@ from planrunner.bench.clock import VirtualClock
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.virtual import ellipsoid
 from planrunner.instruments.virtual.carrier import VirtualCarrier, VirtualCarrierParameters
-from planrunner.instruments.virtual.track import Progress, Track
+from planrunner.instruments.virtual.track import Track, TrackProgress
 from planrunner.instruments.virtual.world import World
 from planrunner.physics.earth import EARTH_RATE, Site
 from planrunner.plan import source
@@ -140,9 +140,9 @@ def by_differences(track, t):
 
 
 PROGRESS = {
-    "speeding-up": (Progress(15.0, 100.0, 60.0), 130.0),
-    "steady": (Progress(15.0, 100.0, 60.0), 90_000.0),
-    "sinusoidal": (Progress(8.0, 0.0, 60.0, 240.0), 1234.5),
+    "speeding-up": (TrackProgress(15.0, 100.0, 60.0), 130.0),
+    "steady": (TrackProgress(15.0, 100.0, 60.0), 90_000.0),
+    "sinusoidal": (TrackProgress(8.0, 0.0, 60.0, 240.0), 1234.5),
 }
 CASES = [
     (name, heading, great_circle)
@@ -183,7 +183,7 @@ def test_published_figures_of_the_ellipsoid():
 
 def test_a_heading_aligned_bench_feels_the_same_in_turned_axes():
     # On a great circle the bench keeps its direction, so that it does not turn about up relative to the Earth.
-    law = Progress(200.0, 0.0, 60.0)
+    law = TrackProgress(200.0, 0.0, 60.0)
     plain = Track(LATITUDE, LONGITUDE, HEIGHT, 60 * DEG, law, great_circle=True)
     turned = Track(LATITUDE, LONGITUDE, HEIGHT, 60 * DEG, law, great_circle=True, aligned=True)
     t = np.array([20_000.0])

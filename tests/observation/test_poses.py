@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.error_model.effects.table import TableTilt
-from planrunner.gap.answer.diagnosis import Options, diagnose
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.candidates import FULL
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
@@ -83,7 +83,7 @@ def test_directions_are_those_of_gravity() -> None:
 def test_scale_and_the_sums_of_opposite_misalignments_are_told() -> None:
     observed = poses(tumbled(SKEWED, BIAS), SITE, SENSOR, ("accel_bias",))
     assert len(observed.channels) == 1
-    found = diagnose(observed, Options(nominal=("accel_bias",)))
+    found = diagnose(observed, DiagnosisOptions(nominal=("accel_bias",)))
     assert found.verdict.effects == ("accel_misalignment", "accel_scale_factor")
     told = {p.name: (p.value, p.standard_uncertainty) for p in found.parameters}
     for name, expected in {"k_x": 4000, "k_y": -3000, "k_z": 7000}.items():
@@ -98,7 +98,7 @@ def test_a_whole_model_leaves_nothing_and_a_turned_triad_is_not_seen() -> None:
     for matrix, nominal in ((SKEWED, FULL), (turned, ())):
         bias = BIAS if nominal else np.zeros(3)
         observed = poses(tumbled(matrix, bias, seed=4), SITE, SENSOR, nominal)
-        assert diagnose(observed, Options(nominal=nominal)).verdict.kind == "none"
+        assert diagnose(observed, DiagnosisOptions(nominal=nominal)).verdict.kind == "none"
 
 
 def test_a_tilt_has_no_signature_at_all() -> None:

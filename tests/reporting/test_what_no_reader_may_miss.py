@@ -17,7 +17,7 @@ from printed_sheets import printed_sheets
 
 from planrunner.bench.model import models, read_bench, shipped_benches
 from planrunner.cli import main
-from planrunner.instruments.models import Origin
+from planrunner.instruments.models import DataOrigin
 from planrunner.reporting.diagnosis_page import DiagnosisContext, render_page
 from planrunner.reporting.report import render_report
 from planrunner.reporting.rounding import in_parentheses
@@ -51,7 +51,7 @@ def test_the_stamp_stands_beside_the_verdict_and_nothing_is_green() -> None:
         assert body.index('class="stamp alarming"') < body.index("<h1"), "at the head of every sheet"
         verdict = body[body.index('class="verdict') :]
         assert STAMP.get(name, "SIMULATED") in verdict[: verdict.index("</div>")], name
-    others: tuple[tuple[Origin | None, str | None], ...] = (
+    others: tuple[tuple[DataOrigin | None, str | None], ...] = (
         ("measured", None),
         (None, None),
         ("replayed", "PLAYED BACK"),

@@ -16,7 +16,7 @@ from planrunner.instruments.sensors.declared_frame import DeclaredFrameParameter
 from planrunner.instruments.wire.framing import Framer, Piece
 from planrunner.plan import source
 from planrunner.plan.kinds import RecordOf
-from planrunner.simulators.declared_frame import CHECKS, Alarms, Check, DeclaredFrame, DeclaredUnit, Place
+from planrunner.simulators.declared_frame import CHECKS, Alarms, DeclaredFrame, DeclaredUnit, FieldPlace, FrameCheck
 from planrunner.simulators.faults import read_fault, struck
 from planrunner.simulators.kvh1775 import Kvh1775
 from planrunner.simulators.navigation_units import XsensUnit
@@ -47,7 +47,7 @@ def declared(good: str) -> tuple[Any, Any]:
     bits = {"overload": 4, "self-test failed": 9, "not ready": 0}
     alarms = Alarms(4, 2, "little" if good == "true" else "big", bits, good == "true")
     form = DeclaredFrame(
-        b"\xa5\x5a", 9, {"gyro_x": Place(2, "i16", unit="deg/s")}, check=Check(*CHECKS["crc8"], 0, "big")
+        b"\xa5\x5a", 9, {"gyro_x": FieldPlace(2, "i16", unit="deg/s")}, check=FrameCheck(*CHECKS["crc8"], 0, "big")
     )
     return DeclaredUnit(UNITS, form, alarms=alarms), DeclaredDriver.decoder_of(keys)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planrunner.simulators import kvh1775, stim300, vectornav, xsens
-from planrunner.simulators.declared_frame import CHECKS, Check, DeclaredFrame, Place, Running
+from planrunner.simulators.declared_frame import CHECKS, DeclaredFrame, FieldPlace, FrameCheck, Running
 from planrunner.simulators.frames import CRC_8, CRC_16, CRC_32, exclusive_or
 
 Vectors = dict[str, Any]
@@ -188,9 +188,11 @@ def test_declared_checks_of_the_standard_message(name: str, check: int) -> None:
 def test_declared_frame_by_hand() -> None:
     """-1.5 deg/s in steps of 0.5 is -3; 26 degC from 25 in steps of 0.25 is 4; the sum of the six bytes before is 2A5."""
     fields = {
-        "rate": Place(2, "i16", "big", 0.5, 0.0, "deg/s"),
-        "temperature": Place(4, "u8", "big", 0.25, 25.0, "degC"),
+        "rate": FieldPlace(2, "i16", "big", 0.5, 0.0, "deg/s"),
+        "temperature": FieldPlace(4, "u8", "big", 0.25, 25.0, "degC"),
     }
-    form = DeclaredFrame(b"\xa5\x5a", 7, fields, Running(Place(5, "u8"), 2, 256), Check(*CHECKS["sum8"], 0, "big"))
+    form = DeclaredFrame(
+        b"\xa5\x5a", 7, fields, Running(FieldPlace(5, "u8"), 2, 256), FrameCheck(*CHECKS["sum8"], 0, "big")
+    )
     sent = form.frames({"rate": one(-1.5), "temperature": one(26.0)}, one(129.0))
     assert sent.tobytes().hex() == "a55a" + "fffd" + "04" + "02" + f"{(0xA5 + 0x5A + 0xFF + 0xFD + 4 + 2) & 0xFF:02x}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planrunner.instruments.interfaces import Block
-from planrunner.simulators.declared_frame import DeclaredFrame, DeclaredUnit, Place, Running
+from planrunner.simulators.declared_frame import DeclaredFrame, DeclaredUnit, FieldPlace, Running
 from planrunner.simulators.kvh1775 import Kvh1775
 from planrunner.simulators.navigation_units import VectorNavUnit, XsensUnit
 from planrunner.simulators.sensor_units import KvhUnit, Outputs, Stim300Unit
@@ -93,7 +93,9 @@ def test_vectornav_registers() -> None:
 
 def test_a_declared_sensor_switches_modes_and_converts_units() -> None:
     told: list[str] = []
-    form = DeclaredFrame(b"\xa5", 7, {"gyro_z": Place(1, "f32", unit="rad/s")}, Running(Place(5, "u16"), 1, 65536.0))
+    form = DeclaredFrame(
+        b"\xa5", 7, {"gyro_z": FieldPlace(1, "f32", unit="rad/s")}, Running(FieldPlace(5, "u16"), 1, 65536.0)
+    )
     unit = DeclaredUnit(UNITS, form, {b"POWER OFF\r": "unpowered"}, told.append)
     assert unit.hear(b"POWER") == b"" and unit.hear(b" OFF\r") == b""
     assert told == ["unpowered"]

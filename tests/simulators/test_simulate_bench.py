@@ -18,7 +18,7 @@ import pytest
 
 from planrunner.bench.model import read_bench
 from planrunner.bench.opening import open_bench
-from planrunner.bench.simulation import Simulation, ask, attach
+from planrunner.bench.simulation import SimulationSpec, ask, attach
 from planrunner.cli import main
 from planrunner.cli.exit_codes import FAULT, WRONG_INPUT
 from planrunner.instruments.interfaces import InstrumentError
@@ -234,7 +234,7 @@ def test_a_run_takes_its_clock_from_the_simulated_bench(served: dict[str, Any]) 
     with open_bench(bench) as opened:
         assert opened.clock.speed == 20
         assert "ACUTRO" in opened.table.identify()["model"]
-    elsewhere = Simulation(bench="virtual", control=served["control"])
+    elsewhere = SimulationSpec(bench="virtual", control=served["control"])
     with pytest.raises(InstrumentError, match="the bench file says TCPIP"):
         attach(elsewhere, {"table": "TCPIP::127.0.0.1::9878::SOCKET"})
 

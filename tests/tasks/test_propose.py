@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from planrunner.gap.answer.segment_menu import Entry
+from planrunner.gap.answer.segment_menu import MenuEntry
 from planrunner.plan.reader import parse_plan
 from planrunner.tasks.diagnose import diagnose_recorded, recorded_file
 from planrunner.tasks.propose import Frame, plan_text
 from tests.tasks.test_diagnose import laboratory, listed
 
-UP = Entry("{x: up, y: north, z: west}", "10 s")
+UP = MenuEntry("{x: up, y: north, z: west}", "10 s")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from planrunner.base.findings import InputError
 from planrunner.base.shipped import shipped
 from planrunner.bench.model import parse_bench
 from planrunner.cli import main
-from planrunner.gap.answer.diagnosis import Options
+from planrunner.gap.answer.diagnosis import DiagnosisOptions
 from planrunner.plan import source
 from planrunner.tasks.check import check_plan
 from planrunner.tasks.diagnose import diagnose_recorded, joined, recorded_run
@@ -36,7 +36,9 @@ segments:
   - {orientation: *z, for_each: {rate: "±60 deg/s"}, label: "Z{rate}", dwell: {turns: 3}}
   - {orientation: *z, motion: {rock: {amplitude: 5 deg, frequency: 1 Hz}}, label: K}
 """
-FEW = Options(effects=("gyro_g_sensitivity", "table_tilt", "time_latency", "gyro_warm_up", "gyro_noise_excess"))
+FEW = DiagnosisOptions(
+    effects=("gyro_g_sensitivity", "table_tilt", "time_latency", "gyro_warm_up", "gyro_noise_excess")
+)
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.chambers.wired_chamber import WiredChamber
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.wire.links import Lines, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
 from planrunner.plan.kinds import Number, key
 
 RUNNING = 1  # place of the bit that starts and stops it
@@ -41,7 +41,7 @@ class VotschCommands:
         settings = LinkSettings(
             parameters.address, parameters.timeout.value, "\r\n", baud=parameters.baud, idle=b"\r\n 0"
         )
-        self.link = MessageLink(settings, Lines(b"\r\n"))
+        self.link = MessageLink(settings, LineAnswers(b"\r\n"))
         self.station = f"${parameters.station:02d}"
 
     def identify(self):

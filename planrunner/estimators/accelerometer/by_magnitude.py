@@ -35,8 +35,8 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Foresight, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
-from planrunner.observation.flicker import flicker_effects
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
+from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations, observe, recorded_times
 from planrunner.observation.still_detection import detection_limits, longest_span, still_spans
 from planrunner.plan.schedule import Rest, Segment
@@ -194,12 +194,12 @@ def _weighted(
         correlation=np.eye(1),
     )
     span = request.parameters.drift_span.value
-    effects = [_along(one, directions) for one in flicker_effects(poses, request.setup.inputs, span)]
+    effects = [_along(one, directions) for one in flicker_errors(poses, request.setup.inputs, span)]
     magnitudes = np.array([1.0] * 3 + [request.site.gravity] * 6)
     return fit_outputs(found.jacobian, magnitude, magnitudes, NAMES, request.parameters.uncertainty, effects=effects)
 
 
-def _along(effect: Effect, directions: Array) -> Effect:
+def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
     """An effect on channels as it reaches |f|. directions: (n, 3)."""
     change = sum(directions[:, channel, None] * one for channel, one in effect.changes.items())
     within = sum(directions[:, channel] ** 2 * one for channel, one in effect.within.items())

@@ -34,7 +34,7 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.triad import scale_and_misalignments
-from planrunner.observation.observation_effects import functionals_of
+from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment

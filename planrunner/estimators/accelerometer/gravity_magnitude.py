@@ -67,7 +67,7 @@ def too_few(count: int) -> str:
     return f"{count} poses cannot give {len(NAMES)} parameters"
 
 
-def _too_alike(sight: rank.Sight, readings: Array) -> str:
+def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:
     if len(sight.null):
         return f"the poses cannot separate all nine parameters: {rank.explain(sight.null, NAMES)}; add poses in other attitudes"
     return (

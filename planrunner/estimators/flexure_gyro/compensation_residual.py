@@ -43,8 +43,8 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Foresight
-from planrunner.observation.flicker import flicker_effects, mean_covariance
-from planrunner.observation.observation_effects import explained
+from planrunner.observation.correlated_errors import explained
+from planrunner.observation.flicker import flicker_errors, mean_covariance
 from planrunner.observation.observations import Observations, observe, within_segment_noise
 from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
@@ -178,7 +178,7 @@ def _covariances(request: EstimateRequest[CompensationResidualParameters], obser
     span = max(one["drift_span"] for one in told)
     found = []
     for k in range(2):
-        effects = flicker_effects(observations, request.setup.inputs, span)
+        effects = flicker_errors(observations, request.setup.inputs, span)
         noise = within_segment_noise(observations, k, explained(effects, k))
         variance = np.concatenate([noise.sigma, *(one["sigma"][k] for one in told)]) ** 2
         covariance = np.diag(variance)

@@ -33,8 +33,8 @@ from planrunner.estimators.planned import matrix_at_rest, planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
+from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.flicker import drift_span
-from planrunner.observation.observation_effects import functionals_of
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import CHANNEL, Boolean, Choice, ListOf, Record, key

@@ -17,7 +17,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Plot
 from planrunner.estimators.rocking.influences import Runs
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
-from planrunner.estimators.rocking.solution import Conditions, ReducedRun, drift_angles
+from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, drift_angles
 from planrunner.estimators.rocking.statistics import AXES
 from planrunner.estimators.rocking.windows import scale
 from planrunner.plan.schedule import Rock
@@ -42,7 +42,7 @@ class StateCurves:
 
 
 def drift_curves(
-    runs: Runs, recorded: Sequence[RecordedSegment], conditions: Conditions, parameters: RockingDriftParameters
+    runs: Runs, recorded: Sequence[RecordedSegment], conditions: RockingConditions, parameters: RockingDriftParameters
 ) -> list[StateCurves]:
     """Of each state. recorded: all chosen segments, which the runs name by their places. Raises `EstimationError` for channels that are
     missing."""
@@ -68,7 +68,7 @@ def drift_curves(
 def _curve(
     reduced: ReducedRun,
     recorded: RecordedSegment,
-    conditions: Conditions,
+    conditions: RockingConditions,
     parameters: RockingDriftParameters,
     width: float,
     count: int,

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.rocking.parameters import INSTALLATION, RockingDriftParameters
-from planrunner.estimators.rocking.solution import Conditions, ReducedRun, accelerometer_drift, gimbal_drift
-from planrunner.estimators.rocking.statistics import WEIGHTS, Combined
+from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, accelerometer_drift, gimbal_drift
+from planrunner.estimators.rocking.statistics import WEIGHTS, CombinedDrifts
 from planrunner.physics.earth import Site
 from planrunner.plan.units import unit
 from planrunner.uncertainty.influences import Influence, InputQuantity
@@ -29,11 +29,11 @@ DEG_PER_HOUR = math.degrees(1.0) * 3600
 STEP = 1e-5  # rad, of the difference quotients
 
 
-def conditions_of(site: Site, parameters: RockingDriftParameters) -> Conditions:
-    return Conditions(site.earth_rate_enu, site.gravity, parameters.installation_angles.angles())
+def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingConditions:
+    return RockingConditions(site.earth_rate_enu, site.gravity, parameters.installation_angles.angles())
 
 
-def drifts_of(reduced: ReducedRun, conditions: Conditions) -> Array:
+def drifts_of(reduced: ReducedRun, conditions: RockingConditions) -> Array:
     """Drifts of one run [deg/h]: two level axes by the accelerometers, then by the gimbals where there are encoders; shape (2,) or (4,)."""
     parts = [accelerometer_drift(reduced, conditions)]
     if reduced.first.turn is not None:
@@ -42,7 +42,10 @@ def drifts_of(reduced: ReducedRun, conditions: Conditions) -> Array:
 
 
 def influences_of(
-    runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest[RockingDriftParameters]
+    runs: Runs,
+    combined: CombinedDrifts,
+    conditions: RockingConditions,
+    request: EstimateRequest[RockingDriftParameters],
 ) -> tuple[Influence, ...]:
     found = _shared(runs, combined, conditions, request)
     for quantity, change in _of_each_run(request):
@@ -57,12 +60,15 @@ def influences_of(
 
 
 def _shared(
-    runs: Runs, combined: Combined, conditions: Conditions, request: EstimateRequest[RockingDriftParameters]
+    runs: Runs,
+    combined: CombinedDrifts,
+    conditions: RockingConditions,
+    request: EstimateRequest[RockingDriftParameters],
 ) -> list[Influence]:
     """Latitude, gravity, azimuth and installation angles act on all runs alike."""
     inputs, site = request.setup.inputs, request.site
     parameters = request.parameters
-    changes: list[tuple[InputQuantity, Conditions, float]] = []
+    changes: list[tuple[InputQuantity, RockingConditions, float]] = []
     if (latitude := inputs.get("latitude")) is not None:
         farther = replace(site, latitude=site.latitude + STEP).earth_rate_enu
         changes.append((latitude, replace(conditions, earth=farther), STEP))
@@ -91,7 +97,7 @@ def _shared(
     ]
 
 
-def _coefficients(runs: Runs, combined: Combined, conditions: Conditions) -> Array:
+def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingConditions) -> Array:
     total = np.zeros(len(combined.axes))
     for share, state in zip(combined.shares, runs, strict=True):
         for four in state:

@@ -10,7 +10,7 @@ from planrunner.estimators.interface import EstimateRequest, Plot, Role, Table, 
 from planrunner.estimators.rocking.checks import ARCSEC
 from planrunner.estimators.rocking.influences import DEG_PER_HOUR, Runs, azimuth_uncertainty, resolution
 from planrunner.estimators.rocking.parameters import RockingDriftParameters
-from planrunner.estimators.rocking.solution import Conditions, accelerometer_drift, drift_before_rocking
+from planrunner.estimators.rocking.solution import RockingConditions, accelerometer_drift, drift_before_rocking
 from planrunner.estimators.rocking.statistics import AXES, Pairings, StateDrifts
 from planrunner.plan.units import STANDARD_GRAVITY
 
@@ -98,7 +98,7 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
     return Table("Drift of each run relative to inertial space", columns, tuple(rows))
 
 
-def before_rocking_table(runs: Runs, conditions: Conditions) -> list[Table]:
+def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Table]:
     """Drift of the dynamic runs while their base still rests, beside that of the whole run; nothing where no record has such a time."""
     rows = []
     for reduced in (run for state in runs for four in state for run in four):

@@ -42,7 +42,7 @@ from planrunner.estimators.rocking.report import (
 )
 from planrunner.estimators.rocking.runs import Quadruple, Run, by_state, find_runs, quadruples
 from planrunner.estimators.rocking.solution import ReducedRun, reduce_run
-from planrunner.estimators.rocking.statistics import AXES, Combined, Pairings, StateDrifts, combine, pair
+from planrunner.estimators.rocking.statistics import AXES, CombinedDrifts, Pairings, StateDrifts, combine, pair
 from planrunner.estimators.rocking.windows import Windows
 from planrunner.plan.schedule import Rock
 from planrunner.plan.units import unit
@@ -183,7 +183,7 @@ def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, s
     return False, f"Without the gimbal-angle method: {why}."
 
 
-def _coefficient(combined: Combined, m: int) -> Coefficient:
+def _coefficient(combined: CombinedDrifts, m: int) -> Coefficient:
     name, words = _name(combined.axes[m], combined.by_gimbals[m])
     spread = math.sqrt(max(float(combined.covariance[m, m]), 0.0))
     return Coefficient(name, float(combined.values[m]), UNIT, spread, combined.degrees_of_freedom[m], words)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class RockingConditions:
     """What the solution rests on beside the data. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order
     of `parameters.INSTALLATION`; turned: rad, by which the table's azimuth is really farther east."""
 
@@ -127,24 +127,24 @@ def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode:
     return run.planned_lead
 
 
-def accelerometer_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
+def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
     """Steps 2 to 5: drift [rad/s] about the two level axes, in the order x, y, z, shape (2,)."""
     return _drift_between(reduced, reduced.second, conditions)
 
 
-def drift_before_rocking(reduced: ReducedRun, conditions: Conditions) -> Array | None:
+def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
     """The same [rad/s] from the first window to the one that ends as the base begins to rock; None without that window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 
 
-def _drift_between(reduced: ReducedRun, later: Window, conditions: Conditions) -> Array:
+def _drift_between(reduced: ReducedRun, later: Window, conditions: RockingConditions) -> Array:
     angles = [drift_angles(reduced, conditions, window.time, window.readings) for window in (reduced.first, later)]
     count = min(map(len, angles))
     seconds = float(later.time.mean() - reduced.first.time.mean())
     return np.asarray(np.mean(angles[1][:count] - angles[0][:count], axis=0) / seconds)
 
 
-def drift_angles(reduced: ReducedRun, conditions: Conditions, time: Array, readings: Array) -> Array:
+def drift_angles(reduced: ReducedRun, conditions: RockingConditions, time: Array, readings: Array) -> Array:
     """Tilts (n, 2) [rad] about the two level axes that an inertially fixed element, released as it was found at t0, does not show.
 
     time: (n,) s from the beginning of the record. readings: (n, 3) m/s^2, of the accelerometers at these times.
@@ -159,7 +159,7 @@ def drift_angles(reduced: ReducedRun, conditions: Conditions, time: Array, readi
     )
 
 
-def gimbal_drift(reduced: ReducedRun, conditions: Conditions) -> Array:
+def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
     """Drift [rad/s] about the two level axes from the attitude that rings and gimbals show, shape (2,)."""
     state, earth = reduced.run.state, conditions.felt_earth
     zero = float(reduced.first.time.mean())

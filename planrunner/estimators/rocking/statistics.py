@@ -57,7 +57,7 @@ class StateDrifts:
 
 
 @dataclass(frozen=True, slots=True)
-class Combined:
+class CombinedDrifts:
     """Rocking drifts over all states, m of them: those by the accelerometers first. axes: of each. by_gimbals: (m,). share: one matrix
     (m, k) for each state, by how much its columns count."""
 
@@ -69,7 +69,7 @@ class Combined:
     shares: tuple[Array, ...]
 
 
-def combine(states: Sequence[StateDrifts]) -> Combined:
+def combine(states: Sequence[StateDrifts]) -> CombinedDrifts:
     """Each level axis of each method: the mean of the states in which it is level."""
     columns = states[0].drifts.shape[2]
     seen = sorted({axis for state in states for axis in state.level})
@@ -87,7 +87,7 @@ def combine(states: Sequence[StateDrifts]) -> Combined:
     freedoms = [state.scatter()[1] for state in states]
     degrees = tuple(_freedom([part[m, m] for part in parts], freedoms) for m in range(len(rows)))
     axes, by_gimbals = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
-    return Combined(axes, by_gimbals, values, np.sum(parts, axis=0), degrees, tuple(shares))
+    return CombinedDrifts(axes, by_gimbals, values, np.sum(parts, axis=0), degrees, tuple(shares))
 
 
 def _freedom(variances: Sequence[float], degrees: Sequence[float]) -> float:

@@ -58,14 +58,14 @@ class Windows:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class RecordPiece:
     """Evenly spaced samples of a part of a record: time (n,) s from its beginning, values (n, k) in SI units."""
 
     time: Array
     values: Array
 
 
-def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> list[Piece]:
+def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Windows) -> list[RecordPiece]:
     """The pieces of a run, one a window, with the channels as columns. Raises `EstimationError` for data that cannot serve."""
     scales = [scale(recorded, name) for name in channels]
     statistics = recorded.statistics
@@ -94,7 +94,7 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
     return made
 
 
-def low_pass(piece: Piece, cutoff: float) -> Array:
+def low_pass(piece: RecordPiece, cutoff: float) -> Array:
     """The values (n, k) without what changes faster than `cutoff` [Hz], without delay."""
     from scipy.signal import sosfiltfilt
 
@@ -120,7 +120,7 @@ def passed(frequency: float, cutoff: float) -> float:
     return 1 / (1 + (frequency / cutoff) ** (2 * ORDER))
 
 
-def within(piece: Piece, begin: float, length: float) -> NDArray[np.bool_]:
+def within(piece: RecordPiece, begin: float, length: float) -> NDArray[np.bool_]:
     """Which samples of a piece lie in a window, (n,)."""
     return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
 
@@ -135,7 +135,7 @@ def scale(recorded: RecordedSegment, name: str) -> float:
         raise EstimationError(f"the unit '{recorded.units[name]}' of channel '{name}' is not known") from None
 
 
-def _even(label: str, time: Array, values: Array, begin: float, end: float) -> Piece:
+def _even(label: str, time: Array, values: Array, begin: float, end: float) -> RecordPiece:
     """Samples that are missing or no number are filled on a straight line where the gap is short."""
     sound = np.isfinite(values).all(axis=1)
     time, values = time[sound], values[sound]
@@ -150,5 +150,5 @@ def _even(label: str, time: Array, values: Array, begin: float, end: float) -> P
         )
     grid = time[0] + step * np.arange(round((time[-1] - time[0]) / step) + 1)
     if grid.size == time.size and np.abs(grid - time).max() < 1e-3 * step:
-        return Piece(grid, values)
-    return Piece(grid, np.column_stack([np.interp(grid, time, column) for column in values.T]))
+        return RecordPiece(grid, values)
+    return RecordPiece(grid, np.column_stack([np.interp(grid, time, column) for column in values.T]))

@@ -23,7 +23,7 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class TiltedConditions:
     """axes: where they point. commanded: (N,), rad/s, the table's rate in each segment. along: (N, 3), the rotation axis in the fixture's
     frame. felt: (N, 3), rad/s, mean rate with the Earth's rotation; None where that is not corrected for. rate_error: relative, of the
     table's rate, one for all segments or (N,)."""
@@ -77,7 +77,7 @@ class Group:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class TiltedResults:
     """What a change of conditions is compared by. means: (g, m, 5), over repeats, in the order of `QUANTITIES`; repeats: of each group
     (q, m, 5); residuals: of each group (n, m), over repeats. repeatability: (g, m), s(K)/K, NaN for one repeat. coefficient: (m,), slope
     of K over temperature by K at the reference; sensitivity: (m,), the largest |K_T − K_0|/(K_0·|T − T_0|); NaN for one temperature."""
@@ -128,7 +128,9 @@ def _weights(series: Sequence[RateSeries], rows: Sequence[tuple[int, ...]], mean
     return weights
 
 
-def evaluate(groups: Sequence[Group], conditions: Conditions, reference: int, worst: Worst | None = None) -> Findings:
+def evaluate(
+    groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
+) -> TiltedResults:
     """reference: the group whose K the others are compared with. worst: held fixed while conditions are changed."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
@@ -141,7 +143,9 @@ def evaluate(groups: Sequence[Group], conditions: Conditions, reference: int, wo
     spread = [one[..., K].std(axis=0, ddof=1) if len(one) > 1 else np.full(one.shape[1], np.nan) for one in repeats]
     kelvin = np.array([group.kelvin for group in groups])
     coefficient, sensitivity = _over_temperature(means[..., K], kelvin, reference, worst)
-    return Findings(means, tuple(repeats), tuple(residuals), np.array(spread) / means[..., K], coefficient, sensitivity)
+    return TiltedResults(
+        means, tuple(repeats), tuple(residuals), np.array(spread) / means[..., K], coefficient, sensitivity
+    )
 
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
@@ -150,7 +154,7 @@ def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
 
-def worst_of(groups: Sequence[Group], found: Findings, reference: int) -> Worst:
+def worst_of(groups: Sequence[Group], found: TiltedResults, reference: int) -> Worst:
     kelvin = np.array([group.kelvin for group in groups])
     size = np.abs(_relative_change(found.means[..., K], kelvin, reference))
     return _worst(found.residuals, np.nan_to_num(size, nan=-1.0).argmax(axis=0))
@@ -168,7 +172,7 @@ def slope_weights(kelvin: Array) -> Array:
     return np.asarray(off / np.sum(off * off))
 
 
-def answers_of(groups: Sequence[Group], conditions: Conditions, worst: Worst) -> tuple[Array, ...]:
+def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
     """How the quantities of each group answer to its outputs: ∂(mean over the repeats)/∂(output at a rate, in all repeats), (n, m, 5)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
@@ -178,7 +182,7 @@ def answers_to_averages(answers: Array) -> Array:
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 
-def _answers(group: Group, conditions: Conditions, rate: NDArray[np.int64], sign: Array) -> Array:
+def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
     x, full_scale = conditions.inputs(group), group.full_scale
     n, m = x.shape[1:]
     step = 1e-6 * full_scale

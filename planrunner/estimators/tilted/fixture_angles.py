@@ -49,7 +49,7 @@ from planrunner.estimators.tilted.fixture_gains import (
 )
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
-from planrunner.observation.flicker import SPAN, flicker_effects
+from planrunner.observation.flicker import SPAN, flicker_errors
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
@@ -147,7 +147,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
             observations = observe(request.segments, [name], request.sensor)
             asked = model.matrix(basis), observations, model.magnitudes(basis), model.terms(parameters.azimuth)
             about = basis @ fit_outputs(*asked).coefficients[0, len(model.orientations) :]
-            flicker = flicker_effects(observations, request.setup.inputs, SPAN.value)
+            flicker = flicker_errors(observations, request.setup.inputs, SPAN.value)
             effects = (*flicker, *held_rates(model, request.setup, about))
             fit = fit_outputs(*asked, parameters.uncertainty, effects=effects)
             require_basis(fit, parameters.uncertainty, request.name)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
-from planrunner.estimators.table_effects import orthogonality_tilts, rate_effects
+from planrunner.estimators.table_errors import orthogonality_tilts, rate_errors
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, rotation_axis
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis
 from planrunner.plan.schedule import Rest, Segment, Spin
@@ -179,11 +179,11 @@ def stated_changes(
         yield mounted, {"": gain[0] * (model.felt @ turned)}
 
 
-def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[Effect, ...]:
+def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[CorrelatedError, ...]:
     """How well each rate is held, on the output of an axis with the gain vector (3,): the means scatter about a line for it."""
     rates = np.array([segment.rate for segment in model.segments])
     rate = setup.inputs.get("table rate")
-    return rate_effects(rate, (model.turning @ vector)[None], rates) if rate else ()
+    return rate_errors(rate, (model.turning @ vector)[None], rates) if rate else ()
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:

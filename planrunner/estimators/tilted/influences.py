@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.table_effects import rate_part
+from planrunner.estimators.table_errors import rate_part
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
-    Conditions,
-    Findings,
     Group,
     K,
+    TiltedConditions,
+    TiltedResults,
     Worst,
     answers_to_averages,
     evaluate,
@@ -30,7 +30,7 @@ from planrunner.estimators.tilted.fixture_gains import tilt_part
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.turning_rates import mean_rates
 from planrunner.estimators.turned_segments import UP, turned
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
@@ -41,13 +41,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """All that the results come from. answers: of each group, (n, m, 5), by its outputs; gradient: of `Findings.vector` by the means of all
-    groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture: influences
-    on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
+    """All that the results come from. answers: of each group, (n, m, 5), by its outputs; gradient: of `TiltedResults.vector` by the means
+    of all groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture:
+    influences on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
 
     groups: tuple[Group, ...]
-    conditions: Conditions
-    found: Findings
+    conditions: TiltedConditions
+    found: TiltedResults
     worst: Worst
     reference: int
     answers: tuple[Array, ...]
@@ -59,7 +59,7 @@ class Situation:
     units: tuple[str, ...]
     fixture: tuple[Influence, ...] = ()
 
-    def again(self, conditions: Conditions) -> Array:
+    def again(self, conditions: TiltedConditions) -> Array:
         """The results' vector under other conditions."""
         return evaluate(self.groups, conditions, self.reference, self.worst).vector
 
@@ -86,10 +86,10 @@ def influences(
     common: InputQuantity,
     basis: str,
     rounding: Mapping[str, Rounding] | None = None,
-    flicker: Sequence[Effect] = (),
+    flicker: Sequence[CorrelatedError] = (),
     drifts: Mapping[int, float] | None = None,
 ) -> list[Influence]:
-    """On `Findings.vector`. inputs: what bench and plan state with an uncertainty; common: relative error that all rates share;
+    """On `TiltedResults.vector`. inputs: what bench and plan state with an uncertainty; common: relative error that all rates share;
     rounding: by output; flicker: declared, on the segments' means, where the basis takes it; drifts: by axis, half of
     how far its zero moved."""
     found = [
@@ -189,7 +189,7 @@ def _resolution(situation: Situation, inputs: Inputs, rounding: Mapping[str, Rou
             yield replace(acting, sensitivities=left.share * acting.sensitivities, in_scatter=left.in_scatter)
 
 
-def _flicker(situation: Situation, flicker: Sequence[Effect], basis: str) -> Iterator[Influence]:
+def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: str) -> Iterator[Influence]:
     """Through the means of all segments, at their times. On the basis `residual` the covariance holds it."""
     if not flicker:
         return
@@ -247,6 +247,6 @@ def _with_rates(situation: Situation, which: NDArray[Any]) -> Callable[[float], 
     return lambda by: situation.again(replace(situation.conditions, rate_error=by * which))
 
 
-def _with_axes(situation: Situation, **changes: object) -> Conditions:
+def _with_axes(situation: Situation, **changes: object) -> TiltedConditions:
     axes: MountedAxes = replace(situation.conditions.axes, **changes)  # type: ignore[arg-type]
     return replace(situation.conditions, axes=axes)

@@ -16,7 +16,7 @@ from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY,
 from planrunner.estimators.tilted.influences import Situation
 from planrunner.estimators.tilted.mounting_comparison import comparison_table, scheduled_seconds, time_note
 from planrunner.estimators.tilted.rate_lines import lowest_pair
-from planrunner.estimators.tilted.scatter import Noise, Scatter
+from planrunner.estimators.tilted.scatter import NoiseOfMeans, Scatter
 from planrunner.estimators.tilted.turning_rates import part_turns
 from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
 from planrunner.uncertainty.decision import coverage_factor
@@ -33,7 +33,7 @@ def report(
     units: Units,
     scatter: Scatter,
     within: Scatter,
-    noise: Noise,
+    noise: NoiseOfMeans,
     acting: Sequence[Influence],
     parameters: Any,
 ) -> Words:
@@ -122,7 +122,7 @@ def _residuals(situation: Situation, units: Units) -> Table:
     return Table("Residuals, means over the repeats, in ppm of the largest output", columns, tuple(rows))
 
 
-def _lowest_rate(situation: Situation, units: Units, noise: Noise) -> Table:
+def _lowest_rate(situation: Situation, units: Units, noise: NoiseOfMeans) -> Table:
     """Response by IEEE Std 528, and the change of rate that a recording at the lowest rate distinguishes from noise: k·√2·u of its mean."""
     axes, hour = situation.conditions.axes, unit("deg/h").factor
     group, found = situation.groups[situation.reference], situation.found

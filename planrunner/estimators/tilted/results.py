@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import Coefficient, CoefficientRole
 from planrunner.estimators.slope_units import slope_unit
-from planrunner.estimators.tilted.evaluation import QUANTITIES, Findings, Group
+from planrunner.estimators.tilted.evaluation import QUANTITIES, Group, TiltedResults
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.plan.units import ZERO_CELSIUS, Unit
 from planrunner.uncertainty.influences import Influence
@@ -42,7 +42,7 @@ HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeat
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One result: its place in `Findings.vector`, and how it is shown: value × factor in `unit`."""
+    """One result: its place in `TiltedResults.vector`, and how it is shown: value × factor in `unit`."""
 
     at: int
     quantity: str
@@ -54,15 +54,17 @@ class Item:
 
 
 def items(
-    found: Findings, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
+    found: TiltedResults, groups: Sequence[Group], axes: MountedAxes, units: Sequence[tuple[Unit, Unit]], reference: int
 ) -> tuple[Item, ...]:
     """The results that there are, the reference temperature first. units: of the rate and of each axis's output."""
     listed = [item for k in _order(len(groups), reference) for item in _at(found, groups, axes, units, k, reference)]
     return tuple(item for item in listed if np.isfinite(found.vector[item.at]))
 
 
-def coefficients(found: Findings, kept: Sequence[Item], covariance: Array, freedom: Array) -> tuple[Coefficient, ...]:
-    """covariance, freedom: of `Findings.vector`."""
+def coefficients(
+    found: TiltedResults, kept: Sequence[Item], covariance: Array, freedom: Array
+) -> tuple[Coefficient, ...]:
+    """covariance, freedom: of `TiltedResults.vector`."""
     spread = np.sqrt(np.diag(covariance))
     return tuple(
         Coefficient(
@@ -115,7 +117,7 @@ def _order(count: int, reference: int) -> list[int]:
 
 
 def _at(
-    found: Findings,
+    found: TiltedResults,
     groups: Sequence[Group],
     axes: MountedAxes,
     units: Sequence[tuple[Unit, Unit]],

@@ -27,7 +27,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.slope_units import rate_and_output
 from planrunner.estimators.tilted import planning as tilted_planning
-from planrunner.estimators.tilted.evaluation import Conditions, Group, answers_of, evaluate, make_group, worst_of
+from planrunner.estimators.tilted.evaluation import Group, TiltedConditions, answers_of, evaluate, make_group, worst_of
 from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
 from planrunner.estimators.tilted.influences import Rounding, Situation, common_rate, influences
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
@@ -44,7 +44,7 @@ from planrunner.estimators.tilted.results import (
     shown_influences,
 )
 from planrunner.estimators.tilted.scatter import (
-    Noise,
+    NoiseOfMeans,
     Scatter,
     gradient_of,
     noise_of_means,
@@ -55,8 +55,8 @@ from planrunner.estimators.tilted.scatter import (
 )
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates, part_turns, recorded_seconds
 from planrunner.estimators.tilted.zero_drift import half_drift, moved_alike, moved_further
-from planrunner.observation.flicker import SPAN, flicker_effects
-from planrunner.observation.observation_effects import Effect, explained
+from planrunner.observation.correlated_errors import CorrelatedError, explained
+from planrunner.observation.flicker import SPAN, flicker_errors
 from planrunner.observation.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.plan.schedule import Segment
 from planrunner.plan.units import Unit, unit
@@ -76,7 +76,7 @@ class TiltedQuantities(Quantities):
     shown: tuple[Item, ...]
     scatter: Scatter
     within: Scatter
-    noise: Noise
+    noise: NoiseOfMeans
     acting: tuple[Influence, ...]
     doubts: tuple[str, ...]
     calibrated: bool
@@ -110,7 +110,7 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
         basis = "within_segment" if observations.expected else parameters.uncertainty
         # The scatter between repeats shows flicker by itself, but for what all of them share.
         seen = basis == "repeats"
-        stated = flicker_effects(observations, request.setup.inputs, SPAN.value)
+        stated = flicker_errors(observations, request.setup.inputs, SPAN.value)
         flicker = () if seen else stated
         sigma, freedom_of_sigma = _sigma(request, observations, flicker)
         noise = noise_of_means(groups, sigma, observations.correlation, freedom_of_sigma)
@@ -262,7 +262,7 @@ def _conditions(
     kept: Sequence[RecordedSegment],
     axes: MountedAxes,
     seconds: Sequence[float | None],
-) -> tuple[Conditions, tuple[Segment, ...]]:
+) -> tuple[TiltedConditions, tuple[Segment, ...]]:
     planned = [one.segment for one in kept]
     along = rotation_axis(planned)
     commanded = np.array([segment.rate for segment in planned])
@@ -270,7 +270,7 @@ def _conditions(
     if how == "corrected":
         axes.require_azimuths("`earth_rate: corrected` needs; or write `earth_rate: averaged`")
         begun = as_recording_begins(planned, request.site, request.setup.table)
-        return Conditions(axes, commanded, along, mean_rates(begun, request.site, seconds)), begun
+        return TiltedConditions(axes, commanded, along, mean_rates(begun, request.site, seconds)), begun
     if how == "averaged":
         intervals = [1 / (segment.sample_rate or request.sensor.sample_rate) for segment in planned]
         parts = part_turns(planned, seconds, intervals)
@@ -281,7 +281,7 @@ def _conditions(
                 "write "
                 "`earth_rate: corrected`, or `dwell: {turns: 1, at_least: …}`"
             )
-    return Conditions(axes, commanded, along, None), tuple(planned)
+    return TiltedConditions(axes, commanded, along, None), tuple(planned)
 
 
 def _groups(
@@ -335,7 +335,9 @@ def _reference(groups: Sequence[Group], parameters: ScaleFactorTiltedParameters)
 
 
 def _sigma(
-    request: EstimateRequest[ScaleFactorTiltedParameters], observations: Observations, flicker: Sequence[Effect]
+    request: EstimateRequest[ScaleFactorTiltedParameters],
+    observations: Observations,
+    flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
     """Noise of each segment's mean (N, m), without what flicker adds to the scatter within the segments, and its degrees of freedom (m,).
     An output whose noise cannot be seen counts as noiseless, unless the uncertainties rest on it."""

@@ -18,14 +18,14 @@ from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
-    Findings,
     Group,
     K,
+    TiltedResults,
     Worst,
     answers_to_averages,
     slope_weights,
 )
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import variances_differ
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ BASES = ("repeats", "residual", "within_segment")
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class NoiseOfMeans:
     """Of the means: of the rates (g, n, m) and of F_r (g, m), over the repeats, standard uncertainties in the outputs' units;
     correlation: (m, m) between outputs; degrees_of_freedom: (m,)."""
 
@@ -56,7 +56,7 @@ class Scatter:
 
 
 def scatter_between_repeats(
-    found: Findings, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[Effect] = ()
+    found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
     """From the repeats. A quantity's variance is pooled over the temperatures unless Bartlett's test finds that it differs between them;
     the correlations between quantities come from the repeats of all temperatures. What declared flicker makes repeats have in common,
@@ -88,7 +88,7 @@ def scatter_between_repeats(
     return Scatter(covariance, freedom * larger**2, same)
 
 
-def _in_common(group: Group, answers: Array, flicker: Sequence[Effect]) -> Array:
+def _in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
     """Variances (5·m,) of the means over the repeats by what flicker gives different repeats in common: the mean of fᵣᵀCfₛ over r ≠ s, f
     being how a repeat's quantities follow from the segments; zero where it sets them apart."""
     gains, q = answers_to_averages(answers), len(group.spins)
@@ -104,19 +104,19 @@ def _in_common(group: Group, answers: Array, flicker: Sequence[Effect]) -> Array
     return np.maximum(found, 0.0).ravel()
 
 
-def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> Noise:
+def noise_of_means(groups: Sequence[Group], sigma: Array, correlation: Array, freedom: Array) -> NoiseOfMeans:
     """sigma: (N, m), standard uncertainty of each segment's mean; correlation: (m, m); freedom: (m,), of sigma."""
     spread = [np.sqrt(group.averages**2 @ sigma**2) for group in groups]
-    return Noise(tuple(one[:-1] for one in spread), np.array([one[-1] for one in spread]), correlation, freedom)
+    return NoiseOfMeans(tuple(one[:-1] for one in spread), np.array([one[-1] for one in spread]), correlation, freedom)
 
 
 def scatter_of_means(
     groups: Sequence[Group],
-    found: Findings,
+    found: TiltedResults,
     answers: Sequence[Array],
-    noise: Noise,
+    noise: NoiseOfMeans,
     basis: str,
-    flicker: Sequence[Effect] = (),
+    flicker: Sequence[CorrelatedError] = (),
 ) -> Scatter:
     """From the residuals of the means, or from the noise within the segments. answers: of each group, as `answers_of` gives them. flicker:
     what of it is in the residuals. Raises `EstimationError` without residuals."""
@@ -143,7 +143,9 @@ def scatter_of_means(
     return Scatter(np.array(covariances), np.array(freedoms), np.zeros(len(freedoms[0]), dtype=bool))
 
 
-def _about_the_line(group: Group, residuals: Array, noise: Array, flicker: Sequence[Effect]) -> tuple[Array, Array]:
+def _about_the_line(
+    group: Group, residuals: Array, noise: Array, flicker: Sequence[CorrelatedError]
+) -> tuple[Array, Array]:
     """How the rates scatter, by their residuals (n, m): one standard uncertainty for all rates of an output, (n, m), and covariances of
     flicker between `Group.averages`, (m, n + 1, n + 1).
 
@@ -175,8 +177,8 @@ def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
 
 
-def gradient_of(found: Findings, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
-    """∂`Findings.vector`/∂(means of all groups), (count, g·m·5); the repeatability does not follow from the means."""
+def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
+    """∂`TiltedResults.vector`/∂(means of all groups), (count, g·m·5); the repeatability does not follow from the means."""
     g, m, p = found.means.shape
     each = m * p
     gradient = np.zeros((len(found.vector), g * each))
@@ -187,8 +189,8 @@ def gradient_of(found: Findings, groups: Sequence[Group], reference: int, worst:
     return gradient
 
 
-def whole(found: Findings, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
-    """Covariance of `Findings.vector` and degrees of freedom of its elements. gradient: as `gradient_of` gives it."""
+def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
+    """Covariance of `TiltedResults.vector` and degrees of freedom of its elements. gradient: as `gradient_of` gives it."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
     blocks = np.array(
@@ -214,7 +216,7 @@ def whole(found: Findings, groups: Sequence[Group], scatter: Scatter, gradient: 
     return covariance, freedom
 
 
-def with_expected_repeatability(found: Findings, groups: Sequence[Group], scatter: Scatter) -> Findings:
+def with_expected_repeatability(found: TiltedResults, groups: Sequence[Group], scatter: Scatter) -> TiltedResults:
     """The repeatability that the scatter of the means lets one expect, where nothing was recorded."""
     g, m, p = found.means.shape
     spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(g, m, p)[..., K]
@@ -223,7 +225,7 @@ def with_expected_repeatability(found: Findings, groups: Sequence[Group], scatte
     return replace(found, repeatability=np.where(repeats[:, None] > 1, expected, np.nan))
 
 
-def _temperature_gradients(rows: Array, found: Findings, kelvin: Array, reference: int, worst: Worst) -> None:
+def _temperature_gradients(rows: Array, found: TiltedResults, kelvin: Array, reference: int, worst: Worst) -> None:
     """Of coefficient and sensitivity by the scale factors, written into rows (2·m, g·m·5)."""
     g, m, p = found.means.shape
     weights = slope_weights(kelvin)

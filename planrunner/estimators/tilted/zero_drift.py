@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.estimators.tilted.evaluation import Group
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import SIGNIFICANCE
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
     return math.sqrt(max(0.0, float(np.mean(squares)))) / 2
 
 
-def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[Effect]) -> set[int]:
+def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
     """Axes whose zeros moved further than noise and declared flicker let them: χ² of all drifts, at 1 %.
 
     sigma: (N, m), standard uncertainty of each segment's mean from noise; where noise and flicker are zero, any drift is further.

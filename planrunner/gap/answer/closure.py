@@ -50,7 +50,7 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class FoldChoice:
     """An effect or pair that a fold may choose. probability: that it is the whole cause. whole: its amplitude is 1."""
 
     weighed: Weighed
@@ -68,7 +68,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownCause:
     """A cause by the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d; mean
     and covariance of its amplitudes."""
 
@@ -89,7 +89,7 @@ class _Fold:
     told: list[Array]
 
 
-def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Closure:
+def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) -> Closure:
     """The closure by the effects and pairs among which each fold chooses anew. beyond: probability of what none of them explains whole."""
     if len(weighing.observed) < FEWEST or not choices:
         return NOT_RESOLVABLE
@@ -103,12 +103,12 @@ def closure(weighing: Weighing, choices: Sequence[Choice], beyond: float) -> Clo
         signature = np.concatenate([fold.signatures[number] for fold in folds])
         gram, along = signature.T @ signature, signature.T @ difference
         fitted = choice.amplitudes(choice.weighed.gram[0], choice.weighed.score[0])
-        known.append(Known(choice.probability, gram, along, *fitted))
+        known.append(KnownCause(choice.probability, gram, along, *fitted))
     return measured(np.concatenate([fold.residual for fold in folds]), difference, known, beyond)
 
 
 def predictions(
-    weighing: Weighing, choices: Sequence[Choice], change: Array, worth: float = WORTH
+    weighing: Weighing, choices: Sequence[FoldChoice], change: Array, worth: float = WORTH
 ) -> tuple[Array, Array]:
     """What a known change of the outputs, coefficients (M, K), is in held-out segments, and what is predicted there: g and d, (m,). For
     whoever knows the truth. worth: log BF in a fold from which on one of the choices is taken up there."""
@@ -150,7 +150,7 @@ def _told(weighed: Weighed, number: int, folds: Sequence[_Fold]) -> float:
     return 1 - left / shown if shown > 0 else 0.0
 
 
-def measured(residual: Array, difference: Array, known: Sequence[Known] = (), beyond: float = 1.0) -> Closure:
+def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (), beyond: float = 1.0) -> Closure:
     """The closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). beyond: the probability that the
     cause is none of those `known`, whose own probabilities are relative to it."""
     m = len(residual)
@@ -187,7 +187,7 @@ def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Gen
     return np.column_stack([parallel**2 + across, (parallel - size) ** 2 + across])
 
 
-def _explained(cause: Known, squared: float, count: int, draw: np.random.Generator) -> Array:
+def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
     """The same where a cause is the whole gap. squared: |d|²."""
     root = np.linalg.cholesky(cause.covariance)
     amplitudes = cause.mean + draw.standard_normal((count, len(cause.mean))) @ root.T
@@ -195,7 +195,7 @@ def _explained(cause: Known, squared: float, count: int, draw: np.random.Generat
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
 
 
-def _fold(weighing: Weighing, choices: Sequence[Choice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
+def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
     """Held-out rows of all channels, with the effect that the other rows choose."""
     used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))

@@ -18,12 +18,12 @@ import numpy as np
 from planrunner.base import plugins
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
-from planrunner.gap.answer.closure import NOT_RESOLVABLE, Choice, Closure, closure
-from planrunner.gap.answer.parameters import Parameter
+from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
+from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.pictures import gap_by_channel, pictures
 from planrunner.gap.answer.posterior import PRIORS, Posterior, posterior
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
-from planrunner.gap.answer.where import Place, places
+from planrunner.gap.answer.where import MisfitPlace, places
 from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.gap.hypotheses.whole import forms, whole
@@ -40,7 +40,7 @@ _ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and i
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class DiagnosisOptions:
     """nominal: what the nominal simulation fits, of `candidates.FULL`; effects: candidates, all that are installed without it."""
 
     nominal: tuple[str, ...] = FULL
@@ -55,7 +55,7 @@ class Grounds:
     weighing: Weighing
     candidates: tuple[Candidate, ...]
     nominal: tuple[str, ...]
-    choices: tuple[Choice, ...]
+    choices: tuple[FoldChoice, ...]
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Diagnosis:
     pictures: numbers for drawings, as plain data."""
 
     gap: Mapping[str, Mapping[str, Any]]
-    where: tuple[Place, ...]
+    where: tuple[MisfitPlace, ...]
     posterior: Posterior
     verdict: Verdict
     ambiguity_set: tuple[str, ...]
     absorbed: Mapping[str, float]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ParameterEstimate, ...]
     closure: Closure
     pictures: Mapping[str, Any] = field(repr=False)
     grounds: Grounds = field(repr=False)
@@ -117,7 +117,7 @@ class Diagnosis:
         return finite
 
 
-def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
+def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions()) -> Diagnosis:
     """Diagnose a recording. Raises `ObservationError` where it cannot be."""
     if len(observed) < FEWEST_SEGMENTS:
         few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
@@ -141,9 +141,9 @@ def diagnose(observed: Observed, options: Options = Options()) -> Diagnosis:
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
     walks = {str(effect.id) for effect in effects if getattr(effect, "noise", "") == "random walk"}
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
-    choices = _choices(found, by_id, walks, exact) or [Choice(c.best, 0.0) for c in ranked[:_CHOICES]]
+    choices = _choices(found, by_id, walks, exact) or [FoldChoice(c.best, 0.0) for c in ranked[:_CHOICES]]
     if after is not None and all(after is not choice.weighed for choice in choices):
-        choices.append(Choice(after, 0.0))
+        choices.append(FoldChoice(after, 0.0))
     beyond = 1 - found.probability["none"] - sum(choice.probability for choice in choices)
     return Diagnosis(
         gap_by_channel(weighing),
@@ -167,7 +167,7 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 
 def _choices(
     found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
-) -> list[Choice]:
+) -> list[FoldChoice]:
     """Among what a fold of the closure chooses: likely effects and pairs, whatever they say of the noise beside; but beside a walk of the
     bias none is the whole cause."""
     likely: dict[str, float] = {}
@@ -176,14 +176,14 @@ def _choices(
         key = "+".join(part for part in parts if part in by_id)
         if p >= _LIKELY and key:
             likely[key] = likely.get(key, 0.0) + (0.0 if walks & set(parts) else p)
-    chosen: list[Choice] = []
+    chosen: list[FoldChoice] = []
     for key, p in likely.items():
         if key in found.pairs:
-            chosen.append(Choice(found.pairs[key], p))
+            chosen.append(FoldChoice(found.pairs[key], p))
         elif key in exact:
-            chosen += [Choice(weighed, p * share, True) for weighed, share in exact[key]]
+            chosen += [FoldChoice(weighed, p * share, True) for weighed, share in exact[key]]
         elif key in by_id:
-            chosen += [Choice(weighed, p * share) for weighed, share in by_id[key].likely_forms()]
+            chosen += [FoldChoice(weighed, p * share) for weighed, share in by_id[key].likely_forms()]
     return [choice for choice in chosen if choice.weighed.trace > 0][:_MOST_CHOICES]
 
 
@@ -194,9 +194,9 @@ def _parameters(
     by_id: Mapping[str, Candidate],
     effects: list[Any],
     exact: Mapping[str, Forms],
-) -> list[Parameter]:
+) -> list[ParameterEstimate]:
     """Estimates for the likeliest effects. Those of a pair are fitted together."""
-    listed: list[Parameter] = []
+    listed: list[ParameterEstimate] = []
     pair = found.pairs.get("+".join(sorted(said.effects)))
     for name in said.effects:
         if name not in by_id:
@@ -230,4 +230,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["ABSORBED", "EFFECTS", "Diagnosis", "Options", "diagnose"]
+__all__ = ["ABSORBED", "EFFECTS", "Diagnosis", "DiagnosisOptions", "diagnose"]

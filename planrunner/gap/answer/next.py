@@ -37,7 +37,7 @@ _HELPS = 0.005  # expected loss that a segment must save to be worth taking
 
 
 @dataclass(frozen=True)
-class Proposal:
+class SegmentProposal:
     """segments: in their order, none where nothing on the bench helps. rivals: names and present probabilities. now, probability:
     expected of the true one among them, at present and after `seconds` of test time. repeating: seconds and expected probability of
     repeating the recorded segments. sensor: what could separate them where the bench cannot."""
@@ -59,7 +59,7 @@ def propose(
     options: Sequence[Segment],
     seconds: Seconds,
     lasted: float,
-) -> Proposal | None:
+) -> SegmentProposal | None:
     """The segments to measure next; None where one explanation stands out.
 
     options: segments that the bench can do; seconds: test time of one after another (or first), moves, settling and dwell included;
@@ -81,8 +81,8 @@ def propose(
     repeated = _repeating(rivals, recorded, lasted, then)
     sensor = helpful(weighing, rivals, layout, options) if then < ENOUGH else ""
     if then < now + 0.01:
-        return Proposal((), names, now, now, 0.0, repeated, sensor)
-    return Proposal(tuple(item.segment for item in chosen), names, now, then, lasting, repeated, sensor)
+        return SegmentProposal((), names, now, now, 0.0, repeated, sensor)
+    return SegmentProposal(tuple(item.segment for item in chosen), names, now, then, lasting, repeated, sensor)
 
 
 def _open(listed: Sequence[Explanation]) -> bool:

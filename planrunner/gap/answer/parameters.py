@@ -12,7 +12,7 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class ParameterEstimate:
     effect: str
     name: str
     value: float
@@ -20,13 +20,13 @@ class Parameter:
     standard_uncertainty: float
 
 
-def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[Parameter]:
+def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> list[ParameterEstimate]:
     """Means and standard deviations of the amplitudes at the most probable prior size; `columns` of a pair that belong to the effect."""
     mean, covariance = weighed.amplitudes
     spread = np.sqrt(np.diag(covariance))
     listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
     return [
-        Parameter(
+        ParameterEstimate(
             effect,
             column.name,
             float(value * column.magnitude / column.factor),
@@ -37,7 +37,7 @@ def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> l
     ]
 
 
-def shape(candidate: Candidate) -> list[Parameter]:
+def shape(candidate: Candidate) -> list[ParameterEstimate]:
     """The shape, its uncertainty from the evidence over the values that were tried."""
     effect = candidate.effect
     values = np.array([item.variant.shape for item in candidate.variants if item.variant.shape is not None])
@@ -51,31 +51,31 @@ def shape(candidate: Candidate) -> list[Parameter]:
     weight /= weight.sum()
     mean = float(weight @ values)
     spread = float(np.sqrt(weight @ (values - mean) ** 2))
-    return [Parameter(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
+    return [ParameterEstimate(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
 
 
-def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[Parameter]:
+def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
     """The shape of an effect that has no amplitude, from its forms and how probable each is."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))
-    return [Parameter(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
+    return [ParameterEstimate(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
 
 
-def opposite(candidate: Candidate) -> list[Parameter]:
+def opposite(candidate: Candidate) -> list[ParameterEstimate]:
     """The shape of an effect without amplitude that the data want the other way round: negative, in proportion to what it does. A delay
     is that of the table's angle then."""
     effect, best = candidate.effect, candidate.best
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [
-        Parameter(
+        ParameterEstimate(
             candidate.id, effect.shape_name, float(share) * size, effect.shape_unit, float(np.sqrt(variance)) * size
         )
     ]
 
 
-def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:
+def of_noise(weighing: Weighing, effect: object) -> list[ParameterEstimate]:
     """What an effect on the noise changes: white level or resolution per gyro, or the random walk's density."""
     observed, name, noise = weighing.observed, str(getattr(effect, "id", "")), getattr(effect, "noise", "")
     gyros = observed.of_kind("gyro")
@@ -86,13 +86,13 @@ def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:
             density = float(weighing.white[c] / np.sqrt(observed.sample_rate) / channel.factor)
             uncertainty = density / float(np.sqrt(2 * weighing.white_degrees[c]))
             found.append(
-                Parameter(name, f"white_{'xyz'[channel.axis]}", density, f"{channel.unit}*sqrt(s)", uncertainty)
+                ParameterEstimate(name, f"white_{'xyz'[channel.axis]}", density, f"{channel.unit}*sqrt(s)", uncertainty)
             )
     if noise == "resolution":
         for c in gyros:
             channel = observed.channels[c]
             found.append(
-                Parameter(
+                ParameterEstimate(
                     name, f"count_{'xyz'[channel.axis]}", float(weighing.steps[c] / channel.factor), channel.unit, 0.0
                 )
             )
@@ -104,5 +104,5 @@ def of_noise(weighing: Weighing, effect: object) -> list[Parameter]:
         mean = float(weight @ walks)
         spread = float(np.sqrt(weight @ (walks - mean) ** 2))
         factor, text = observed.channels[gyros[0]].factor, observed.channels[gyros[0]].unit
-        found.append(Parameter(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
+        found.append(ParameterEstimate(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
     return found

@@ -23,7 +23,7 @@ LEAST = 0.01  # probability of one that is
 
 
 @dataclass(frozen=True)
-class Part:
+class ExplanationPart:
     """One effect of an explanation, in the form that the recording wants of it. prior: variance of its amplitudes, in magnitudes²."""
 
     effect: Any
@@ -46,7 +46,7 @@ class Part:
 class Explanation:
     name: str
     probability: float
-    parts: tuple[Part, ...]
+    parts: tuple[ExplanationPart, ...]
 
 
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
@@ -77,7 +77,7 @@ def _simplest(total: Mapping[str, float]) -> dict[str, float]:
     return found
 
 
-def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple[Part, ...]:
+def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple[ExplanationPart, ...]:
     if name in SILENT:
         return ()
     names = name.split("+")
@@ -85,11 +85,12 @@ def _parts(name: str, found: Posterior, by_id: Mapping[str, Candidate]) -> tuple
     forms = [by_id[one].best for one in names]
     if pair is None or len(names) == 1:
         return tuple(
-            Part(by_id[one].effect, form, _size(form, slice(None))) for one, form in zip(names, forms, strict=True)
+            ExplanationPart(by_id[one].effect, form, _size(form, slice(None)))
+            for one, form in zip(names, forms, strict=True)
         )
     placed = [_within(pair.variant, by_id[one]) for one in names]
     return tuple(
-        Part(
+        ExplanationPart(
             by_id[one].effect, where[0] if where else form, _size(pair, where[1]) if where else _size(form, slice(None))
         )
         for one, form, where in zip(names, forms, placed, strict=True)
@@ -119,7 +120,7 @@ class Layout:
     """All columns of some explanations side by side: nominal parameters first, then the effects, each by the names of its columns."""
 
     nominal: tuple[str, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[ExplanationPart, ...]
     names: tuple[tuple[str, ...], ...]
     coefficients: tuple[float, ...]
 

@@ -30,7 +30,7 @@ _APART = 5.0  # K
 
 
 @dataclass(frozen=True)
-class Entry:
+class MenuEntry:
     """One line of a plan, without its label."""
 
     orientation: str
@@ -49,7 +49,7 @@ class Entry:
         return "{" + ", ".join(f"{name}: {value}" for name, value in keys.items() if value) + "}"
 
 
-def menu(recorded: Sequence[Segment], models: BenchModels) -> list[Entry]:
+def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
     """What may be done after some recorded segments. Temperature is stated wherever the recorded plan states one."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
@@ -73,11 +73,13 @@ def menu(recorded: Sequence[Segment], models: BenchModels) -> list[Entry]:
     return found + list(_ramps(recorded, models, upright[0], warm))
 
 
-def _entry(place: Array, dwell: str, motion: str = "", kelvin: float | None = None) -> Entry:
-    return Entry(orientation_text(place), dwell, motion, "" if kelvin is None else f"{kelvin - ZERO_CELSIUS:.6g} degC")
+def _entry(place: Array, dwell: str, motion: str = "", kelvin: float | None = None) -> MenuEntry:
+    return MenuEntry(
+        orientation_text(place), dwell, motion, "" if kelvin is None else f"{kelvin - ZERO_CELSIUS:.6g} degC"
+    )
 
 
-def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) -> Entry:
+def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) -> MenuEntry:
     turns = max(1, round(seconds * abs(rate) / (2 * math.pi)))
     return _entry(place, f"{{turns: {turns}}}", f"{{rate: {math.degrees(rate):.6g} deg/s}}", kelvin)
 
@@ -152,7 +154,7 @@ def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[floa
 
 def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
-) -> Iterator[Entry]:
+) -> Iterator[MenuEntry]:
     """Changes of temperature that are recorded while they happen, from the most usual temperature."""
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
@@ -162,4 +164,6 @@ def _ramps(
         ramps = [(kelvin, abs(kelvin - start) / models.chamber.ramp) for kelvin in warm[1:] if kelvin is not None]
     for kelvin, dwell in sorted(ramps):
         if dwell > 0:
-            yield Entry(orientation_text(place), f"{dwell:g} s", "", f"{{ramp_to: {kelvin - ZERO_CELSIUS:.6g} degC}}")
+            yield MenuEntry(
+                orientation_text(place), f"{dwell:g} s", "", f"{{ramp_to: {kelvin - ZERO_CELSIUS:.6g} degC}}"
+            )

@@ -46,7 +46,7 @@ _LIVES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class MisfitPlace:
     """A part of the recording. share: of all energy above the noise. Every factor cuts all of it anew: the shares of the levels of one
     factor, over all channels, add up to 1 at most, those of several factors overlap. of: noise where the share is of the channel's
     noise instead, as of what lies outside the basis. p: adjusted for the number of places."""
@@ -59,7 +59,7 @@ class Place:
     of: Literal["gap", "noise"] = "gap"
 
 
-def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[Place]:
+def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[MisfitPlace]:
     """All places, the most remarkable first. kinds: log BF (K,), in one channel alone, of patterns that are nobody's effect.
 
     A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns that live
@@ -105,17 +105,17 @@ def _outside(weighing: Weighing, kinds: Mapping[str, Array]) -> Array:
     return np.array([kinds.get("transient per segment", none), more, other])
 
 
-def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> Place:
+def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
     """Noise, or a tone, outside the basis. Its p-value is Markov's bound: noise alone gives a Bayes factor of B once in B times at most."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
         channel
     ] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))
-    return Place(declared.name, "band", "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
+    return MisfitPlace(declared.name, "band", "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
 
 
-def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
+def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
     """Every channel and level with its standardised energy."""
     channels = [channel.name for channel in weighing.observed.channels]
     listed = list(_masks(weighing))
@@ -133,7 +133,7 @@ def levels(weighing: Weighing) -> Iterator[tuple[Place, float]]:
         total = max(whole, float(excess[factors == factor].sum()), 1e-300)
         for c, name in enumerate(channels):
             p = (1 + np.count_nonzero(highest >= score[row, c])) / (1 + len(highest))
-            yield Place(name, factor, level, float(excess[row, c] / total), float(p)), float(score[row, c])
+            yield MisfitPlace(name, factor, level, float(excess[row, c] / total), float(p)), float(score[row, c])
 
 
 def _replicates(weighing: Weighing) -> Iterator[Array]:

@@ -26,7 +26,7 @@ _DEPENDENT = 0.05  # of its length that a harmonic must keep beside the lower or
 
 
 @dataclass(frozen=True)
-class Basis:
+class SpectralBasis:
     """The basis of one segment. vectors: (n, m), orthonormal, the first constant. frequency: (m,), Hz, 0 for the mean; harmonic: (m,),
     order
     of the motion's harmonic, 0 for the cosine transform."""
@@ -43,7 +43,7 @@ class Spectrum:
     remainder: (N, K), samples less what the basis holds. spikes: (K,), samples replaced. Means over bins of k samples count √k-fold in
     all of these, so that their white noise is that of a sample."""
 
-    bases: tuple[Basis, ...]
+    bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
     frequency: Array
     harmonic: NDArray[np.int64]
@@ -83,7 +83,7 @@ class Spectrum:
         return found
 
 
-def basis_of(observed: Observed, index: int) -> Basis:
+def basis_of(observed: Observed, index: int) -> SpectralBasis:
     """The basis of one segment."""
     part = observed.segments()[index]
     n = part.stop - part.start
@@ -102,10 +102,10 @@ def basis_of(observed: Observed, index: int) -> Basis:
     q, r = np.linalg.qr(stacked)
     keep = np.abs(np.diag(r)) > _DEPENDENT
     q = q * np.sign(np.diag(r))
-    return Basis(q[:, keep], np.array(frequency)[keep], np.array(harmonic)[keep])
+    return SpectralBasis(q[:, keep], np.array(frequency)[keep], np.array(harmonic)[keep])
 
 
-def _shared(known: dict[tuple[int, int, object], Basis], observed: Observed, index: int) -> Basis:
+def _shared(known: dict[tuple[int, int, object], SpectralBasis], observed: Observed, index: int) -> SpectralBasis:
     """The basis of a segment, made once for all that last as long and stand still."""
     motion = observed.motions[index]
     if not isinstance(motion, Rest):
@@ -131,7 +131,7 @@ def spectrum(observed: Observed, reference: Array) -> Spectrum:
     """The spectrum of what is left of the samples after `reference`, (N, K), the nominal simulation."""
     from scipy.fft import dct
 
-    known: dict[tuple[int, int, object], Basis] = {}
+    known: dict[tuple[int, int, object], SpectralBasis] = {}
     bases = tuple(_shared(known, observed, index) for index in range(len(observed)))
     sizes = [len(basis.frequency) for basis in bases]
     values, energy = [], np.zeros((len(bases), BANDS, len(observed.channels)))

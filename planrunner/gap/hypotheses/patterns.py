@@ -18,7 +18,7 @@ from planrunner.plan.schedule import Rest, Rock, Spin
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
-Design = tuple[str, list[Array | Rows]]
+PatternDesign = tuple[str, list[Array | Rows]]
 """Name, and per channel raw columns (M, P), or rows (M,) each of which is a column by itself."""
 WHOLE = {
     "means": "offset per segment",
@@ -33,7 +33,7 @@ SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
 
 
-def designs(weighing: Weighing) -> Iterator[Design]:
+def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     observed, spectrum = weighing.observed, weighing.spectrum
     everywhere = len(observed.channels)
     counts = np.sqrt(observed.counts)
@@ -90,7 +90,7 @@ def sorts(weighing: Weighing) -> dict[str, Rows]:
     }
 
 
-def factors(weighing: Weighing) -> Iterator[Design]:
+def factors(weighing: Weighing) -> Iterator[PatternDesign]:
     """Designs, as `designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown.
 
     A factor that explains a gap with few parameters is to be found beside one that needs many, so each has its plainest form here. For an

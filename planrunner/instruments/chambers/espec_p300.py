@@ -12,7 +12,7 @@ from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.chambers.wired_chamber import WiredChamber
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.links import Lines, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import parsed
 from planrunner.plan.kinds import Number, key
 
@@ -58,7 +58,7 @@ class EspecP300Commands:
     def __init__(self, parameters: EspecP300Parameters):
         self.parameters = parameters
         settings = LinkSettings(parameters.address, parameters.timeout.value, "\r\n", baud=parameters.baud)
-        self.link = MessageLink(settings, Lines(b"\r\n"))
+        self.link = MessageLink(settings, LineAnswers(b"\r\n"))
         self.station = "" if parameters.station is None else f"{parameters.station},"
 
     def identify(self) -> Mapping[str, str]:

@@ -12,7 +12,7 @@ from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.chambers.wired_chamber import WiredChamber
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.models import ChamberModel
-from planrunner.instruments.wire.links import Lines, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import number, written
 from planrunner.plan.kinds import Number, key
 
@@ -66,7 +66,7 @@ class Thermotron8800Commands:
     def __init__(self, parameters: Thermotron8800Parameters):
         self.parameters = parameters
         settings = LinkSettings(parameters.address, parameters.timeout.value, "\r", baud=parameters.baud)
-        self.link = MessageLink(settings, Lines(b"\r"))
+        self.link = MessageLink(settings, LineAnswers(b"\r"))
         self._started = False
 
     def identify(self) -> Mapping[str, str]:

@@ -28,7 +28,7 @@ from planrunner.instruments.wire import checksums
 from planrunner.instruments.wire.codes import FLOAT, SIGNED, UNSIGNED
 from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Framing
-from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.plan.kinds import Boolean, Choice, MapOf, Number, Record, RecordOf, Text, key
 
 TYPES = {
@@ -171,10 +171,10 @@ class DeclaredFrame(SerialSensor):
         zeros = {name: item.zero for name, item in parameters.fields.items() if item.zero}
         counts: Field | None = None
         statuses: tuple[Status, ...] = ()
-        counter = Counter(1 / rate)
+        counter = FrameCounter(1 / rate)
         if parameters.counter is not None:
             counts, step = _field(parameters.counter), parameters.counter.step
-            counter = Counter(1 / rate / step, step, parameters.counter.modulus or 1 << 8 * counts.width)
+            counter = FrameCounter(1 / rate / step, step, parameters.counter.modulus or 1 << 8 * counts.width)
         if parameters.status is not None:
             words = {bit: text for text, bit in parameters.status.bits.items()}
             statuses = (Status(_field(parameters.status), "status", words, parameters.status.set_is_good),)

@@ -22,7 +22,7 @@ from planrunner.instruments.wire.checksums import CRC32_MPEG2, SUM8
 from planrunner.instruments.wire.codes import FLOAT
 from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Frames, Framing
-from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.instruments.wire.serial_stream import SerialStream
 from planrunner.plan.kinds import Boolean, Choice, key
 
@@ -118,7 +118,7 @@ def layout(parameters: Kvh1775Parameters) -> FrameLayout:
     )
     sync = bytes([0xFE, 0x81, 0xFF, LAST[name]])
     framing = Framing(sync, LENGTHS[name], checksum=CRC32_MPEG2, check_bytes=4)
-    return FrameLayout(framing, fields, units, Counter(1 / rate, 1, 128), byte(status + 1), statuses=statuses)
+    return FrameLayout(framing, fields, units, FrameCounter(1 / rate, 1, 128), byte(status + 1), statuses=statuses)
 
 
 @dataclass
@@ -133,7 +133,7 @@ class MultiplexedTemperature:
         return self.plain.framing
 
     @property
-    def counter(self) -> Counter:
+    def counter(self) -> FrameCounter:
         return self.plain.counter
 
     def channels(self) -> Mapping[str, str]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planrunner.instruments.wire.codes import UNSIGNED
 from planrunner.instruments.wire.columns import Field, numbers, whole_numbers
 from planrunner.instruments.wire.framing import Frames, Framing
-from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.host_clock import FrameCounter
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -57,7 +57,7 @@ class Decoder(Protocol):
     @property
     def framing(self) -> Framing: ...
     @property
-    def counter(self) -> Counter: ...
+    def counter(self) -> FrameCounter: ...
     def channels(self) -> Mapping[str, str]:
         """Channel name → unit."""
 
@@ -86,7 +86,7 @@ class FrameLayout:
     framing: Framing
     fields: Mapping[str, Field]
     units: Mapping[str, str]
-    counter: Counter
+    counter: FrameCounter
     counts: Field | None = None
     latency: Field | None = None
     statuses: tuple[Status, ...] = ()

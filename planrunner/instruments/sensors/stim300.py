@@ -18,7 +18,7 @@ from planrunner.instruments.wire.checksums import CRC32_MPEG2
 from planrunner.instruments.wire.codes import UNSIGNED
 from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Framing
-from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.plan.kinds import Choice, Schema, key
 from planrunner.plan.source import Node, Scalar
 
@@ -139,6 +139,6 @@ def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: fl
     framing = Framing(
         bytes([datagram]), length, checksum=CRC32_MPEG2, check_bytes=4, padding=-(length - 4) % 4, trailer=b"\r\n"
     )
-    counter = Counter(1 / INTERNAL_RATE, INTERNAL_RATE / rate, 256)
+    counter = FrameCounter(1 / INTERNAL_RATE, INTERNAL_RATE / rate, 256)
     latency = Field(place + 1, 2, UNSIGNED, 1e-6)
     return FrameLayout(framing, fields, units, counter, byte(place), latency, tuple(statuses), means)

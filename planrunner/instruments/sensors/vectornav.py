@@ -22,7 +22,7 @@ from planrunner.instruments.wire.checksums import CRC16_XMODEM, XOR8
 from planrunner.instruments.wire.codes import FLOAT, LINE, UNSIGNED
 from planrunner.instruments.wire.columns import Field
 from planrunner.instruments.wire.framing import Frames, Framing
-from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.instruments.wire.serial_stream import SerialStream
 from planrunner.plan.kinds import Choice, ListOf, key
 
@@ -99,7 +99,9 @@ class VectorNav(SerialSensor):
     @classmethod
     def decoder_of(cls, parameters: Any) -> Decoder:
         rate = parameters.sample_rate.value
-        return binary(parameters.fields, rate) if parameters.output == "binary" else Lines(parameters.output, rate)
+        return (
+            binary(parameters.fields, rate) if parameters.output == "binary" else LineDecoder(parameters.output, rate)
+        )
 
     @classmethod
     def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
@@ -169,11 +171,11 @@ def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
     """Where everything stands in a binary message with these fields. rate: Hz."""
     found: dict[str, Field] = {}
     units: dict[str, str] = {}
-    counts, counter = None, Counter(1 / rate)
+    counts, counter = None, FrameCounter(1 / rate)
     place = 4
     for name in sorted(set(fields), key=lambda item: FIELDS[item][0]):
         if name == "time_startup":
-            counts, counter = Field(place, 8, UNSIGNED, little=True), Counter(1e-9, 1e9 / rate, 1 << 62)
+            counts, counter = Field(place, 8, UNSIGNED, little=True), FrameCounter(1e-9, 1e9 / rate, 1 << 62)
             place += 8
             continue
         for channel, unit in FIELDS[name][1].items():
@@ -185,7 +187,7 @@ def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
 
 
 @dataclass(frozen=True)
-class Lines:
+class LineDecoder:
     """The decoder of one kind of line. rate: Hz."""
 
     name: str
@@ -196,8 +198,8 @@ class Lines:
         return Framing(f"${self.name},".encode("ascii"), LINE_LONGEST, LINE, XOR8)
 
     @property
-    def counter(self) -> Counter:
-        return Counter(1 / self.rate)
+    def counter(self) -> FrameCounter:
+        return FrameCounter(1 / self.rate)
 
     def channels(self) -> Mapping[str, str]:
         return LINES[self.name]

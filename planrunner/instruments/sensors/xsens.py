@@ -22,7 +22,7 @@ from planrunner.instruments.wire.checksums import ZERO_SUM8
 from planrunner.instruments.wire.codes import FLOAT, FRACTION_FIRST, SIGNED, UNSIGNED, XBUS
 from planrunner.instruments.wire.columns import Field, alike
 from planrunner.instruments.wire.framing import Framer, Frames, Framing
-from planrunner.instruments.wire.host_clock import Counter
+from planrunner.instruments.wire.host_clock import FrameCounter
 from planrunner.instruments.wire.serial_stream import SerialStream
 from planrunner.plan.kinds import Boolean, Choice, ListOf, key
 
@@ -157,8 +157,8 @@ class MtData2:
     _shapes: dict[bytes, tuple[Whole, FrameLayout | None]] = field(default_factory=dict, init=False)
 
     @property
-    def counter(self) -> Counter:
-        return Counter(1 / self.rate, 1, 1 << 16)
+    def counter(self) -> FrameCounter:
+        return FrameCounter(1 / self.rate, 1, 1 << 16)
 
     def channels(self) -> Mapping[str, str]:
         return {name: unit for output in self.outputs for name, unit in CHANNELS[output].items()}

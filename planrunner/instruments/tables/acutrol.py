@@ -22,7 +22,7 @@ from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
 from planrunner.instruments.wire.links import (
     LONGEST,
     Incoming,
-    Lines,
+    LineAnswers,
     LinkFailure,
     LinkKeys,
     LinkSettings,
@@ -145,7 +145,7 @@ class AcutrolCommands:
         address = parameters.address.upper()
         pace = next((seconds for bus, seconds in PACE.items() if address.startswith(bus)), 0.0)
         settings = LinkSettings(parameters.address, parameters.timeout.value, "\n", pace, parameters.baud)
-        self.link = MessageLink(settings, AcutrolFraming() if address.endswith("::SOCKET") else Lines())
+        self.link = MessageLink(settings, AcutrolFraming() if address.endswith("::SOCKET") else LineAnswers())
         self.parameters = parameters
         self.axes = [axis.number for axis in counted(parameters)]
         self._modes: dict[int, str] = {}

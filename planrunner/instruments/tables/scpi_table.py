@@ -18,7 +18,7 @@ from planrunner.instruments.models import TableModel
 from planrunner.instruments.tables.axis_commands import AxisBounds, AxisState, Sine
 from planrunner.instruments.tables.axis_table import AxisTable
 from planrunner.instruments.tables.wired_axes import WiredTableKeys, counted
-from planrunner.instruments.wire.links import Lines, LinkKeys, LinkSettings, MessageLink
+from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
 from planrunner.instruments.wire.replies import number, written
 from planrunner.plan.kinds import Choice, ListOf, Record, RecordOf, Schema, Text, key
 from planrunner.plan.source import Node, Scalar
@@ -146,7 +146,7 @@ class ScpiTableCommands:
     def __init__(self, parameters: ScpiTableParameters):
         end = ENDS[parameters.ends]
         settings = LinkSettings(parameters.address, parameters.timeout.value, end, baud=parameters.baud)
-        self.link = MessageLink(settings, Lines(end.encode()))
+        self.link = MessageLink(settings, LineAnswers(end.encode()))
         self.parameters, self.commands = parameters, parameters.commands
         self.axes = [axis.number for axis in counted(parameters)]
         self.rocks = self.commands.rock is not None

@@ -9,7 +9,7 @@ import numpy as np
 
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.parameters import QuantityLike
-from planrunner.instruments.virtual.track import POLAR, Progress, Track
+from planrunner.instruments.virtual.track import POLAR, Track, TrackProgress
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.kinds import Choice, QuantityOf, Record, key
 from planrunner.plan.quantity import Quantity, parse_quantity
@@ -92,7 +92,7 @@ class VirtualCarrier:
         if p.speed.value > 0:
             speed_up = SPEED_UP if p.speed_up is None else p.speed_up.value
             period = None if p.period is None else p.period.value
-            progress = Progress(p.speed.value, p.start.value, speed_up, period)
+            progress = TrackProgress(p.speed.value, p.start.value, speed_up, period)
             great_circle, aligned = p.track == "great-circle", p.bench == "heading-aligned"
             world.track = Track(
                 site.latitude, site.longitude, site.height, p.heading.value, progress, great_circle, aligned

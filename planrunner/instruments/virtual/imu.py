@@ -22,7 +22,7 @@ from planrunner.instruments.virtual.added import Gives, Moments
 from planrunner.instruments.virtual.averages import interval_means
 from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
 from planrunner.instruments.virtual.inertial_axis import InertialAxis, axes_of
-from planrunner.instruments.virtual.noise import Counter, Flicker, RandomWalk, Readout, generator
+from planrunner.instruments.virtual.noise import Flicker, PulseCounter, RandomWalk, Readout, generator
 from planrunner.instruments.virtual.streaming import Sampling
 from planrunner.instruments.virtual.table_angle import mean_angle, turned
 from planrunner.instruments.virtual.world import Components, World
@@ -51,7 +51,7 @@ class _Dwell:
     sampling: Sampling
     draw: np.random.Generator
     chances: Array
-    counters: Mapping[str, Counter]
+    counters: Mapping[str, PulseCounter]
 
 
 class VirtualImu:
@@ -134,7 +134,9 @@ class VirtualImu:
             self.flicker[axis.name].begin(sampling.start, draw)
             self.walk[axis.name].begin(sampling.start, draw)
         counters = {
-            axis.name: Counter(axis.step_of_sample(sampling.rate)) for axis in self.axes if axis.counted and axis.step
+            axis.name: PulseCounter(axis.step_of_sample(sampling.rate))
+            for axis in self.axes
+            if axis.counted and axis.step
         }
         chances = generator(self.world.seed, self.times_switched_on, _SWITCH_ON).standard_normal((len(self.axes), 2))
         dwell = _Dwell(segment, sampling, draw, chances, counters)

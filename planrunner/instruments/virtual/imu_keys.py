@@ -198,7 +198,7 @@ class AccelerometerErrors(ScaleErrors):
     )
 
 
-class Direction(Record):
+class InputAxisDirection(Record):
     """Where an input axis points in the sensor's frame: as a fixture tilts it, or near an axis of the frame."""
 
     angle: Quantity | None = key(
@@ -221,11 +221,11 @@ class Direction(Record):
     )
 
 
-class GyroAxis(GyroErrors, Direction):
+class GyroAxis(GyroErrors, InputAxisDirection):
     """One gyro."""
 
 
-class AccelerometerAxis(AccelerometerErrors, Direction):
+class AccelerometerAxis(AccelerometerErrors, InputAxisDirection):
     """One accelerometer."""
 
 
@@ -259,7 +259,7 @@ def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
             log.error("meaning-input-axis", axis.origin.mark, f"the axis '{name}' {problem[0]}", problem[1])
 
 
-def _problem(name: str, axis: Direction) -> tuple[str, str] | None:
+def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
     """What is wrong with an axis's direction, and the remedy."""
     if (axis.angle is None) != (axis.azimuth is None):
         given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")

@@ -22,8 +22,8 @@ from planrunner.instruments.virtual.courses import Value
 from planrunner.instruments.virtual.imu_keys import (
     FRAME,
     Accelerometers,
-    Direction,
     Gyros,
+    InputAxisDirection,
     VirtualImuParameters,
 )
 from planrunner.instruments.virtual.world import Components
@@ -173,7 +173,7 @@ def _axis(output: str, name: str, group: Gyros | Accelerometers, axis: Any) -> I
     )
 
 
-def _direction(name: str, axis: Direction) -> tuple[float, float, float]:
+def _direction(name: str, axis: InputAxisDirection) -> tuple[float, float, float]:
     """Unit vector of the input axis in the sensor's frame."""
     if axis.angle is not None and axis.azimuth is not None:
         tilt, azimuth = axis.angle.value, axis.azimuth.value

@@ -119,7 +119,7 @@ class RandomWalk:
         self.time, self.value = time, value
 
 
-class Counter:
+class PulseCounter:
     """An integrating output that is counted: what is left of one sample is counted in the next. step: of a sample, output unit."""
 
     def __init__(self, step: float):

@@ -21,7 +21,7 @@ class Rates(Record):
     z: Quantity = _each(QuantityOf("angular rate"), "About z.", "0.1 deg/h", "0 deg/h")
 
 
-class RockingDrift(Record):
+class DriftByRocking(Record):
     """Drift that rocking causes: proportional to the square of the base's angular rate."""
 
     rms_rate: Quantity = key(
@@ -70,7 +70,7 @@ class InstallationAngles(Record):
     zx: Quantity = _each(QuantityOf("angle"), "z accelerometer about x.", "14 arcsec", "0 arcsec")
 
 
-class Accelerometers(Record):
+class QuartzAccelerometers(Record):
     """The three quartz accelerometers on the stabilised element."""
 
     range: str = key(Choice(("1.25 g", "20 g")), "Range of the current converter.", "1.25 g", default="1.25 g")
@@ -148,15 +148,15 @@ class VirtualPlatformParameters(Record):
         "0.0004 deg/sqrt(h)",
         "0 deg/sqrt(h)",
     )
-    rocking_drift: RockingDrift | None = key(
-        RecordOf(RockingDrift),
+    rocking_drift: DriftByRocking | None = key(
+        RecordOf(DriftByRocking),
         "Drift while the base rocks.",
         {"rms_rate": "4.62 deg/s", "x": "0.01 deg/h"},
         default=None,
     )
     caging: Caging = key(RecordOf(Caging), "Caging and release.", {"azimuth": "1 arcmin"}, default_factory=Caging)
-    accelerometers: Accelerometers = key(
-        RecordOf(Accelerometers), "The accelerometers.", {"range": "1.25 g"}, default_factory=Accelerometers
+    accelerometers: QuartzAccelerometers = key(
+        RecordOf(QuartzAccelerometers), "The accelerometers.", {"range": "1.25 g"}, default_factory=QuartzAccelerometers
     )
     gimbal_encoders: GimbalEncoders = key(
         RecordOf(GimbalEncoders), "The gimbals' encoders.", {"resolution": "1 arcsec"}, default_factory=GimbalEncoders

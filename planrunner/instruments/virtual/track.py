@@ -27,7 +27,7 @@ _ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its l
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class TrackProgress:
     """Distance covered along a track: from `start` [s] on, up to `speed` [m/s] at constant acceleration within `speed_up` [s], or with
     the velocity speed·sin(2π·t/period) where `period` [s] is given."""
 
@@ -58,7 +58,7 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CarrierPlace:
     """Where the carrier is: latitude and longitude [rad] with their first and second derivatives by time, and the bench's heading [rad
     clockwise from north] with its first."""
 
@@ -80,7 +80,7 @@ class Track:
     longitude: float
     height: float
     heading: float
-    progress: Progress
+    progress: TrackProgress
     great_circle: bool = False
     aligned: bool = False
 
@@ -95,7 +95,7 @@ class Track:
         times = [stretch.begin, *(t for t in self.progress.breaks if stretch.begin < t < stretch.end), stretch.end]
         return [Stretch(first, last, stretch.pace + self.pace) for first, last in pairwise(times)]
 
-    def place(self, times: Array) -> Place:
+    def place(self, times: Array) -> CarrierPlace:
         """Where it is at `times` [s]. Raises `InstrumentError` near a pole."""
         place = self._on_great_circle(times) if self.great_circle else self._on_rhumb_line(times)
         if float(np.max(np.abs(place.latitude))) > POLAR:
@@ -105,7 +105,7 @@ class Track:
             )
         return place
 
-    def velocity(self, place: Place) -> tuple[Array, Array]:
+    def velocity(self, place: CarrierPlace) -> tuple[Array, Array]:
         """Velocity east and north [m/s]."""
         meridian, parallel = self._radii(place.latitude)
         return place.longitude_rate * parallel, place.latitude_rate * meridian
@@ -141,7 +141,7 @@ class Track:
         parallel: Array = (ellipsoid.normal_radius(latitude) + self.height) * np.cos(latitude)
         return meridian, parallel
 
-    def _on_rhumb_line(self, times: Array) -> Place:
+    def _on_rhumb_line(self, times: Array) -> CarrierPlace:
         distance, speed, acceleration = self.progress.follow(times)
         along, across = math.cos(self.heading), math.sin(self.heading)
         if abs(along) < _ALONG_PARALLEL:
@@ -154,9 +154,9 @@ class Track:
             gained = ellipsoid.isometric_latitude(latitude) - ellipsoid.isometric_latitude(self.latitude)
             longitude = self.longitude + across / along * gained
             rates = _rhumb_rates(latitude, speed, acceleration, along, across)
-        return Place(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
+        return CarrierPlace(latitude, longitude, *rates, self.heading if self.aligned else 0.0, 0.0)
 
-    def _on_great_circle(self, times: Array) -> Place:
+    def _on_great_circle(self, times: Array) -> CarrierPlace:
         """With the normal n = n₀·cos σ + d₀·sin σ: sin φ = n_z, and cos²φ·λ̇ = (n × ṅ)_z does not depend on the place."""
         distance, speed, acceleration = (item / ellipsoid.MEAN_RADIUS for item in self.progress.follow(times))
         normal, forward = self._great_circle_axes()
@@ -171,7 +171,7 @@ class Track:
         latitude_acceleration = (lifted + z * latitude_rate**2) / level
         longitude_acceleration = momentum * acceleration / level**2 + 2 * z / level * latitude_rate * longitude_rate
         heading, heading_rate = (np.arctan2(momentum, climbing), longitude_rate * z) if self.aligned else (0.0, 0.0)
-        return Place(
+        return CarrierPlace(
             latitude,
             self.longitude + np.arctan2(y, x),
             latitude_rate,

@@ -38,7 +38,7 @@ FORESTALLED = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Counter:
+class FrameCounter:
     """How a sensor counts: `tick` s a count, `step` counts a frame, starting anew at `modulus`. A sensor without a counter is one with
     the modulus 1, of which only whole silences can be seen."""
 
@@ -60,7 +60,7 @@ class Unwrapping:
     or a loss, after which they stay behind. It is decided when `PATIENCE` seconds of readings after it are there.
     """
 
-    counter: Counter
+    counter: FrameCounter
     haste: float = 1.0
     """Seconds of the readings' clock in one of the wall: not 1 for a simulated sensor that hastens; the computer's delays do not."""
     _raw: int = 0
@@ -135,7 +135,7 @@ class HostClock:
     is made with holds until its own readings tell), and how much later than the line frames were read: `usual_delay` (median) and
     `worst_delay`, s."""
 
-    counter: Counter
+    counter: FrameCounter
     skew: float = 0.0
     haste: float = 1.0
     worst_delay: float = 0.0

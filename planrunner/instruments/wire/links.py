@@ -44,7 +44,7 @@ def lock_of(address: str) -> threading.RLock:
         return _locks.setdefault(address, threading.RLock())
 
 
-class Framing(Protocol):
+class AnswerFraming(Protocol):
     """How the end of an answer is known."""
 
     def read(self, incoming: Incoming) -> bytes:
@@ -52,7 +52,7 @@ class Framing(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Lines:
+class LineAnswers:
     """Every answer is a line."""
 
     end: bytes = b"\n"
@@ -138,9 +138,9 @@ class MessageLink:
     The link opens itself when it is first used and again after a failure.
     """
 
-    def __init__(self, settings: LinkSettings, framing: Framing | None = None):
+    def __init__(self, settings: LinkSettings, framing: AnswerFraming | None = None):
         self.settings = settings
-        self.framing: Framing = framing or Lines()
+        self.framing: AnswerFraming = framing or LineAnswers()
         self._resource: Any = None
         self._lock = lock_of(settings.address)
         self._last = 0.0
@@ -152,7 +152,9 @@ class MessageLink:
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
-    def query(self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: Framing | None = None) -> str:
+    def query(
+        self, text: str, *, after: Sequence[str] = (), again: bool = True, framing: AnswerFraming | None = None
+    ) -> str:
         """The answer to `text`, without terminator and blanks. after: commands sent in the same breath before it. again: whether it may
         be asked a second time on a new connection when no answer comes; not for what changes the instrument. framing: of this answer,
         where it differs."""
@@ -202,7 +204,7 @@ class MessageLink:
         finally:
             self._lock.release()
 
-    def _once(self, texts: Sequence[str], framing: Framing | None) -> bytes:
+    def _once(self, texts: Sequence[str], framing: AnswerFraming | None) -> bytes:
         """Send, and read one answer with `framing`. Raises `LinkFailure` with the link closed."""
         incoming: Incoming | None = None
         settings = self.settings

@@ -6,12 +6,12 @@ import math
 import re
 
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.wire.links import Framing, MessageLink
+from planrunner.instruments.wire.links import AnswerFraming, MessageLink
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-def numbers(link: MessageLink, request: str, count: int, framing: Framing | None = None) -> list[float]:
+def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
     """The numbers that a request is answered with, separated by commas or semicolons. Raises `InstrumentError` when there are fewer or
     something is no finite number; then what still comes is not read as the next answer."""
     reply = link.query(request, framing=framing)
@@ -22,7 +22,7 @@ def numbers(link: MessageLink, request: str, count: int, framing: Framing | None
         raise
 
 
-def number(link: MessageLink, request: str, framing: Framing | None = None) -> float:
+def number(link: MessageLink, request: str, framing: AnswerFraming | None = None) -> float:
     return numbers(link, request, 1, framing)[0]
 
 

@@ -25,7 +25,7 @@ TIMEOUT = 0.05
 MOST = 2**16
 
 
-class Port(Protocol):
+class SerialPort(Protocol):
     """What is used of a pyserial port."""
 
     @property
@@ -73,7 +73,9 @@ class Ring:
 class SerialStream:
     """A serial port and the thread that reads it. name: of the port, for messages; now: s, by the bench's clock."""
 
-    def __init__(self, port: Port, name: str, now: Callable[[], float], capacity: int = CAPACITY, bulk: bool = False):
+    def __init__(
+        self, port: SerialPort, name: str, now: Callable[[], float], capacity: int = CAPACITY, bulk: bool = False
+    ):
         self.ring = Ring(capacity)
         self._port, self._name, self._now, self._bulk = port, name, now, bulk
         self._failure: str | None = None

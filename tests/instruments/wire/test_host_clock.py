@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.instruments.wire.host_clock import Counter, HostClock, Unwrapping, line_under
+from planrunner.instruments.wire.host_clock import FrameCounter, HostClock, Unwrapping, line_under
 
 RATE = 2000.0
-COUNTER = Counter(1 / RATE, 1, 256)
+COUNTER = FrameCounter(1 / RATE, 1, 256)
 
 
 def readings(taken: np.ndarray, seed: int, sleeps: float = 0.0) -> np.ndarray:
@@ -75,9 +75,9 @@ def test_steps_back_and_repetitions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("counter", "before"), [(Counter(0.01, 1, 1 << 16), 3000), (Counter(1e-9, 1e7, 1 << 62), 10**13)]
+    ("counter", "before"), [(FrameCounter(0.01, 1, 1 << 16), 3000), (FrameCounter(1e-9, 1e7, 1 << 62), 10**13)]
 )
-def test_a_counter_that_was_set_anew_is_told(counter: Counter, before: int) -> None:
+def test_a_counter_that_was_set_anew_is_told(counter: FrameCounter, before: int) -> None:
     count = np.arange(200)
     raw = np.where(count < 100, before + count * int(counter.step), (count - 100) * int(counter.step))
     received = 1 + count.astype(float) * 0.01
@@ -95,20 +95,20 @@ def test_frames_lost_while_the_computer_slept_are_no_jump() -> None:
     taken = 5 + sent / RATE
     received = np.where((sent >= 500) & (sent < 1000), taken[1000], taken)
     found = np.concatenate(
-        [part for _, part in batches(received, sent % 65536, Unwrapping(Counter(1 / RATE, 1, 65536)))]
+        [part for _, part in batches(received, sent % 65536, Unwrapping(FrameCounter(1 / RATE, 1, 65536)))]
     )
     assert np.array_equal(found, sent)
 
 
 def test_a_counter_that_counts_more_than_frames() -> None:
-    counter = Counter(1 / 2000, 4, 256)
+    counter = FrameCounter(1 / 2000, 4, 256)
     sent = 4 * np.array([0, 1, 2, 10, 11])
     received = 1 + sent / 2000
     assert Unwrapping(counter).resolve(received, (sent + 250) % 256, final=True).tolist() == sent.tolist()
 
 
 def test_without_a_counter_only_silences_tell_of_losses() -> None:
-    counter = Counter(0.01)
+    counter = FrameCounter(0.01)
     sent = np.concatenate([np.arange(100), np.arange(150, 250)])
     found = Unwrapping(counter).resolve(3 + sent * 0.01, np.zeros(200, np.int64), final=True)
     assert found.tolist() == sent.tolist()

@@ -1,7 +1,7 @@
-"""What acts on the segments' means beside the noise within them and is not the same for all: declared flicker, what a table has wrong.
+"""Errors of the segments' means that are correlated between segments: declared flicker, and errors of the table.
 
-An effect says how every observation follows r independent inputs of one stated uncertainty. So it gives both what it adds to the
-covariance of the observations, by which they are weighted, and how whatever is computed from them follows it.
+A correlated error states how every observation follows r independent inputs of one stated uncertainty. This gives both its part of the
+covariance of the observations, by which they are weighted, and how each result follows the inputs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _RESOLVED = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Effect:
+class CorrelatedError:
     """changes: for each output that it acts on, by its place, (n, r): change of each observation per unit of each input. parts: names of
     the r inputs, as for `Influence`. within: for each output, (n,), what of the variance that is seen within the segments it makes, per
     unit² of the input."""
@@ -52,13 +52,13 @@ def functionals_of(gains: Array) -> Array:
     return stacked
 
 
-def explained(effects: Sequence[Effect], output: int) -> Array | float:
+def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
     """What of the variance that is seen within the segments the effects make, (n,)."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 
 
-def mixed(spread: Array, effects: Sequence[Effect], output: int) -> Array:
+def mixed(spread: Array, effects: Sequence[CorrelatedError], output: int) -> Array:
     """Covariance (n, n) of an output's observations: noise of standard uncertainty `spread` (n,) and the effects."""
     covariance = np.diag(spread**2) + sum(effect.covariance(output, output) for effect in effects)
     return np.asarray(covariance + _RESOLVED * covariance.diagonal().max() * np.eye(len(spread)))

@@ -1,6 +1,6 @@
 """What a table does to each observation in its own way: positions, azimuth, right angles between its axes, and rates.
 
-All of it makes segments scatter about a model, so that it belongs to the weights of a fit (`observation_effects`). How far it moves an
+All of it makes segments scatter about a model, so that it belongs to the weights of a fit (`correlated_errors`). How far it moves an
 output depends on that output's coefficients. Signs are those of a stated value that is too large; of positions, those of the turn.
 """
 
@@ -18,7 +18,7 @@ from planrunner.estimators.interface import Setup
 from planrunner.estimators.stated_influences import mean_poses, mean_stimulus
 from planrunner.estimators.turned_segments import DIRECTIONS, UP
 from planrunner.instruments.models import TableModel
-from planrunner.observation.observation_effects import Effect
+from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
 from planrunner.physics.stimulus import Poses
@@ -31,12 +31,12 @@ _STEP = 1e-5  # rad, or relative: of central differences, whose error is of the 
 _LEAN = 1e-3  # rad; central differences of terms up to the second degree are exact for any step
 
 
-def table_effects(
+def table_errors(
     model: ErrorModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
-) -> tuple[Effect, ...]:
+) -> tuple[CorrelatedError, ...]:
     """Those for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
     inputs = setup.inputs
-    found: list[Effect] = []
+    found: list[CorrelatedError] = []
     poses = mean_poses(segments)
     if position := inputs.get("table position"):
         found.append(_positions(position, model, segments, poses, site, coefficients))
@@ -48,11 +48,11 @@ def table_effects(
     if rate := inputs.get("table rate"):
         rates = np.array([one.motion.rate if isinstance(one.motion, Spin) else 0.0 for one in segments])
         ends = [model.columns(mean_stimulus(_hastened(segments, 1 + step), site)) for step in (-_STEP, _STEP)]
-        found += rate_effects(rate, _slope(ends, _STEP, coefficients), rates)
+        found += rate_errors(rate, _slope(ends, _STEP, coefficients), rates)
     return tuple(found)
 
 
-def rate_effects(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Effect, ...]:
+def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
     """A relative error of each commanded rate, the same whenever that rate comes again; nothing where nothing turns.
 
     moved: (m, n), change of the observations per relative change of their rates; rates: (n,), rad/s.
@@ -62,7 +62,7 @@ def rate_effects(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[E
         return ()
     own = rates[:, None] == different
     changes = {output: -change[:, None] * own for output, change in enumerate(moved)}
-    return (Effect(quantity, changes, tuple(map(rate_part, different))),)
+    return (CorrelatedError(quantity, changes, tuple(map(rate_part, different))),)
 
 
 def rate_part(rate: float) -> str:
@@ -115,7 +115,7 @@ def _positions(
     poses: Poses,
     site: Site,
     coefficients: Array,
-) -> Effect:
+) -> CorrelatedError:
     """About each direction at each orientation, the same whenever that orientation is taken. It acts across a vector and not along it: an
     accelerometer that points up feels nothing of it, one that lies level all."""
     m, n = len(coefficients), len(segments)
@@ -128,7 +128,7 @@ def _positions(
         ]
         changes[:, np.arange(n), k, place] = _slope(ends, _STEP, coefficients)
     parts = tuple(f"{name} about {word}" for word in DIRECTIONS for name in names)
-    return Effect(position, dict(enumerate(changes.reshape(m, n, -1))), parts)
+    return CorrelatedError(position, dict(enumerate(changes.reshape(m, n, -1))), parts)
 
 
 def _right_angles(
@@ -139,7 +139,7 @@ def _right_angles(
     poses: Poses,
     site: Site,
     coefficients: Array,
-) -> tuple[Effect, ...]:
+) -> tuple[CorrelatedError, ...]:
     """One input for each pair of neighbouring axes; nothing where the table cannot be at the orientations, or turns."""
     if len(table.axes) < 2 or not all(isinstance(segment.motion, Rest) for segment in segments):
         return ()
@@ -166,9 +166,9 @@ def _right_angles(
     return (_of_one(quantity, moved, parts),)
 
 
-def _of_one(quantity: InputQuantity, moved: Sequence[Array], parts: tuple[str, ...] = ()) -> Effect:
+def _of_one(quantity: InputQuantity, moved: Sequence[Array], parts: tuple[str, ...] = ()) -> CorrelatedError:
     """moved: for each input, (m, n)."""
-    return Effect(quantity, dict(enumerate(np.stack(moved, axis=2))), parts)
+    return CorrelatedError(quantity, dict(enumerate(np.stack(moved, axis=2))), parts)
 
 
 def _slope(ends: Sequence[Array], step: float, coefficients: Array) -> Array:
