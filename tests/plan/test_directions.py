@@ -43,7 +43,7 @@ def choices(record, name):
 axes = np.array([{DIRECTION!r}, (0.0, 0.0, 1.0), np.cross({DIRECTION!r}, (0.0, 0.0, 1.0))])
 print(json.dumps({{
     "orientation": OrientationKind().schema()["anyOf"][1]["properties"]["x"]["enum"],
-    "about": choices(model.Motion, "about"),
+    "about": choices(model.MotionSpec, "about"),
     "axis": choices(AxisSpec, "direction"),
     "read": read("{{x: south-east, y: up}}"),
     "misspelt": read("{{x: south-eest, y: up}}"),
@@ -52,7 +52,7 @@ print(json.dumps({{
     "in words": in_words(axes),
     "spin": words.direction({DIRECTION!r}),
     "level": _words(axes),
-    "reference": type_words(next(i.metadata["kind"] for i in model.Motion.__dataclass_fields__.values() if i.name == "about")),
+    "reference": type_words(next(i.metadata["kind"] for i in model.MotionSpec.__dataclass_fields__.values() if i.name == "about")),
     "cardinal": [one.tolist() for one in cardinal_orientations()],
     "written": orientation_text(axes),
 }}))
