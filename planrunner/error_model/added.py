@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark, closest
-from planrunner.error_model.effects.interface import Column, Shaped, Variant, is_whole
+from planrunner.error_model.effects.interface import (
+    ActsOnNoise,
+    Column,
+    Effect,
+    NoiseKind,
+    PerOrientation,
+    Shaped,
+    Variant,
+    is_whole,
+)
 from planrunner.error_model.observed import Observed
 from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.plan.units import UnknownUnitError, unit
@@ -24,7 +33,7 @@ from planrunner.plan.units import UnknownUnitError, unit
 Array = NDArray[np.float64]
 EFFECTS = "planrunner.effects"
 STAGES = ("stimulus", "sensor", "output", "acquisition", "covariance")
-NOISE = {
+NOISE: dict[NoiseKind, tuple[str, str]] = {
     "white": ("density", "deg/s*sqrt(s)"),
     "resolution": ("count", "deg/s"),
     "random walk": ("density", "deg/s/sqrt(s)"),
@@ -47,13 +56,13 @@ class EffectParameter:
 class Addition:
     """An effect with all its parameters, in their units. units: of the parameters."""
 
-    effect: Any
+    effect: Effect
     values: Mapping[str, float]
     units: Mapping[str, str]
 
     @property
     def id(self) -> str:
-        return str(self.effect.id)
+        return self.effect.id
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
@@ -70,7 +79,7 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     if not known:
         hint = "look at the sensor's outputs, the plan's motions and the site's magnetic_field"
         raise InputError.at(mark, "effect-cannot-act", f"'{name}' cannot act on this sensor under this plan", hint)
-    shape = getattr(effect, "shape_name", None)
+    shape = effect.shape_name if isinstance(effect, Shaped) else None
     named = any(key not in ("", shape) for key in stated)
     values = {one.name: 0.0 if named and one.name != shape else one.natural for one in known.values()}
     for key, text in stated.items():
@@ -104,15 +113,15 @@ def _value(text: str, parameter: EffectParameter, effect: str, mark: Mark) -> fl
     return value
 
 
-def parameters(effect: Any, observed: Observed) -> list[EffectParameter]:
+def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
     """Parameters of an effect; empty if it cannot act."""
-    if effect.stage == "covariance":
+    if isinstance(effect, ActsOnNoise):
         gyros = observed.of_kind("gyro")
         if not gyros:
             return []
         name, text = NOISE[effect.noise]
         channel = observed.channels[gyros[0]]
-        declared = {
+        declared: float = {
             "white": channel.white,
             "resolution": max(channel.resolution, channel.white * math.sqrt(observed.sample_rate)),
             "random walk": _WALK * math.radians(1.0) / _UNUSUAL,
@@ -123,10 +132,9 @@ def parameters(effect: Any, observed: Observed) -> list[EffectParameter]:
     if not variants:
         return []
     middle: Variant = variants[len(variants) // 2]
-    shape = getattr(effect, "shape_name", None)
-    if shape is not None and middle.shape is not None:
-        found.append(EffectParameter(shape, effect.shape_unit, middle.shape))
-    if getattr(effect, "each", None) == "orientation":
+    if isinstance(effect, Shaped) and middle.shape is not None:
+        found.append(EffectParameter(effect.shape_name, effect.shape_unit, middle.shape))
+    if isinstance(effect, PerOrientation):
         column = middle.columns[0]
         return [*found, EffectParameter("size", column.unit, column.magnitude / column.factor)]
     if not is_whole(middle.columns):
@@ -153,17 +161,12 @@ def added(observed: Observed, levels: Array, additions: Sequence[Addition], seed
 def _amplitudes(item: Addition, observed: Observed, seed: int) -> list[tuple[Column, float]]:
     """Columns with their amplitudes in SI."""
     effect = item.effect
-    if getattr(effect, "each", None) == "orientation":
+    if isinstance(effect, PerOrientation):
         return _each_orientation(item, observed, seed)
-    shape = item.values.get(getattr(effect, "shape_name", "") or "")
     if isinstance(effect, Shaped):
-        assert shape is not None
-        columns = effect.at(observed, shape).columns if len(effect.grid(observed)) else ()
+        columns = effect.at(observed, item.values[effect.shape_name]).columns if len(effect.grid(observed)) else ()
     else:
-        variants = effect.variants(observed)
-        if shape is not None:
-            variants = sorted(variants, key=lambda variant: abs((variant.shape or 0.0) - shape))
-        columns = variants[0].columns if variants else ()
+        columns = next((variant.columns for variant in effect.variants(observed)), ())
     if is_whole(columns):
         return [(columns[0], 1.0)]
     return [(column, item.values[column.name] * column.factor) for column in columns]

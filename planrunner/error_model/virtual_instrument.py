@@ -84,8 +84,10 @@ class AddedEffects:
         return {**levels, **{c.name: changed[:, i] / c.factor for i, c in enumerate(channels)}}
 
     def noise(self, output: str, gives: Gives) -> Gives:
+        from planrunner.error_model.effects.interface import ActsOnNoise
+
         for item in self.additions:
-            kind = getattr(item.effect, "noise", "")
+            kind = item.effect.noise if isinstance(item.effect, ActsOnNoise) else None
             if kind in ("white", "resolution") and unit(gives.unit).dimension == unit("rad/s").dimension:
                 (value,) = item.values.values()
                 value *= unit("deg/s").factor / unit(gives.unit).factor
@@ -185,9 +187,11 @@ class AddedEffects:
 
     def _walked(self, moments: Moments, observed: Observed) -> Array:
         """Random walks of the gyros' biases over the samples, (N, K), SI."""
+        from planrunner.error_model.effects.interface import ActsOnNoise
+
         total = np.zeros((len(moments.time), len(observed.channels)))
         for item in self.additions:
-            if getattr(item.effect, "noise", "") != "random walk":
+            if not (isinstance(item.effect, ActsOnNoise) and item.effect.noise == "random walk"):
                 continue
             (density,) = item.values.values()
             draw = generator(self.world.seed, round(moments.time[0] * moments.sample_rate), _WALKS)

@@ -20,7 +20,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import FoldChoice, predictions
 from planrunner.gap.answer.diagnosis import Diagnosis
 from planrunner.gap.answer.diagnosis import diagnose as diagnosed
-from planrunner.gap.hypotheses.whole import forms, whole
+from planrunner.gap.hypotheses.whole import forms, shape_alone
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
 from planrunner.observation.samples import observed
@@ -167,7 +167,8 @@ def _told(answer: Diagnosis, effects: Sequence[str]) -> list[FoldChoice]:
         columns = [one.best.variant.columns for one in known]
         apart = Variant(tuple(chain(*columns)), widths=tuple(map(len, columns)))
         return [FoldChoice(pair or weighing.weigh([apart])[0], 1.0)]
-    exact = forms(weighing, known[0].effect) if whole(known[0]) else []
+    shaped = shape_alone(known[0])
+    exact = forms(weighing, shaped) if shaped is not None else []
     return [FoldChoice(weighed, share, bool(exact)) for weighed, share in exact or known[0].likely_forms()]
 
 

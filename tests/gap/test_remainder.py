@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from planrunner.error_model.effects.interface import Variant
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.answer.posterior import Posterior
@@ -60,9 +61,13 @@ def test_what_explains_distinctly_more_is_no_other_name_for_it() -> None:
     assert alike == pytest.approx({"a": 1.0, "b": 1.0, "c": 0.36788}, rel=1e-4)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Named:
     id: str
+    stage: str = "sensor"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
 
 
 def _candidate(name: str, log_bayes: float) -> Candidate:

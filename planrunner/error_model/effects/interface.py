@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,25 @@ class Effect(Protocol):
         """The variants of the effect for this recording; empty if it cannot act (no such channel, no rotation)."""
 
 
-class Curved(Protocol):
+NoiseKind = Literal["white", "resolution", "random walk"]
+
+
+@runtime_checkable
+class ActsOnNoise(Effect, Protocol):
+    """An effect of stage covariance: it changes the noise of the gyros, and has no columns."""
+
+    noise: NoiseKind
+
+
+@runtime_checkable
+class PerOrientation(Effect, Protocol):
+    """An effect whose amplitudes are drawn anew for every orientation."""
+
+    each: Literal["orientation"]
+
+
+@runtime_checkable
+class Curved(Effect, Protocol):
     """An effect that is linear only for small amplitudes."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
@@ -76,6 +94,8 @@ class Shaped:
     """An effect whose shape is one positive number: `shape_name`, in `shape_unit`. Its variants are given by `at` for the values of a
     `grid` with constant ratio; the diagnosis refines between them."""
 
+    id: str
+    stage: str
     shape_name: str
     shape_unit: str
 

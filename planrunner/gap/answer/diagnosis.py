@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.base import plugins
+from planrunner.error_model.effects.interface import ActsOnNoise, Effect
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer import parameters as estimates
 from planrunner.gap.answer.closure import NOT_RESOLVABLE, Closure, FoldChoice, closure
@@ -26,7 +27,7 @@ from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, places
 from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
-from planrunner.gap.hypotheses.whole import forms, whole
+from planrunner.gap.hypotheses.whole import forms, shape_alone
 from planrunner.observation.refusals import ObservationError
 
 Forms = list[tuple[Weighed, float]]
@@ -127,9 +128,9 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         )
         raise ObservationError(few, hint)
     names = plugins.names(EFFECTS) if options.effects is None else options.effects
-    effects = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
+    effects: list[Effect] = [plugins.load(EFFECTS, name)() for name in names if name not in options.nominal]
     weighing = Weighing(observed, options.nominal)
-    candidates = candidates_of(weighing, [effect for effect in effects if effect.stage != "covariance"])
+    candidates = candidates_of(weighing, [effect for effect in effects if not isinstance(effect, ActsOnNoise)])
     found = posterior(weighing, effects, candidates)
     said = verdict(weighing, found, candidates)
     by_id = {candidate.id: candidate for candidate in candidates}
@@ -139,7 +140,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))
     key = "+".join(sorted(named))
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
-    walks = {str(effect.id) for effect in effects if getattr(effect, "noise", "") == "random walk"}
+    walks = {effect.id for effect in effects if isinstance(effect, ActsOnNoise) and effect.noise == "random walk"}
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
     choices = _choices(found, by_id, walks, exact) or [FoldChoice(c.best, 0.0) for c in ranked[:_CHOICES]]
     if after is not None and all(after is not choice.weighed for choice in choices):
@@ -161,7 +162,8 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
     """The forms of an effect that has its shape alone, where that can be found exactly."""
-    found = forms(weighing, candidate.effect) if whole(candidate) else []
+    effect = shape_alone(candidate)
+    found = forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
 
 
@@ -192,7 +194,7 @@ def _parameters(
     said: Verdict,
     found: Posterior,
     by_id: Mapping[str, Candidate],
-    effects: list[Any],
+    effects: list[Effect],
     exact: Mapping[str, Forms],
 ) -> list[ParameterEstimate]:
     """Estimates for the likeliest effects. Those of a pair are fitted together."""
@@ -200,13 +202,16 @@ def _parameters(
     pair = found.pairs.get("+".join(sorted(said.effects)))
     for name in said.effects:
         if name not in by_id:
-            listed += estimates.of_noise(weighing, next(effect for effect in effects if effect.id == name))
+            listed += estimates.of_noise(
+                weighing, next(one for one in effects if one.id == name and isinstance(one, ActsOnNoise))
+            )
             continue
-        if name in exact:
-            listed += estimates.exact_shape(by_id[name].effect, exact[name])
+        shaped = shape_alone(by_id[name])
+        if shaped is not None and name in exact:
+            listed += estimates.exact_shape(shaped, exact[name])
             continue
-        if len(said.effects) == 1 and whole(by_id[name]) and by_id[name].best.amplitudes[0][0] < 0:
-            listed += estimates.opposite(by_id[name])
+        if shaped is not None and len(said.effects) == 1 and by_id[name].best.amplitudes[0][0] < 0:
+            listed += estimates.opposite(shaped, by_id[name].best)
             continue
         columns = slice(None)
         weighed = by_id[name].best

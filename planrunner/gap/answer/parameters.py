@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from planrunner.error_model.effects.interface import ActsOnNoise, Shaped
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 
 
@@ -41,7 +41,7 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
     """The shape, its uncertainty from the evidence over the values that were tried."""
     effect = candidate.effect
     values = np.array([item.variant.shape for item in candidate.variants if item.variant.shape is not None])
-    if not len(values) or not getattr(effect, "shape_name", None):
+    if not len(values) or not isinstance(effect, Shaped):
         return []
     evidence = np.array([float(item.log_bayes.max()) for item in candidate.variants])
     order = np.argsort(values)
@@ -54,30 +54,29 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
     return [ParameterEstimate(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
 
 
-def exact_shape(effect: Any, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
+def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
     """The shape of an effect that has no amplitude, from its forms and how probable each is."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))
-    return [ParameterEstimate(str(effect.id), effect.shape_name, mean, effect.shape_unit, spread)]
+    return [ParameterEstimate(effect.id, effect.shape_name, mean, effect.shape_unit, spread)]
 
 
-def opposite(candidate: Candidate) -> list[ParameterEstimate]:
+def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
     """The shape of an effect without amplitude that the data want the other way round: negative, in proportion to what it does. A delay
     is that of the table's angle then."""
-    effect, best = candidate.effect, candidate.best
     (share,), ((variance,),) = best.amplitudes
     size = float(best.variant.shape or 0.0)
     return [
         ParameterEstimate(
-            candidate.id, effect.shape_name, float(share) * size, effect.shape_unit, float(np.sqrt(variance)) * size
+            effect.id, effect.shape_name, float(share) * size, effect.shape_unit, float(np.sqrt(variance)) * size
         )
     ]
 
 
-def of_noise(weighing: Weighing, effect: object) -> list[ParameterEstimate]:
+def of_noise(weighing: Weighing, effect: ActsOnNoise) -> list[ParameterEstimate]:
     """What an effect on the noise changes: white level or resolution per gyro, or the random walk's density."""
-    observed, name, noise = weighing.observed, str(getattr(effect, "id", "")), getattr(effect, "noise", "")
+    observed, name, noise = weighing.observed, effect.id, effect.noise
     gyros = observed.of_kind("gyro")
     found = []
     if noise == "white":

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.effects.interface import ActsOnNoise, Effect, Variant
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, pair_log_bayes_factor
 from planrunner.gap.evidence.noise_levels import log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
@@ -42,11 +41,11 @@ def pair_key(first: str, second: str) -> str:
     return "+".join(sorted((first, second)))
 
 
-def posterior(weighing: Weighing, effects: Sequence[Any], candidates: Sequence[Candidate]) -> Posterior:
+def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequence[Candidate]) -> Posterior:
     """Weigh all hypotheses. effects: all that are installed; candidates: those of them with signatures, weighed."""
     nothing = np.zeros(len(weighing.base))
     levels = log_densities(weighing.declared, weighing.white, weighing.white_degrees, weighing.steps)
-    acting = {effect.noise: str(effect.id) for effect in effects if effect.stage == "covariance"}
+    acting = {effect.noise: effect.id for effect in effects if isinstance(effect, ActsOnNoise)}
     walk = acting.pop("random walk", "")
     others = {name: level for level, name in acting.items()}
     start = weighing.evidence(nothing) + levels["declared"]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Column, Shaped, Variant
+from planrunner.error_model.effects.interface import Column, Effect, Shaped, Variant
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.discrimination import Rival
 from planrunner.gap.answer.posterior import Posterior
@@ -26,13 +25,13 @@ LEAST = 0.01  # probability of one that is
 class ExplanationPart:
     """One effect of an explanation, in the form that the recording wants of it. prior: variance of its amplitudes, in magnitudes²."""
 
-    effect: Any
+    effect: Effect
     weighed: Weighed
     prior: float
 
     @property
     def key(self) -> tuple[str, float | None]:
-        return str(self.effect.id), self.weighed.variant.shape
+        return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
         """Its columns over another recording; none where it cannot act there."""

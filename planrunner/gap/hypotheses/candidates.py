@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Column, Variant
+from planrunner.error_model.effects.interface import Column, Effect, Variant
 from planrunner.error_model.effects.nominal import PARTS
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, log_bayes_factors
@@ -64,13 +63,13 @@ class Weighed:
 class Candidate:
     """An effect and its weighed variants. log_bayes: (G,), averaged over the shape."""
 
-    effect: Any
+    effect: Effect
     variants: tuple[Weighed, ...]
     log_bayes: Array
 
     @property
     def id(self) -> str:
-        return str(self.effect.id)
+        return self.effect.id
 
     @property
     def best(self) -> Weighed:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.error_model.effects.interface import Curved, Shaped, is_whole
+from planrunner.error_model.effects.interface import Curved, Effect, Shaped, is_whole
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
@@ -21,7 +20,7 @@ _BENT = 30.0  # log BF from which on an effect may bend the fit of the nominal p
 _SETTLING, _GAINED = 8, 1.0  # times that these are fitted anew at most; nats that make another time worth it
 
 
-def candidates_of(weighing: Weighing, effects: Sequence[Any]) -> list[Candidate]:
+def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
     """Effects weighed: their shapes on each effect's grid, refined where the evidence is sharp."""
     forms = [effect.variants(weighing.observed) for effect in effects]
     weighed = iter(weighing.weigh([variant for form in forms for variant in form]))
@@ -30,7 +29,7 @@ def candidates_of(weighing: Weighing, effects: Sequence[Any]) -> list[Candidate]
     ]
 
 
-def _candidate(weighing: Weighing, effect: Any, weighed: list[Weighed]) -> Candidate:
+def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Candidate:
     usable = [item for item in weighed if item.kept > ABSORBED and item.trace > 0]
     if not usable:
         return Candidate(effect, tuple(weighed), np.full(len(weighing.base), -np.inf))
@@ -39,7 +38,7 @@ def _candidate(weighing: Weighing, effect: Any, weighed: list[Weighed]) -> Candi
         usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
         if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
             usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
-    if hasattr(effect, "around") and float(log_bayes.max()) > _BENT:
+    if isinstance(effect, Curved) and float(log_bayes.max()) > _BENT:
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
     return Candidate(effect, tuple(usable), log_bayes)
 

@@ -24,9 +24,12 @@ _TOLD = 1.0  # nats that an effect of any shape must explain beyond none
 _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
-def whole(candidate: Candidate) -> bool:
-    """Whether an effect has its shape and no amplitude."""
-    return isinstance(candidate.effect, Shaped) and any(is_whole(item.variant.columns) for item in candidate.variants)
+def shape_alone(candidate: Candidate) -> Shaped | None:
+    """The effect of a candidate that has a shape and no amplitude; None for all others."""
+    effect = candidate.effect
+    if isinstance(effect, Shaped) and any(is_whole(item.variant.columns) for item in candidate.variants):
+        return effect
+    return None
 
 
 def forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
