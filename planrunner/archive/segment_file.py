@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.formats import IntegrityError
 from planrunner.archive.storage import ASIDE, Storage, digest
+from planrunner.base import arrow_columns
 from planrunner.base.guarded_folder import GuardedFolder, NotOrdinaryError
 from planrunner.instruments.interfaces import Block, InstrumentError
 
@@ -185,7 +186,9 @@ class SegmentWriter:
         waiting, self._waiting, self._waiting_rows = self._waiting, [], 0
         columns = [_joined([block.time for block in waiting])]
         columns += [_joined([block.channels[name] for block in waiting]) for name in self.channels]
-        self._open.write(pa.Table.from_arrays([pa.array(column) for column in columns], schema=self._schema))
+        self._open.write(
+            pa.Table.from_arrays([arrow_columns.column(values) for values in columns], schema=self._schema)
+        )
 
     def _finish_part(self) -> None:
         if self._waiting or self._open is None:
@@ -432,6 +435,5 @@ def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
 
 
 def _column(table: Any, name: str) -> NDArray[np.float64]:
-    column = table.column(name)
-    values: NDArray[np.float64] = column.chunk(0).to_numpy() if column.num_chunks == 1 else column.to_numpy()
-    return values
+    parts = [arrow_columns.numbers(chunk) for chunk in table.column(name).chunks]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base import arrow_columns
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.plan.span import EVERYTHING, Span
@@ -304,8 +305,7 @@ class _File:
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
             message = f"column '{column}' contains a value that is not a number, in rows {first} to {first + batch.num_rows - 1}"
             raise InstrumentError(f"{self.name}: {message}") from None
-        numbers: Array = values.to_numpy(zero_copy_only=False)
-        return numbers
+        return arrow_columns.numbers(values)
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
         """Time is there and increases, from row to row and from the row before this batch."""
@@ -397,7 +397,10 @@ class _Spooled:
         try:
             for time, columns in file.rows():
                 spooled.file.channels = {name: f"column {name}" for name in columns}
-                table = pa.table([time, *columns.values()], names=["time", *spooled.file.channels.values()])
+                table = pa.table(
+                    [arrow_columns.column(values) for values in (time, *columns.values())],
+                    names=["time", *spooled.file.channels.values()],
+                )
                 writer = writer or pq.ParquetWriter(path, table.schema)
                 writer.write_table(table)
         except OSError as error:
@@ -442,7 +445,12 @@ class _Csv(_File):
                 reader = open_files.enter_context(arrow_csv.open_csv(file, options, convert_options=convert))
                 first = 1
                 if wanted is None:
-                    yield first, pa.RecordBatch.from_pylist([], schema=reader.schema)
+                    yield (
+                        first,
+                        pa.RecordBatch.from_arrays(
+                            [pa.nulls(0, one.type) for one in reader.schema], schema=reader.schema
+                        ),
+                    )
                     return
                 for batch in reader:
                     for offset in range(0, batch.num_rows, BATCH):

@@ -1,0 +1,26 @@
+"""Columns of numbers between numpy and pyarrow, without pandas.
+
+Where pandas is installed, pyarrow's own ways from and to numpy import it, to look for its types: half a second of every command that
+reads or writes samples. Buffers and DLPack go without.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def column(values: NDArray[np.float64]) -> Any:
+    """A `pyarrow.Array` of numbers (n,), which it shares where they lie one after the other."""
+    import pyarrow as pa
+
+    whole = np.ascontiguousarray(values, dtype=np.float64)
+    return pa.Array.from_buffers(pa.float64(), len(whole), [None, pa.py_buffer(whole)])
+
+
+def numbers(values: Any) -> NDArray[np.float64]:
+    """The numbers (n,) of a `pyarrow.Array` of 64-bit floats, NaN where one is missing; they may be read-only."""
+    return np.asarray(np.from_dlpack(values.fill_null(math.nan) if values.null_count else values), dtype=np.float64)
