@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any
 
 import pytest
@@ -56,6 +57,8 @@ def quantities(kind: Any) -> Iterator[QuantityOf | QuantityLike]:
 
 
 def every_key() -> dict[str, list[QuantityOf | QuantityLike]]:
+    for language in ("planrunner.plan.model", "planrunner.bench.model"):
+        import_module(language)
     for group in GROUPS:
         for name in plugins.names(group):
             plugins.load(group, name)
