@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from inspect import get_annotations
 from operator import attrgetter
 from reprlib import recursive_repr
+from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any
 
 WRITTEN = ("__init__", "__eq__", "__hash__", "__setattr__", "__delattr__")
@@ -97,6 +98,10 @@ def _write(made: Any, name: str, function: Any) -> None:
 def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: bool) -> Any:
     """`__init__`, the one function that is compiled."""
     names: dict[str, object] = {"_absent": dataclasses.MISSING, "_set": object.__setattr__}
+    slots = {
+        item.name: own for item in found if isinstance(own := getattr(made, item.name, None), MemberDescriptorType)
+    }
+    names |= {f"_set_{name}": slot.__set__ for name, slot in slots.items()}
     plain: list[str] = []
     by_name: list[str] = []
     lines: list[str] = []
@@ -114,7 +119,10 @@ def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: b
             continue
         if item.init:
             (by_name if item.kw_only else plain).append(parameter)
-        lines.append(f"_set(self, {name!r}, {value})" if frozen else f"self.{name} = {value}")
+        if frozen:
+            lines.append(f"_set_{name}(self, {value})" if name in slots else f"_set(self, {name!r}, {value})")
+        else:
+            lines.append(f"self.{name} = {value}")
     if hasattr(made, "__post_init__"):
         lines.append("self.__post_init__()")
     parameters = ", ".join(["self", *plain, *(["*", *by_name] if by_name else [])])

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import EstimateRequest
-from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
+from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.table_errors import table_errors
 from planrunner.observation.correlated_errors import Array
 from planrunner.observation.flicker import flicker_errors
@@ -40,7 +40,7 @@ def fit_positions(
     How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
     """
     parameters = request.parameters
-    about = fit_outputs(matrix, observations, magnitudes, model.names).coefficients
+    about = coefficients_by_noise(matrix, observations, magnitudes, model.names)
     effects = (
         *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
         *table_errors(model, segments, request.site, request.setup, about),

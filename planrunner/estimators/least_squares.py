@@ -123,7 +123,7 @@ def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array
         rows = scaled(low, min(low + _CHUNK * _BATCH, whole))
         pieces.append(_r(rows.reshape(-1, _CHUNK, p + 1)).reshape(-1, p + 1))
     pieces.append(scaled(whole, n))
-    return _r(np.vstack(pieces))
+    return _r(np.vstack(pieces) if whole else pieces[0])
 
 
 def _r(matrix: Array) -> Array:

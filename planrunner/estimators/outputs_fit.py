@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed
+from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, moved_together
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
 from planrunner.uncertainty.influences import Influence
 
@@ -78,7 +78,7 @@ class OutputsFit:
         """Covariance (n, n) of an output's observations that the basis rests on, before its variance factor."""
         if basis == "within_segment":
             return np.diag(self.noises[output].sigma ** 2)
-        return mixed(self.spreads[output], self.effects, output)
+        return mixed(self.spreads[output], moved_together(self.effects, output, output))
 
     def covariance(self, basis: str) -> Array:
         """Covariance of all coefficients, output after output, shape (m·p, m·p)."""
@@ -110,6 +110,16 @@ class OutputsFit:
         return np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), min(own))
 
 
+def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
+    """The coefficients (m, p) of every observed channel by the noise within the segments alone. Raises `EstimationError`."""
+    means = enumerate(observations.mean.T)
+    fits = (
+        least_squares.fit(matrix, mean, within_segment_noise(observations, k).sigma, magnitudes, names)
+        for k, mean in means
+    )
+    return np.array([fit.coefficients for fit in fits])
+
+
 def fit_outputs(
     matrix: Array,
     observations: Observations,
@@ -131,10 +141,12 @@ def fit_outputs(
     noises = [within_segment_noise(observations, k) for k in range(m)]
     acting, left = (tuple(effects), ()) if all(noise.known for noise in noises) else ((), tuple(effects))
     noises = [within_segment_noise(observations, k, explained(acting, k)) for k in range(m)]
+    pairs = [(a, b) for a in range(m) for b in range(a + 1) if pooled or a == b]
+    moved = {pair: moved_together(acting, *pair) for pair in pairs} if acting else {}
     found = []
     for k, noise in enumerate(noises):
-        own = tuple(effect for effect in acting if k in effect.changes)
-        weighting = _Weighting(matrix, observations.mean[:, k], magnitudes, names, own, k, observations.expected)
+        own = moved[k, k] if any(k in effect.changes for effect in acting) else None
+        weighting = _Weighting(matrix, observations.mean[:, k], magnitudes, names, own, observations.expected)
         found.append(weighting.equal(noise) if equal else weighting.known(noise, basis == "residual"))
     spreads, gains = np.array([one.spread for one in found]), np.array([one.gains for one in found])
     between, ratios = np.array([one.between for one in found]), np.array([one.ratio for one in found])
@@ -151,7 +163,7 @@ def fit_outputs(
         _cofactors(gains, noises, spreads, observations.correlation, acting),
         gains,
         pooled,
-        _pooled_freedom(matrix, gains, spreads, observations.correlation, acting) if pooled else 0.0,
+        _pooled_freedom(matrix, gains, spreads, observations.correlation, moved) if pooled else 0.0,
     )
 
 
@@ -168,15 +180,14 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """One output's observations (n,) and what acts on them beside their noise. expected: the means have no noise, so that chi² is put at
-    its expectation."""
+    """One output's observations (n,) and what acts on them beside their noise. moved: (n, n), what the effects add to their covariance;
+    None where none acts. expected: the means have no noise, so that chi² is put at its expectation."""
 
     matrix: Array
     observed: Array
     magnitudes: Array
     names: Sequence[str]
-    effects: tuple[CorrelatedError, ...]
-    output: int
+    moved: Array | float | None = None
     expected: bool = False
 
     def known(self, noise: WithinSegmentNoise, residual: bool) -> _Fitted:
@@ -184,14 +195,13 @@ class _Weighting:
         spread, between = noise.sigma, 0.0
         found = self._fit(spread)
         ratio = found.variance_factor
-        if residual and (noise.unequal or self.effects) and exceeds_noise(found, noise):
+        if residual and (noise.unequal or self.moved is not None) and exceeds_noise(found, noise):
             between = between_segments(self._fit, spread)
             spread = np.hypot(spread, between)
             found = self._fit(spread)
-        if self.effects:
-            weighted = np.linalg.solve(mixed(spread, self.effects, self.output), self.matrix)
-        else:
-            weighted = self.matrix / spread[:, None] ** 2
+        covariance = self._covariance(spread)
+        variances = spread[:, None] ** 2
+        weighted = self.matrix / variances if covariance is None else np.linalg.solve(covariance, self.matrix)
         return _Fitted(found, found.cofactor @ weighted.T, spread, ratio, between)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
 
     def equal(self, noise: WithinSegmentNoise) -> _Fitted:
@@ -204,9 +214,12 @@ class _Weighting:
         return _Fitted(found, gains, spread, self._fit(noise.sigma).variance_factor)
 
     def _fit(self, spread: Array) -> LinearFit:
-        covariance = mixed(spread, self.effects, self.output) if self.effects else None
+        covariance = self._covariance(spread)
         found = least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names, covariance)
         return replace(found, chi_squared=float(found.degrees_of_freedom)) if self.expected else found
+
+    def _covariance(self, spread: Array) -> Array | None:
+        return None if self.moved is None else mixed(spread, self.moved)
 
 
 def _cofactors(
@@ -221,38 +234,34 @@ def _cofactors(
     cofactors = {}
     for name, spread in (("residual", spreads), ("within_segment", np.array([noise.sigma for noise in noises]))):
         roots = gains * spread[:, None, :]
-        cofactors[name] = np.einsum("ain,bjn->aibj", roots, roots) * correlation[:, None, :, None]
+        m, p, n = roots.shape
+        products = roots.reshape(-1, n) @ roots.reshape(-1, n).T
+        cofactors[name] = products.reshape(m, p, m, p) * correlation[:, None, :, None]
     if effects:
-        moved = sum(effect.through(functionals_of(gains)).covariance for effect in effects)
+        functionals = functionals_of(gains)
+        moved = sum(effect.through(functionals).covariance for effect in effects)
         cofactors["residual"] = cofactors["residual"] + np.reshape(moved, cofactors["residual"].shape)
     return cofactors
 
 
 def _pooled_freedom(
-    matrix: Array, gains: Array, spreads: Array, correlation: Array, effects: Sequence[CorrelatedError]
+    matrix: Array, gains: Array, spreads: Array, correlation: Array, moved: Mapping[tuple[int, int], Array | float]
 ) -> float:
-    """Of the mean of the outputs' variance factors: that of a chi-squared variable with its mean and variance (Satterthwaite)."""
+    """Of the mean of the outputs' variance factors: that of a chi-squared variable with its mean and variance (Satterthwaite). moved: by
+    pair of outputs, what the effects add to the covariance of their observations."""
     m, p, n = gains.shape
-    if not effects:
+    if not moved:
         return float((n - p) * m**2 / np.sum(correlation**2))
     # Residuals of weight one of each output: what two outputs' have in common decides how much the second adds.
     white = [
-        least_squares.whitened(np.eye(n) - matrix @ own, mixed(spread, effects, k))
+        least_squares.whitened(np.eye(n) - matrix @ own, mixed(spread, moved[k, k]))
         for k, (own, spread) in enumerate(zip(gains, spreads, strict=True))
     ]
     common = 0.0
-    for a in range(m):
-        for b in range(m):
-            joint = _between_outputs(spreads, correlation, effects, a, b)
-            common += float(np.sum((white[a] @ joint @ white[b].T) ** 2))
+    for (a, b), added in moved.items():
+        joint = np.diag(correlation[a, b] * spreads[a] * spreads[b]) + added
+        common += float(np.sum((white[a] @ joint @ white[b].T) ** 2)) * (1 if a == b else 2)
     return (m * (n - p)) ** 2 / common if common else 0.0
-
-
-def _between_outputs(
-    spreads: Array, correlation: Array, effects: Sequence[CorrelatedError], one: int, other: int
-) -> Array:
-    noise = np.diag(correlation[one, other] * spreads[one] * spreads[other])
-    return np.asarray(noise + sum(effect.covariance(one, other) for effect in effects))
 
 
 def exceeds_noise(found: LinearFit, noise: WithinSegmentNoise) -> bool:

@@ -29,7 +29,7 @@ from planrunner.estimators.interface import (
     TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
@@ -130,7 +130,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
             )
         matrix = np.column_stack([np.ones(len(rates)), rates])
         magnitudes = np.array([1.0, np.abs(rates).max()])
-        slopes = fit_outputs(matrix, observations, magnitudes, TERMS).coefficients[:, 1]
+        slopes = coefficients_by_noise(matrix, observations, magnitudes, TERMS)[:, 1]
         effects = (
             *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
             *_held(request, slopes, rates),

@@ -58,7 +58,12 @@ def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
     return sum(shares, 0.0)
 
 
-def mixed(spread: Array, effects: Sequence[CorrelatedError], output: int) -> Array:
-    """Covariance (n, n) of an output's observations: noise of standard uncertainty `spread` (n,) and the effects."""
-    covariance = np.diag(spread**2) + sum(effect.covariance(output, output) for effect in effects)
+def moved_together(effects: Sequence[CorrelatedError], one: int, other: int) -> Array | float:
+    """What all effects add to the covariance between the observations of two outputs, (n, n); 0.0 where nothing acts on both."""
+    return sum((effect.covariance(one, other) for effect in effects), 0.0)
+
+
+def mixed(spread: Array, moved: Array | float) -> Array:
+    """Covariance (n, n) of an output's observations: noise of standard uncertainty `spread` (n,), and what the effects add to it."""
+    covariance = np.diag(spread**2) + moved
     return np.asarray(covariance + _RESOLVED * covariance.diagonal().max() * np.eye(len(spread)))

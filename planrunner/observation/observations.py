@@ -66,27 +66,32 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
     """The observations of some channels. Raises `EstimationError` for a channel that is missing, changes its unit, or has no samples."""
     if not segments:
         raise EstimationError("no recorded segments are chosen: check the labels in `segments`")
-    n, k = len(segments), len(channels)
-    mean, error = np.empty((n, k)), np.empty((n, k))
-    scatter = np.zeros((k, k))
-    for row, recorded in enumerate(segments):
+    places: dict[tuple[str, ...], list[int]] = {}
+    for recorded in segments:
         statistics = recorded.statistics
-        missing = [channel for channel in channels if channel not in statistics.channels]
-        if missing:
-            raise EstimationError(
-                f"segment '{recorded.label}' has no channel '{missing[0]}': {closest(missing[0], statistics.channels)}"
-            )
+        if statistics.channels not in places:
+            missing = [channel for channel in channels if channel not in statistics.channels]
+            if missing:
+                close = closest(missing[0], statistics.channels)
+                raise EstimationError(f"segment '{recorded.label}' has no channel '{missing[0]}': {close}")
+            places[statistics.channels] = [statistics.of(channel) for channel in channels]
         if statistics.count == 0:
             raise UnfitDataError(
                 f"segment '{recorded.label}' has no usable samples: leave it out of `segments` or record it again"
             )
-        index = [statistics.of(channel) for channel in channels]
-        mean[row] = statistics.mean[index]
-        covariance = statistics.covariance[np.ix_(index, index)] if statistics.count > 1 else np.zeros((k, k))
-        rounding = np.array([_rounding(sensor, channel, covariance[c, c]) for c, channel in enumerate(channels)])
-        told = statistics.batches > 1 or recorded.expected
-        error[row] = np.hypot(statistics.standard_error[index], rounding) if told else np.nan
-        scatter += np.nan_to_num(covariance) * max(0, statistics.count - 1)
+    found = [(recorded.statistics, places[recorded.statistics.channels]) for recorded in segments]
+    mean = np.array([statistics.mean[index] for statistics, index in found])
+    error = np.array([statistics.standard_error[index] for statistics, index in found])
+    covariance = np.array([statistics.covariance[index][:, index] for statistics, index in found])
+    freedom = np.array([statistics.count - 1 for statistics, _ in found])
+    covariance[freedom == 0] = 0.0
+    variances = covariance.diagonal(axis1=1, axis2=2).T.tolist()
+    rounding = np.array(
+        [[_rounding(sensor, channel, one) for one in own] for channel, own in zip(channels, variances, strict=True)]
+    ).T
+    told = np.array([recorded.statistics.batches > 1 or recorded.expected for recorded in segments])
+    error = np.where(told[:, None], np.hypot(error, rounding), np.nan)
+    scatter = (np.nan_to_num(covariance) * freedom[:, None, None]).sum(axis=0)
     size = np.sqrt(np.diag(scatter))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.where(np.outer(size, size) > 0, scatter / np.outer(size, size), 0.0)

@@ -233,21 +233,22 @@ class _Builder:
         self._documents = 0
 
     def take(self, event: Any) -> None:
-        mark = self._mark(event.start_mark, event.end_mark)
         match event:
             case yaml.ScalarEvent():  # most events are
+                mark = self._mark(event)
                 if event.tag:
                     self._reject_tag(event, mark)
                 if len(event.value) > MAX_SCALAR:
                     message = f"a text longer than {MAX_SCALAR} characters"
                     raise InputError.at(mark, "limit-text", message, "shorten it")
-                hidden = MISLEADING.search(event.value)
-                if hidden:
+                # The text itself has none (see `parse`), but an escape may stand for one.
+                if event.style == '"' and (hidden := MISLEADING.search(event.value)):
                     raise _not_allowed(hidden[0], mark)
                 plain = not event.style and event.tag != "!"
                 value = _resolve(event.value) if plain else event.value
                 self._put(Scalar(mark, event.value, value), event.anchor, 1)
             case yaml.SequenceStartEvent() | yaml.MappingStartEvent():
+                mark = self._mark(event)
                 self._reject_tag(event, mark)
                 if len(self._stack) >= MAX_DEPTH:
                     raise InputError.at(
@@ -256,21 +257,25 @@ class _Builder:
                 self._stack.append(_Open(mark, event.anchor))
             case yaml.SequenceEndEvent():
                 done = self._stack.pop()
-                whole = Mark(self.file, done.mark.line, done.mark.column, mark.end, self.text)
+                whole = self._mark(event, done.mark)
                 self._put(Sequence(whole, tuple(done.items)), done.anchor, done.size)
             case yaml.MappingEndEvent():
                 done = self._stack.pop()
-                whole = Mark(self.file, done.mark.line, done.mark.column, mark.end, self.text)
+                whole = self._mark(event, done.mark)
                 self._put(self._mapping(whole, done.items), done.anchor, done.size)
             case yaml.AliasEvent():
-                self._alias(str(event.anchor), mark)
+                self._alias(str(event.anchor), self._mark(event))
             case yaml.DocumentStartEvent():
                 self._documents += 1
                 if self._documents > 1:
+                    mark = self._mark(event)
                     raise InputError.at(mark, "form-documents", "a second document begins here", "one document a file")
 
-    def _mark(self, start: yaml.Mark, end: yaml.Mark) -> Mark:
-        return Mark(self.file, start.line + 1, start.column + 1, (end.line + 1, end.column + 1), self.text)
+    def _mark(self, event: Any, opened: Mark | None = None) -> Mark:
+        """Where an event stands; with `opened`, from there to the end of the event."""
+        start, end = event.start_mark, event.end_mark
+        line, column = (start.line + 1, start.column + 1) if opened is None else (opened.line, opened.column)
+        return Mark(self.file, line, column, (end.line + 1, end.column + 1), self.text)
 
     def _reject_tag(self, event: Any, mark: Mark) -> None:
         if event.tag and event.tag != "!":

@@ -32,7 +32,7 @@ from planrunner.estimators.interface import (
     TableColumn,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
 from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
@@ -146,7 +146,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
             basis = gain_basis(axes, k, parameters.azimuth)
             observations = observe(request.segments, [name], request.sensor)
             asked = model.matrix(basis), observations, model.magnitudes(basis), model.terms(parameters.azimuth)
-            about = basis @ fit_outputs(*asked).coefficients[0, len(model.orientations) :]
+            about = basis @ coefficients_by_noise(*asked)[0, len(model.orientations) :]
             flicker = flicker_errors(observations, request.setup.inputs, SPAN.value)
             effects = (*flicker, *held_rates(model, request.setup, about))
             fit = fit_outputs(*asked, parameters.uncertainty, effects=effects)
