@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planrunner.error_model.flexure_gyro import output_coefficients
-from planrunner.estimators.flexure_gyro.draws import physical_draws
+from planrunner.error_model.flexure_gyro import output_coefficients, static_model
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import static_coefficients
 from planrunner.estimators.outputs_fit import fit_outputs
 from planrunner.observation.observations import Observations
 from planrunner.uncertainty.influences import Influence, InputQuantity
@@ -52,7 +52,8 @@ def run(size: Size = FULL) -> dict[str, object]:
         )
         for k, shape in enumerate(shapes)
     ]
-    draw = physical_draws(fit, "residual", np.ones(24), stated)
+    found_by_fit = static_coefficients(fit, observations.units, static_model(), ())
+    draw = found_by_fit.draws("residual", [stated])
     began = time.perf_counter()
     for _ in range(size.draws // 10_000):
         draw(rng, 10_000)

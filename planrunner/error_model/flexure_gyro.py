@@ -81,7 +81,7 @@ def output_coefficients(physical: Array) -> Array:
 
 def physical_coefficients(outputs: Array) -> Array:
     """The closed-form inverse of `output_coefficients`, shape (4 + 2·(p − 2),), from [U; V], shape (2, p); for many at once, (2, p, n),
-    shape (4 + 2·(p − 2), n).
+    shape (4 + 2·(p − 2), n). Analytic, so that its derivatives follow (`uncertainty.derivatives`).
 
     tan(ε+ξ) = U2/U1 and tan ε = −V1/V2 with both angles within ±90°, so a torquer of reversed polarity shows as a negative scale factor.
     Raises ValueError where U1, V2 or the determinant of M vanishes.
@@ -91,46 +91,13 @@ def physical_coefficients(outputs: Array) -> Array:
     sum_, epsilon = np.arctan(u2 / u1), np.arctan(-v1 / v2)
     xi = sum_ - epsilon
     cos_xi = np.cos(xi)
-    sf_x = np.sign(v2) / (np.hypot(v1, v2) * cos_xi)
-    sf_y = np.sign(u1) / (np.hypot(u1, u2) * cos_xi)
+    # v2·√(1 + (v1/v2)²) is the length of (v1, v2) with the sign of v2.
+    sf_x = 1 / (v2 * np.sqrt(1 + (v1 / v2) ** 2) * cos_xi)
+    sf_y = 1 / (u1 * np.sqrt(1 + (u2 / u1) ** 2) * cos_xi)
     columns = list(_drift_columns(outputs.shape[1]))
     u, v = outputs[0, columns], outputs[1, columns]
     drifts = [inverse[axis, 0] * u + inverse[axis, 1] * v for axis in range(2)]
     return np.concatenate([np.array([sf_x, sf_y, epsilon, xi]), *drifts])
-
-
-def jacobian(outputs: Array) -> Array:
-    """∂(physical)/∂(U0 … , V0 …) of `physical_coefficients`, shape (4 + 2·(p − 2), 2·p), SI.
-
-    From d(ε+ξ) = (U1·dU2 − U2·dU1)/(U1²+U2²), dε = (V1·dV2 − V2·dV1)/(V1²+V2²), dSF = SF·(−½·d ln(U1²+U2²) + tan ξ·dξ) and
-    dD_k = M⁻¹·(d[U_k; V_k] − dM·D_k).
-    """
-    mixing, inverse = _mixing(outputs)
-    (u1, u2), (v1, v2) = mixing
-    p = outputs.shape[1]
-    physical = physical_coefficients(outputs)
-    sf_x, sf_y, _, xi = physical[:4]
-    u_square, v_square = u1**2 + u2**2, v1**2 + v2**2
-    result = np.zeros((len(physical), 2 * p))
-    d_sum, d_epsilon = np.zeros(2 * p), np.zeros(2 * p)
-    d_sum[1], d_sum[2] = -u2 / u_square, u1 / u_square
-    d_epsilon[p + 1], d_epsilon[p + 2] = -v2 / v_square, v1 / v_square
-    d_xi = d_sum - d_epsilon
-    d_log_u, d_log_v = np.zeros(2 * p), np.zeros(2 * p)
-    d_log_u[1], d_log_u[2] = u1 / u_square, u2 / u_square
-    d_log_v[p + 1], d_log_v[p + 2] = v1 / v_square, v2 / v_square
-    result[0] = sf_x * (np.tan(xi) * d_xi - d_log_v)
-    result[1] = sf_y * (np.tan(xi) * d_xi - d_log_u)
-    result[2], result[3] = d_epsilon, d_xi
-    drifts = physical[4:].reshape(2, -1)
-    count = drifts.shape[1]
-    for k, column in enumerate(_drift_columns(p)):
-        for output in range(2):
-            change = np.zeros((2, 2 * p))
-            change[output, output * p + column] = 1.0
-            change[output, output * p + 1 : output * p + 3] = -drifts[:, k]
-            result[[4 + k, 4 + count + k]] += inverse @ change
-    return result
 
 
 def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
@@ -147,7 +114,7 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:
     """M and its inverse, both (2, 2) or (2, 2, n)."""
-    mixing = np.asarray(outputs, dtype=float)[:, 1:3]
+    mixing = np.asarray(outputs)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
     scale = np.abs(mixing).max(axis=(0, 1))
     sound = np.isfinite(scale) & (scale > 0) & (np.abs(determinant) >= 1e-12 * scale**2)

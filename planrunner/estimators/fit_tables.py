@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planrunner.estimators.derived import Derived
 from planrunner.estimators.interface import Cell, Role, Table, TableColumn
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
 from planrunner.observation.observations import Observations
 from planrunner.uncertainty.decision import expanded_uncertainty
-
-Array = NDArray[np.float64]
 
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
@@ -50,17 +48,17 @@ def spread_columns(basis: str) -> tuple[TableColumn, ...]:
     )
 
 
-def basis_table(
-    names: Sequence[str], units: Sequence[str], values: Array, spreads: Mapping[str, tuple[Array, Array]]
-) -> Table:
-    """Uncertainties (q,) by what the data show. spreads: basis → standard uncertainties and degrees of freedom, both (q,)."""
+def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
+    """Uncertainties by what the data show, on the basis that was chosen and on the other, where the data give both; of the first `count`
+    quantities."""
+    bases = bases_shown(chosen, found.fits)
+    spreads = [found.spread(basis) for basis in bases]
     columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]
-    for basis in spreads:
-        columns += spread_columns(basis)
+    columns += [column for basis in bases for column in spread_columns(basis)]
     rows = []
-    for q, name in enumerate(names):
-        row: list[Cell] = [name, units[q], float(values[q])]
-        for spread, freedom in spreads.values():
+    for q, one in enumerate(found.quantities[:count]):
+        row: list[Cell] = [one.name, one.unit, float(found.values[q])]
+        for spread, freedom in spreads:
             u, dof = float(spread[q]), float(freedom[q])
             row += [u, dof, expanded_uncertainty(u, dof)]
         rows.append(tuple(row))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -254,16 +254,3 @@ def _whole(made: Estimate) -> Estimate:
     return replace(
         made, coefficients=coefficients, covariance=covariance, data_covariance=made.covariance, expected=True
     )
-
-
-def jacobian(formula: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
-    """∂formula/∂x, (q, p), at x (p,) by central differences of the fourth order. sizes: (p,), of the steps: a thousandth of how far each x
-    must go to change the formula by as much as itself, where the error is some 1e-12 of the derivative."""
-    columns = []
-    for k, step in enumerate(np.asarray(sizes, dtype=float)):
-        change = np.zeros(len(at))
-        change[k] = step
-        near = formula(at + change) - formula(at - change)
-        far = formula(at + 2 * change) - formula(at - 2 * change)
-        columns.append((8 * near - far) / (12 * step))
-    return np.column_stack(columns)

@@ -35,6 +35,7 @@ from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
 from planrunner.estimators.table_errors import rate_errors
+from planrunner.estimators.tilted.rate_lines import asymmetry
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.flicker import drift_span, flicker_errors
 from planrunner.observation.observations import Observations, observe
@@ -42,6 +43,7 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, T
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment
 from planrunner.plan.units import Unit, unit
+from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]
@@ -281,13 +283,13 @@ def _metrics(
         half = least_squares.fit(halves, observations.mean[:, k], names=names, covariance=mixed)
         if observations.expected:
             half = replace(half, chi_squared=float(half.degrees_of_freedom))
-        plus, minus = half.coefficients[1:]
-        gradient = 4e6 / (plus + minus) ** 2 * np.array([0.0, minus, -plus])
+        slopes = half.coefficients[1:]
+        gradient = 1e6 * jacobian(lambda both: asymmetry(both[:1], both[1:]), slopes)[0]
         left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor
         own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
-        answers = gradient @ half.cofactor @ np.linalg.solve(mixed, halves).T
+        answers = gradient @ (half.cofactor @ np.linalg.solve(mixed, halves).T)[1:]
         u = math.sqrt(max(0.0, float(answers @ observed @ answers) * left))
-        value = float(2e6 * (plus - minus) / (plus + minus))
+        value = 1e6 * float(asymmetry(*slopes))
         words = f"{name}: difference of forward and backward scale factors"
         found.append((Coefficient(f"asymmetry_{name}", value, "ppm", u, own, words), answers))
     return found

@@ -10,76 +10,60 @@ that frame and the one in which the matrix was found is what a fixture and a hou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.base.dataclass import dataclass
+from planrunner.uncertainty.derivatives import length
 
 Array = NDArray[np.float64]
+
+Part = Callable[[Array], Array]
+"""One quantity (n,) of an output's row of coefficients (p, n)."""
 
 _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in a plane
 
 
-def scale_and_misalignments(row: Array, directions: Sequence[int], own: int) -> tuple[Array, Array]:
+def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Part]:
     """The scale factor, in the place of the direction `own`, and the misalignments, elsewhere, from a row of responses.
 
-    row: (k,) responses to k directions (0, 1, 2 for x, y, z). Returns values (k,) and their Jacobian (k, k). An output that was never
-    excited along its own direction keeps its responses as they are. Raises ValueError for a row of zeros.
+    places: direction (0, 1, 2 for x, y, z) → which coefficient of the row responds to it. An output that was never excited along its own
+    direction keeps its responses as they are. A row of zeros has none of it.
     """
-    if own not in directions:
-        return row.copy(), np.eye(len(row))
-    length = float(np.linalg.norm(row))
-    if length == 0:
-        raise ValueError("no response")
-    along: Array = np.asarray(row / length)
-    values = along.copy()
-    jacobian = (np.eye(len(row)) - np.outer(along, along)) / length
-    place = list(directions).index(own)
-    values[place], jacobian[place] = length, along
-    return np.asarray(values), np.asarray(jacobian)
+    listed = list(places.values())
+
+    def across(place: int) -> Part:
+        return lambda row: np.asarray(row[place] / length(row[listed]))
+
+    def plain(place: int) -> Part:
+        return lambda row: np.asarray(row[place])
+
+    if own not in places:
+        return {direction: plain(place) for direction, place in places.items()}
+    return {
+        direction: (lambda row: length(row[listed])) if direction == own else across(place)
+        for direction, place in places.items()
+    }
 
 
-@dataclass(frozen=True, slots=True)
-class OwnFrame:
-    """The matrix A (3, 3) as L·R. lower: L, lower triangular, with positive diagonal; rotation: R, from the frame of A to the triad's own;
-    angles: (3,) of R as a rotation vector, rad; angle_gradient: (3, 9), d(angles)/d(A), row after row, for small angles."""
+def own_frame(matrix: Array) -> Array:
+    """The rotations R (3, 3, n) from the frame of the matrices A (3, 3, n) to the triads' own: A = L·R with L lower triangular.
 
-    lower: Array
-    rotation: Array
-    angles: Array
-    angle_gradient: Array
-
-
-def own_frame(matrix: Array) -> OwnFrame:
-    """The frame with x along the first row and y in the plane of the first two. Raises ValueError where rows are not independent.
-
-    From dA = dL·R + L·dR and dR = Ω·R with Ω skew, L⁻¹·dA·Rᵀ = L⁻¹·dL + Ω: the part above the diagonal is Ω's.
+    x lies along the first row and y in the plane of the first two. Raises ValueError where rows are not independent.
     """
-    q, r = np.linalg.qr(matrix.T)
-    signs = np.where(np.diag(r) < 0, -1.0, 1.0)
-    lower, rotation = (r * signs[:, None]).T, (q * signs).T
-    volume = float(np.prod(np.diag(lower) / np.maximum(np.linalg.norm(lower, axis=1), 1e-300)))
-    if np.linalg.det(rotation) < 0 or volume < _FLAT:
+    first, second, third = (row / length(row) for row in matrix)
+    across = second - np.sum(first * second, axis=0) * first
+    sine = length(across)
+    if np.min(sine.real) < _FLAT:
         raise ValueError("the three input axes are not a right-handed triad")
-    inverse = np.linalg.inv(lower)
-    gradient = np.empty((3, 9))
-    for k in range(9):
-        change = np.zeros(9)
-        change[k] = 1.0
-        above = inverse @ change.reshape(3, 3) @ rotation.T
-        # R = exp(−[φ]×) turns vectors into a frame that is itself turned by φ: Ω = −[dφ]×.
-        gradient[:, k] = above[1, 2], -above[0, 2], above[0, 1]
-    angles = np.array([rotation[1, 2], -rotation[0, 2], rotation[0, 1]])
-    return OwnFrame(lower, rotation, angles, gradient)
+    x, y = first, across / sine
+    z = np.cross(x, y, axis=0)
+    if np.min((np.sum(third * z, axis=0) * sine).real) < _FLAT:
+        raise ValueError("the three input axes are not a right-handed triad")
+    return np.stack([x, y, z])
 
 
-def turned_gradient(matrix: Array, own: OwnFrame) -> tuple[Array, Array]:
-    """d(A·Rᵀ)/d(A) and d(A·Rᵀ)/d(angles), shapes (9, 9) and (9, 3), row after row."""
-    by_matrix = np.asarray(np.kron(np.eye(3), own.rotation), dtype=float)
-    by_angles = np.empty((9, 3))
-    for k in range(3):
-        # dR = −[e_k]×·R, so d(Rᵀ) = Rᵀ·[e_k]×.
-        by_angles[:, k] = (matrix @ own.rotation.T @ np.cross(np.eye(3)[k], np.eye(3)).T).ravel()
-    return by_matrix, by_angles
+def small_angles(rotation: Array) -> Array:
+    """(3, n), rad, of rotations (3, 3, n) as rotation vectors, to first order."""
+    return np.stack([rotation[1, 2], -rotation[0, 2], rotation[0, 1]])

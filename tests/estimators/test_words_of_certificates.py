@@ -36,7 +36,7 @@ from planrunner.estimators.accelerometer.accelerometer_multi_position import Acc
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.allan import allan_deviation
 from planrunner.estimators.flexure_gyro.tables import describe
-from planrunner.estimators.imu.coefficients import Response, framed, reported
+from planrunner.estimators.imu.coefficients import Response, calibration
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
 from planrunner.estimators.lost_samples import lost_samples
 from planrunner.estimators.strapdown.strapdown_navigation import StrapdownNavigation
@@ -89,7 +89,7 @@ def said_of_triads() -> Iterator[Estimate | str]:
         ("accel", "m/s^2", ("bias", "accel_x", "accel_y", "accel_z", "rate_x", "rate_y", "rate_z")),
     ):
         response = Response(kind, (unit(text),) * 3, error_model(terms), np.ones((3, len(terms))))
-        yield from reported(framed([response], lower_triangular=False)).words
+        yield from (one.description for one in calibration([response], lower_triangular=False).quantities)
     names = accelerometers.CHANNELS
     for chosen in (("bias", "accel_x", "accel_y", "accel_z"), ("bias", "accel_x", "accel_z")):
         known = [

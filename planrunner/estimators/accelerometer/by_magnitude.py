@@ -17,10 +17,10 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators.accelerometer.gravity_magnitude import NAMES, GravityFit, fit_magnitude, too_few
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import MORE_SEGMENTS, judge, no_residual, require_basis
-from planrunner.estimators.fit_tables import basis_table
+from planrunner.estimators.derived import Derived, Reported, derived
+from planrunner.estimators.fit_tables import bases_table
 from planrunner.estimators.interface import (
     Cell,
-    Coefficient,
     Design,
     DesignRequest,
     EstimateRequest,
@@ -34,7 +34,7 @@ from planrunner.estimators.interface import (
     Unpredicted,
 )
 from planrunner.estimators.method import Foresight, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, fit_outputs
+from planrunner.estimators.outputs_fit import OutputsFit, fit_outputs
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations, observe, recorded_times
@@ -103,12 +103,12 @@ def foresee(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MagnitudeQuantities(Quantities):
-    """values: (9,), SI; residuals: of |f|, (n,), m/s^2."""
+    """residuals: of |f|, (n,), m/s^2."""
 
     poses: Observations
     sphere: GravityFit
     fit: OutputsFit
-    values: Array
+    shown: Derived
     residuals: Array
 
 
@@ -119,29 +119,17 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     poses = _recorded(request) if request.detection is None or expected else _found(request)
     found, fit = _fitted(request, poses, basis)
     values, residuals = found.values + fit.coefficients[0], -fit.fits[0].residuals
-    covariance = fit.covariance(basis) * np.outer(_SCALE, _SCALE)
-    gradients = np.diag(_SCALE)
-    coefficients = tuple(
-        Coefficient(name, float(v), text, float(u), float(freedom), _describe(name))
-        for name, v, text, u, freedom in zip(
-            NAMES,
-            values * _SCALE,
-            _UNITS,
-            np.sqrt(np.diag(covariance)),
-            fit.degrees_of_freedom(gradients, basis),
-            strict=True,
-        )
-    )
-    influences = (*_gravity(values, request), *fit.influences(basis))
+    named = [Reported(name, text, _describe(name)) for name, text in zip(NAMES, _UNITS, strict=True)]
+    shown = derived(named, lambda flat: flat * _SCALE[:, None], fit, at=values)
     return MagnitudeQuantities(
-        coefficients=coefficients,
-        covariance=covariance,
-        influences=tuple(one.through(gradients) for one in influences),
+        coefficients=shown.coefficients(basis),
+        covariance=shown.covariance(basis),
+        influences=shown.influences([(*_gravity(values, request), *fit.influences(basis))]),
         extra={"root_mean_square": _size(fit, residuals), "poses": len(poses.labels), "condition": found.condition},
         poses=poses,
         sphere=found,
         fit=fit,
-        values=values,
+        shown=shown,
         residuals=residuals,
     )
 
@@ -165,7 +153,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
             "gravity": request.site.gravity,
             **_detection(request),
         },
-        tables=(_bases_table(found.values * _SCALE, _SCALE, fit), _pose_table(poses, residuals)),
+        tables=(bases_table(found.shown, basis), _pose_table(poses, residuals)),
         plots=(Plot("Residuals of |f| per pose", "pose", "residual [m/s^2]", poses.labels, series),),
         notes=tuple(notes),
         warnings=tuple(warnings),
@@ -322,16 +310,6 @@ def _detection(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     if found is None:
         return {}
     return {"window": str(found.window), "threshold": str(found.threshold), "at_least": str(found.at_least)}
-
-
-def _bases_table(values: Array, scale: Array, fit: OutputsFit) -> Table:
-    """values: (9,), in the results' units; scale: (9,), to them."""
-    spreads = {
-        basis: (np.sqrt(np.diag(fit.covariance(basis))) * scale, fit.degrees_of_freedom(np.diag(scale), basis))
-        for basis in BASES
-        if fit.available(basis)
-    }
-    return basis_table(NAMES, _UNITS, values, spreads)
 
 
 def _pose_table(poses: Observations, residuals: Array) -> Table:

@@ -16,10 +16,10 @@ from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel, error_model
 from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import fit_positions
 from planrunner.estimators.interface import (
     Cell,
-    Coefficient,
     EstimateRequest,
     EstimationError,
     Role,
@@ -33,7 +33,7 @@ from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
-from planrunner.estimators.triad import scale_and_misalignments
+from planrunner.estimators.triad import Part, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
@@ -77,17 +77,14 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     matrix = matrix_of(model, segments, request.site)
     fit = fit_positions(request, model, segments, observations, matrix, model.magnitudes)
     require_basis(fit, basis, request.name)
-    rows: list[tuple[str, float, str, Array, str]] = []
-    for axis in range(3):
-        rows += _axis(axis, fit, model, units[axis])
-    gradients = np.array([row[3] for row in rows])
-    covariance = gradients @ fit.covariance(basis) @ gradients.T
-    spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
-    freedom = fit.degrees_of_freedom(gradients, basis)
-    coefficients = tuple(
-        Coefficient(name, value, text, float(u), float(dof), words)
-        for (name, value, text, _, words), u, dof in zip(rows, spreads, freedom, strict=True)
-    )
+    rows = [(axis, *row) for axis in range(3) for row in _axis(axis, fit, model)]
+    factors = np.array([own.factor for own in units])[:, None, None]
+
+    def formula(flat: Array) -> Array:
+        values = flat.reshape(3, -1, flat.shape[1]) * factors  # SI: m/s² and ratios
+        return np.stack([part(values[axis]) / unit(one.unit).factor for axis, one, part in rows])
+
+    found = derived([one for _, one, _ in rows], formula, fit)
     stated = (
         *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
         *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
@@ -95,9 +92,9 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     )
     scatter = [float(np.sqrt(np.sum(one.residuals**2) / max(1, fit.freedom))) for one in fit.fits]
     return AxesQuantities(
-        coefficients=coefficients,
-        covariance=covariance,
-        influences=tuple(one.through(gradients) for one in stated),
+        coefficients=found.coefficients(basis),
+        covariance=found.covariance(basis),
+        influences=found.influences([stated]),
         extra={"root_mean_square": scatter},
         observations=observations,
         units=tuple(units),
@@ -132,50 +129,30 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     )
 
 
-def _axis(axis: int, fit: OutputsFit, model: ErrorModel, own: Unit) -> list[tuple[str, float, str, Array, str]]:
-    """(name, value, unit, gradient over all coefficients, words) of one axis."""
-    p = len(model.names)
-    values = fit.coefficients[axis] * own.factor  # SI: m/s² and ratios
+def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, Part]]:
+    """What is reported of one axis, each with its formula of the axis's coefficients in SI."""
     letter = _AXES[axis]
-    seen = [(k, _AXES.index(name[-1])) for k, name in enumerate(model.names) if name != "bias"]
-    places, directions = [k for k, _ in seen], [direction for _, direction in seen]
-    try:
-        found_values, jacobian = scale_and_misalignments(values[places], directions, axis)
-    except ValueError:
+    seen = {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
+    if axis in seen and not fit.coefficients[axis, list(seen.values())].any():
         raise UnfitDataError(
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
-        ) from None
-
-    def gradient(changes: dict[int, float]) -> Array:
-        full = np.zeros(3 * p)
-        for k, change in changes.items():
-            full[axis * p + k] = change * own.factor
-        return full
-
-    found = []
-    if "bias" in model.names:
-        k = model.names.index("bias")
-        mg = unit("mg").factor
-        found.append(
-            (f"bias_{letter}", float(values[k] / mg), "mg", gradient({k: 1 / mg}), f"Bias of the {letter} axis")
         )
-    mrad = unit("mrad").factor
-    for value, slopes, direction in zip(found_values, jacobian, directions, strict=True):
-        changes = dict(zip(places, map(float, slopes), strict=True))
+    found: list[tuple[Reported, Part]] = []
+    if "bias" in model.names:
+        place = model.names.index("bias")
+        found.append(
+            (Reported(f"bias_{letter}", "mg", f"Bias of the {letter} axis"), lambda row: np.asarray(row[place]))
+        )
+    for direction, part in scale_and_misalignments(seen, axis).items():
         if direction == axis:
             words = f"Scale factor of the {letter} axis, along its own input direction"
-            found.append((f"scale_{letter}", float(value), "1", gradient(changes), words))
+            found.append((Reported(f"scale_{letter}", "1", words), part))
         else:
-            name = f"misalignment_{letter}_{_AXES[direction]}"
             words = f"Component of the {letter} axis's input direction along {_AXES[direction]}"
-            if (
-                axis not in directions
-            ):  # it was never along gravity: its response across, for a nominal scale factor of one
+            if axis not in seen:  # it was never along gravity: its response across, for a nominal scale factor of one
                 words += " times its scale factor"
-            found.append(
-                (name, float(value) / mrad, "mrad", gradient({k: v / mrad for k, v in changes.items()}), words)
-            )
-    return sorted(found, key=lambda row: row[0].startswith("misalignment"))
+            found.append((Reported(f"misalignment_{letter}_{_AXES[direction]}", "mrad", words), part))
+    return sorted(found, key=lambda row: row[0].unit == "mrad")
 
 
 def _units(observations: Observations) -> list[Unit]:

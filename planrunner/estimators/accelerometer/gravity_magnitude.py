@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.interface import EstimationError, UnfitDataError
+from planrunner.uncertainty.derivatives import jacobian
 
 Array = NDArray[np.float64]
 
@@ -78,19 +79,20 @@ def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:
 
 def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, Array, Array]:
     """Residuals |f| − g (n,), their Jacobian (n, 9), and their gradient with respect to the readings (n, 3)."""
+    size = _magnitude(readings[..., None], values[:, None])[:, 0]
+    slopes = jacobian(lambda changed: _magnitude(readings[..., None], changed), values)
+    # A residual follows the readings of its own pose alone, so that all poses' readings along an axis change at once.
+    by_reading = jacobian(lambda by: _magnitude(readings[..., None] + by, values[:, None]), np.zeros(3))
+    return size - gravity, slopes, by_reading
+
+
+def _magnitude(readings: Array, values: Array) -> Array:
+    """|f| (n, k) from readings (n, 3, k) and parameters (9, k); either k may be one."""
     bias, scale, gamma = values[:3], values[3:6], values[6:]
-    cosines = np.eye(3)
+    cosines = np.broadcast_to(np.eye(3)[..., None], (3, 3, values.shape[1])).astype(values.dtype)
     for (i, j), angle in zip(_PAIRS, gamma, strict=True):
         cosines[i, j] = cosines[j, i] = np.sin(angle)
-    gram = cosines * np.outer(scale, scale)
-    away = readings - bias
-    dual = np.linalg.solve(gram, away.T).T  # G⁻¹·(a − b)
-    magnitude = np.sqrt(np.einsum("ni,ni->n", away, dual).clip(min=1e-300))
-    directions = dual / magnitude[:, None]
-    jacobian = np.empty((len(readings), len(NAMES)))
-    jacobian[:, :3] = -directions
-    # d|f| = −(dualᵀ·dG·dual)/(2·|f|)
-    jacobian[:, 3:6] = -(dual * (dual @ gram)) / scale / magnitude[:, None]
-    for column, ((i, j), angle) in enumerate(zip(_PAIRS, gamma, strict=True), start=6):
-        jacobian[:, column] = -dual[:, i] * dual[:, j] * scale[i] * scale[j] * np.cos(angle) / magnitude
-    return magnitude - gravity, jacobian, directions
+    gram = np.moveaxis(cosines * scale[:, None] * scale, -1, 0)
+    away = np.moveaxis(readings - bias, -1, 0)  # (k, n, 3)
+    dual = np.swapaxes(np.linalg.solve(gram, np.swapaxes(away, 1, 2)), 1, 2)  # G⁻¹·(a − b)
+    return np.asarray(np.sqrt(np.sum(away * dual, axis=2)).T)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.error_model import flexure_gyro
-from planrunner.estimators.flexure_gyro.flexure_gyro_static import physical_set
+from planrunner.estimators.flexure_gyro.flexure_gyro_static import reported
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.table_errors import table_errors
@@ -51,23 +51,11 @@ def recovery(coefficients: Array, positions: int, rate: float) -> Array:
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 
-def compensation_influences(
-    on_residuals: tuple[Influence, ...], residuals: Mapping[str, Array]
-) -> tuple[Influence, ...]:
-    """On the residual sums of squares of the sets, in their order, then on the ratios of the others to the first, to first order.
-
-    on_residuals: as `residual_influences` gives them; residuals: by set, (v, 2).
-    """
-    flat = [values.T.ravel() for values in residuals.values()]
-    sums = [float(own @ own) for own in flat]
-    gradient = np.zeros((2 * len(flat) - 1, len(flat), flat[0].size))
-    for place, own in enumerate(flat):
-        gradient[place, place] = 2 * own
-        if place:
-            ratio = len(flat) + place - 1
-            gradient[ratio, place] = 2 * own / sums[0]
-            gradient[ratio, 0] = -2 * flat[0] * sums[place] / sums[0] ** 2
-    return tuple(one.through(gradient.reshape(len(gradient), -1)) for one in on_residuals)
+def sums_and_ratios(residuals: Array, sets: int) -> Array:
+    """Residual sums of squares of the sets, in their order, then the ratios of the others to the first, (2·sets − 1, n), from the residuals
+    of all sets, (sets·2·v, n)."""
+    sums = np.sum(residuals.reshape(sets, -1, residuals.shape[1]) ** 2, axis=1)
+    return np.concatenate([sums, sums[1:] / sums[0]])
 
 
 def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
@@ -82,11 +70,12 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
     """On SI [U; V] of a set. What its own scatter showed of the table's errors is not in the scatter simulated here; flicker is."""
     coefficients = np.array(used.extra["coefficients"])
-    factors = physical_set(coefficients, units, flexure_gyro.static_model(), ()).factors[-coefficients.size :]
+    quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}
-    rows = np.array([item.name[0] in "UV" and item.name[1:].isdigit() for item in used.coefficients])
+    names = [item.name for item in used.coefficients]
+    rows = [names.index(one.name) for one in quantities[-coefficients.size :]]
     return [
-        Influence(one.quantity, one.sensitivities[rows] * factors[:, None], False, one.parts)
+        Influence(one.quantity, one.sensitivities[rows] * factors[-coefficients.size :, None], False, one.parts)
         for one in used.influences
         if one.quantity.name not in own_noise
     ]

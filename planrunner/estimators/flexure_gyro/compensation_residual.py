@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from planrunner.error_model import flexure_gyro
 from planrunner.estimators.flexure_gyro.compensation_influences import (
-    compensation_influences,
     recovery,
     residual_influences,
+    sums_and_ratios,
 )
 from planrunner.estimators.flexure_gyro.compensation_prediction import (
     expected_sum,
@@ -48,6 +48,7 @@ from planrunner.observation.flicker import flicker_errors, mean_covariance
 from planrunner.observation.observations import Observations, observe, within_segment_noise
 from planrunner.plan.kinds import Number, Record, key
 from planrunner.plan.units import unit
+from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -148,7 +149,9 @@ class CompensationResidual:
             request.parameters.seed,
         )
         found = _assemble(request, observations.labels, residuals, prediction)
-        return replace(found, influences=compensation_influences(stated, residuals))
+        flat = np.concatenate([values.T.ravel() for values in residuals.values()])
+        gradient = jacobian(lambda changed: sums_and_ratios(changed, len(residuals)), flat)
+        return replace(found, influences=tuple(one.through(gradient) for one in stated))
 
 
 def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
@@ -196,11 +199,16 @@ def _assemble(
 ) -> Estimate:
     names = tuple(residuals)
     first = names[0]
-    sums = {name: float(np.sum(values**2)) for name, values in residuals.items()}
-    if sums[first] == 0:
+    if not residuals[first].any():
         raise UnfitDataError(
             f"the residuals of '{first}' are exactly zero, so no ratio can be formed: check whether the recording is noiseless"
         )
+    flat = np.concatenate([values.T.ravel() for values in residuals.values()])
+    computed = sums_and_ratios(flat[:, None], len(names))[:, 0].tolist()
+    sums, measured_ratios = (
+        dict(zip(names, computed, strict=False)),
+        dict(zip(names[1:], computed[len(names) :], strict=True)),
+    )
     coefficients, covariance = [], []
     for name in names:
         spread = sums[name] * prediction.relative_spread[name]
@@ -210,7 +218,7 @@ def _assemble(
     rows = []
     for name in names[1:]:
         (low, middle, high), spread = prediction.ratios[name], prediction.ratio_spread[name]
-        measured = sums[name] / sums[first]
+        measured = measured_ratios[name]
         label, text, words = _ratio(name, first)
         coefficients.append(Coefficient(label, measured, text, spread, description=words))
         covariance.append(spread**2)

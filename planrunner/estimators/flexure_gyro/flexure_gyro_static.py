@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +12,12 @@ from planrunner.error_model import flexure_gyro
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import fit_positions
-from planrunner.estimators.fit_tables import residual_table
+from planrunner.estimators.fit_tables import bases_table, residual_table
 from planrunner.estimators.flexure_gyro import tables
-from planrunner.estimators.flexure_gyro.draws import physical_draws
-from planrunner.estimators.flexure_gyro.tables import PhysicalSet
 from planrunner.estimators.interface import (
-    Coefficient,
     Design,
     DesignRequest,
     Estimate,
@@ -86,7 +83,7 @@ class StaticQuantities(Quantities):
     model: ErrorModel
     matrix: Array
     fit: OutputsFit
-    found: PhysicalSet
+    found: Derived
     stated: tuple[Influence, ...]
 
 
@@ -137,7 +134,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         fit = fit_positions(request, model, segments, observations, matrix, magnitudes, parameters.pool_outputs)
         require_basis(fit, basis, request.name)
         try:
-            found = physical_set(fit.coefficients, observations.units, model, parameters.terms)
+            found = static_coefficients(fit, observations.units, model, parameters.terms)
         except ValueError as error:
             raise EstimationError(f"{request.name}: {error}") from None
         stated = (
@@ -145,13 +142,10 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
             *fit.influences(basis),
         )
-        covariance = found.gradients @ fit.covariance(basis) @ found.gradients.T
-        spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
-        freedom = fit.degrees_of_freedom(found.gradients, basis)
         return StaticQuantities(
-            coefficients=_coefficients(found, spreads, freedom),
-            covariance=covariance,
-            influences=tuple(one.through(found.gradients) for one in stated),
+            coefficients=found.coefficients(basis),
+            covariance=found.covariance(basis),
+            influences=found.influences([stated]),
             extra=_extra(observations, model, matrix, fit, parameters),
             observations=observations,
             model=model,
@@ -169,7 +163,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         condition = float(np.linalg.cond(scaled))
         notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(found.matrix)))
         return Words(
-            headline=found.found.names[: found.found.physical],
+            headline=flexure_gyro.physical_names(request.parameters.terms),
             settings={
                 "uncertainty": basis,
                 "pool_outputs": fit.pooled,
@@ -178,7 +172,7 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             },
             tables=(
                 residual_table("Residuals per position", "position", found.observations, fit),
-                tables.both_bases(found.found, fit, basis),
+                bases_table(found.found, basis, len(flexure_gyro.physical_names(request.parameters.terms))),
             ),
             plots=(residual_plot(found.observations, fit),),
             notes=tuple(notes),
@@ -187,9 +181,9 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         )
 
     def chain(self, request: EstimateRequest[FlexureGyroStaticParameters], estimate: Estimate) -> Draws:
-        """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse: exact but for the inputs' first order."""
+        """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse."""
         made = self.quantities(request)
-        return physical_draws(made.fit, request.parameters.uncertainty, made.found.factors, made.stated)
+        return made.found.draws(request.parameters.uncertainty, [made.stated])
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -203,56 +197,52 @@ def local_magnitudes(model: ErrorModel, site: Site) -> Array:
     return np.array([site.earth_rate if term.unit == "rad/s" else sizes[term.degree] for term in model.terms])
 
 
-def physical_set(outputs: Array, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> PhysicalSet:
-    """Everything that is reported, from SI [U; V], shape (2, p). Raises ValueError where the relation cannot be inverted."""
-    return _physical_set(np.ascontiguousarray(outputs, dtype=float).tobytes(), tuple(units), model, products)
+def reported(
+    units_of_outputs: Sequence[str], model: ErrorModel, products: tuple[str, ...]
+) -> tuple[tuple[Reported, ...], Array]:
+    """The physical coefficients, then U0 …, V0 …, and the SI value of each one's unit, (q,).
 
+    An output's own unit is kept as it is recorded.
 
-# Checks ask for that of the same declared values again and again: every estimate, and every plan on that bench.
-@lru_cache(maxsize=16)
-def _physical_set(
-    si: bytes, units_of_outputs: tuple[str, ...], model: ErrorModel, products: tuple[str, ...]
-) -> PhysicalSet:
-    outputs = np.frombuffer(si).reshape(2, -1)
+    Raises `EstimationError` for outputs of different units.
+    """
     i_x, i_y = units_of_outputs
     if i_x != i_y:
-        raise ValueError(f"the two outputs are recorded in different units ({i_x} and {i_y}): record both in one")
-    physical = flexure_gyro.physical_coefficients(outputs)
-    gradient = flexure_gyro.jacobian(outputs)
-    scale_unit = f"(deg/h)/({i_x})"
-    drifts = ["deg/h", "deg/h/g", "deg/h/g", "deg/h/g", *["deg/h/g^2"] * len(products)]
+        raise EstimationError(f"the two outputs are recorded in different units ({i_x} and {i_y}): record both in one")
+    arcmin, rate, g = unit("arcmin").factor, unit("deg/h").factor, unit("g").factor
+    drifts = [("deg/h", rate), *[("deg/h/g", rate / g)] * 3, *[("deg/h/g^2", rate / g**2)] * len(products)]
+    per = {
+        "1": (i_x, 1.0),
+        "rad/s": (f"({i_x})/(deg/h)", 1 / rate),
+        "m/s^2": (f"({i_x})/g", 1 / g),
+        "(m/s^2)^2": (f"({i_x})/g^2", 1 / g**2),
+    }
+    outputs = [per[term.unit] for term in model.terms]
+    scale = (f"(deg/h)/({i_x})", rate)
+    shown = [scale, scale, ("arcmin", arcmin), ("arcmin", arcmin), *drifts, *drifts, *outputs, *outputs]
     names_u, names_v = flexure_gyro.output_names(products)
-    per = {"1": i_x, "rad/s": f"({i_x})/(deg/h)", "m/s^2": f"({i_x})/g", "(m/s^2)^2": f"({i_x})/g^2"}
-    output_units = [per[term.unit] for term in model.terms]
-    all_units = (scale_unit, scale_unit, "arcmin", "arcmin", *drifts, *drifts, *output_units, *output_units)
-    # Factors from SI with the output's own unit kept as it is recorded.
-    angle, rate, g = unit("arcmin").factor, unit("deg/h").factor, unit("g").factor
-    drift_factors = [rate, rate / g, rate / g, rate / g, *[rate / g**2] * len(products)]
-    term_factors = [
-        {"1": 1.0, "rad/s": 1 / rate, "m/s^2": 1 / g, "(m/s^2)^2": 1 / g**2}[term.unit] for term in model.terms
-    ]
-    factors = np.array([rate, rate, angle, angle, *drift_factors, *drift_factors, *term_factors, *term_factors])
-    values = np.concatenate([physical, outputs.ravel()]) / factors
-    gradients = np.vstack([gradient, np.eye(outputs.size)]) / factors[:, None]
     names = (*flexure_gyro.physical_names(products), *names_u, *names_v)
-    for array in (values, gradients, factors):
-        array.flags.writeable = False
-    return PhysicalSet(names, values, all_units, gradients, len(physical), factors)
+    quantities = tuple(
+        Reported(name, text, tables.describe(name)) for name, (text, _) in zip(names, shown, strict=True)
+    )
+    return quantities, np.array([factor for _, factor in shown])
+
+
+def static_coefficients(fit: OutputsFit, units: Sequence[str], model: ErrorModel, products: tuple[str, ...]) -> Derived:
+    """Everything that is reported, from SI [U; V]. Raises ValueError where the relation cannot be inverted."""
+    quantities, factors = reported(units, model, products)
+
+    def formula(outputs: Array) -> Array:
+        physical = flexure_gyro.physical_coefficients(outputs.reshape(2, -1, outputs.shape[1]))
+        return np.concatenate([physical, outputs]) / factors[:, None]
+
+    return derived(quantities, formula, fit)
 
 
 def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:
     if len(outputs) != 2 or outputs[0] == outputs[1]:
         raise EstimationError(f"a flexure gyro has two outputs, of x and of y; `outputs` names {', '.join(outputs)}")
     return outputs
-
-
-def _coefficients(found: PhysicalSet, spreads: Array, freedom: Array) -> tuple[Coefficient, ...]:
-    return tuple(
-        Coefficient(name, float(value), its_unit, float(spread), float(dof), tables.describe(name))
-        for name, value, its_unit, spread, dof in zip(
-            found.names, found.values, found.units, spreads, freedom, strict=True
-        )
-    )
 
 
 def _extra(

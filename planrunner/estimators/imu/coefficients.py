@@ -1,4 +1,4 @@
-"""What an IMU's calibration reports, from the fitted responses of its triads: names, values, units and gradients.
+"""What an IMU's calibration reports, from the fitted responses of its triads: names, units and one formula.
 
     measured = S·M·true + b + G·f
 
@@ -8,15 +8,18 @@ S is diagonal (scale factors), the rows of M have length one (misalignments), b 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
+from planrunner.estimators.derived import Reported
 from planrunner.estimators.interface import EstimationError, UnfitDataError
-from planrunner.estimators.triad import own_frame, scale_and_misalignments, turned_gradient
+from planrunner.estimators.triad import Part, own_frame, scale_and_misalignments, small_angles
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
+from planrunner.uncertainty.derivatives import Formula
 
 Array = NDArray[np.float64]
 
@@ -50,62 +53,83 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True)
-class Reported:
-    """q quantities. gradients: (q, r), d(value in its unit)/d(response), over the responses of all triads one after the other."""
+class Framed:
+    """The responses in the frame that they are reported in. reference: the kind of the triad whose own frame it is, empty for the
+    fixture's."""
 
-    names: tuple[str, ...]
-    values: Array
-    units: tuple[str, ...]
-    gradients: Array
-    words: tuple[str, ...]
+    responses: tuple[Response, ...]
+    reference: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Framed:
-    """The responses in the frame that they are reported in. gradient: (r, r), d(here)/d(as fitted). reference: the kind of the triad whose
-    own frame it is, empty for the fixture's. angles, angle_gradient: (3,) rad and (3, r), of the turn from the fixture's frame."""
+class Calibration:
+    """Everything that is reported, as a formula of the responses as fitted, all triads' one after the other. frame: of what was fitted."""
 
-    responses: tuple[Response, ...]
-    gradient: Array
-    reference: str = ""
-    angles: Array | None = None
-    angle_gradient: Array | None = None
+    frame: Framed
+    quantities: tuple[Reported, ...]
+    formula: Formula
 
 
-def framed(responses: Sequence[Response], lower_triangular: bool) -> Framed:
-    """The responses as fitted, or in the own frame of the accelerometers, of the gyros where there are none. Raises `EstimationError`."""
-    size = sum(one.values.size for one in responses)
-    if not lower_triangular:
-        return Framed(tuple(responses), np.eye(size))
-    reference = responses[-1]  # the accelerometers, if there are any
-    starts = np.cumsum([0, *(one.values.size for one in responses)])
-    _must_turn(responses)
-    columns = [reference.sensed[k] for k in range(3)]
-    matrix = reference.values[:, columns] * np.array([[own.factor] for own in reference.units])
+def calibration(fitted: Sequence[Response], lower_triangular: bool) -> Calibration:
+    """In the fixture's frame, or in the own frame of the accelerometers, of the gyros where there are none. Raises `EstimationError`, also
+    for an output that does not respond."""
+    reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
+    if lower_triangular:
+        _must_turn(fitted)
+    rows = [
+        (k, axis, part)
+        for k, one in enumerate(fitted)
+        for axis in range(3)
+        for part in _axis(one, axis, one is reference)
+    ]
+    arcmin = unit("arcmin").factor
+    turns = [f"Rotation of the triad's own frame against the fixture's about {name}" for name in AXES if reference]
+
+    def in_frame(flat: Array) -> tuple[list[Array], Array | None]:
+        values = _split(fitted, flat)
+        if reference is None:
+            return values, None
+        rotation = _rotation(reference, values[-1])
+        return [_turned(one, own, rotation) for one, own in zip(fitted, values, strict=True)], rotation
+
+    def formula(flat: Array) -> Array:
+        values, rotation = in_frame(flat)
+        made = np.stack([part.of(values[k][axis]) * part.factor for k, axis, part in rows])
+        return made if rotation is None else np.concatenate([made, small_angles(rotation) / arcmin])
+
+    values, _ = in_frame(np.concatenate([one.values.ravel() for one in fitted])[:, None])
+    responses = tuple(replace(one, values=own[..., 0]) for one, own in zip(fitted, values, strict=True))
+    quantities = (
+        *(part.reported for _, _, part in rows),
+        *(Reported(f"rotation_{name}", "arcmin", words) for name, words in zip(AXES, turns, strict=False)),
+    )
+    return Calibration(Framed(responses, reference.kind if reference else ""), quantities, formula)
+
+
+def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
+    """(3, p, n) of each triad."""
+    ends = np.cumsum([one.values.size for one in fitted])
+    parts = np.split(flat, ends[:-1])
+    return [part.reshape(3, -1, flat.shape[1]) for part in parts]
+
+
+def _rotation(reference: Response, values: Array) -> Array:
+    """(3, 3, n), from the fixture's frame to the own one of a triad that responds by (3, p, n)."""
+    factors = np.array([own.factor for own in reference.units])[:, None, None]
     try:
-        own = own_frame(matrix)
+        return own_frame(values[:, [reference.sensed[k] for k in range(3)]] * factors)
     except ValueError as error:
         raise EstimationError(f"no frame can be defined by the {reference.kind} outputs: {error}") from None
-    angle_gradient = np.zeros((3, size))
-    p = reference.values.shape[1]
-    for i in range(3):
-        for k in range(3):
-            column = starts[-2] + i * p + columns[k]
-            angle_gradient[:, column] = own.angle_gradient[:, 3 * i + k] * reference.units[i].factor
-    gradient, found = np.eye(size), []
-    for start, one in zip(starts, responses, strict=False):
-        values, p = one.values.copy(), one.values.shape[1]
-        for places in (one.places("rate"), one.places("accel")):
-            if places:
-                listed = [places[k] for k in range(3)]
-                rows = [start + i * p + place for i in range(3) for place in listed]
-                by_matrix, by_angles = turned_gradient(one.values[:, listed], own)
-                gradient[rows] = 0.0
-                gradient[np.ix_(rows, rows)] = by_matrix
-                gradient[rows] += by_angles @ angle_gradient
-                values[:, listed] = one.values[:, listed] @ own.rotation.T
-        found.append(Response(one.kind, one.units, one.model, values))
-    return Framed(tuple(found), gradient, reference.kind, own.angles, angle_gradient)
+
+
+def _turned(one: Response, values: Array, rotation: Array) -> Array:
+    """The responses (3, p, n) to rates and specific forces in the frame to which the rotation (3, 3, n) leads."""
+    turned = np.array(values)
+    for places in (one.places("rate"), one.places("accel")):
+        if places:
+            listed = [places[k] for k in range(3)]
+            turned[:, listed] = np.einsum("akn,jkn->ajn", values[:, listed], rotation)
+    return turned
 
 
 def _must_turn(responses: Sequence[Response]) -> None:
@@ -124,83 +148,61 @@ def _must_turn(responses: Sequence[Response]) -> None:
             )
 
 
-def reported(frame: Framed) -> Reported:
-    """Everything that is reported. Raises `EstimationError` for an output that does not respond."""
-    rows: list[tuple[str, float, str, Array, str]] = []
-    start, size = 0, len(frame.gradient)
-    for one in frame.responses:
-        for axis in range(3):
-            p = len(one.model.names)
-            for name, value, text, slopes, words in _axis(one, axis, one.kind == frame.reference):
-                gradient = np.zeros(size)
-                gradient[start + axis * p : start + (axis + 1) * p] = slopes
-                rows.append((name, value, text, gradient @ frame.gradient, words))
-        start += one.values.size
-    if frame.angles is not None and frame.angle_gradient is not None:
-        arcmin = unit("arcmin").factor
-        for k, axis_name in enumerate(AXES):
-            words = f"Rotation of the triad's own frame against the fixture's about {axis_name}"
-            turn = float(frame.angles[k] / arcmin), "arcmin", frame.angle_gradient[k] / arcmin
-            rows.append((f"rotation_{axis_name}", *turn, words))
-    names, values, units, gradients, words_ = zip(*rows, strict=True)
-    return Reported(names, np.array(values), units, np.array(gradients), words_)
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """One reported quantity of one output: factor × `of` the output's row of responses, in own unit per SI column."""
+
+    reported: Reported
+    of: Part
+    factor: float
 
 
-def _axis(one: Response, axis: int, own_frame_: bool) -> list[tuple[str, float, str, Array, str]]:
-    """(name, value, unit, slopes (p,), words) of one output."""
-    own, letter, p = one.units[axis], AXES[axis], len(one.model.names)
+def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
+    """What is reported of one output."""
+    own, letter = one.units[axis], AXES[axis]
     direct = own.dimension == _DIMENSION[one.kind]
     plain = _BIAS[one.kind] if direct else f"({own.text})"
-    values = one.values[axis]
-    found: list[tuple[str, float, str, Array, str]] = []
+    sensed, names = one.sensed, one.model.names
+    found: list[_Part] = []
 
-    def add(name: str, value: float, text: str, slopes: dict[int, float], words: str) -> None:
-        """value and slopes in own unit per SI column; text: the unit to report in."""
+    def add(name: str, text: str, of: Part, words: str, si: float = own.factor) -> None:
+        """text: the unit to report in; si: the SI value of what `of` gives."""
         try:
-            factor = own.factor / unit(text).factor
+            factor = si / unit(text).factor
         except UnknownUnitError as error:
             raise EstimationError(f"the coefficient {one.kind}_{name} has an unknown unit: {error}") from None
-        full = np.zeros(p)
-        full[list(slopes)] = list(slopes.values())
-        found.append((f"{one.kind}_{name}", float(value * factor), text, full * factor, words))
+        found.append(_Part(Reported(f"{one.kind}_{name}", text, words), of, factor))
 
-    sensed = one.sensed
-    for k, name in enumerate(one.model.names):
-        if name == "bias":
-            text = _BIAS[one.kind] if direct else own.text
-            add(f"bias_{letter}", values[k], text, {k: 1.0}, f"Bias of output {letter}")
-    directions, places = list(sensed), list(sensed.values())
-    per = "1" if direct else f"({own.text})/({_PER[one.kind]})"
-    try:
-        derived, jacobian = scale_and_misalignments(values[places], directions, axis)
-    except ValueError:
+    def place(k: int) -> Part:
+        return lambda row: np.asarray(row[k])
+
+    if "bias" in names:
+        add(
+            f"bias_{letter}",
+            _BIAS[one.kind] if direct else own.text,
+            place(names.index("bias")),
+            f"Bias of output {letter}",
+        )
+    if axis in sensed and not one.values[axis, list(sensed.values())].any():
         raise UnfitDataError(
             f"output {letter} of the {PLURAL[one.kind]} does not respond at all: check that it is connected"
-        ) from None
-    for row, direction in enumerate(directions):
-        slopes = dict(zip(places, jacobian[row], strict=True))
+        )
+    per = "1" if direct else f"({own.text})/({_PER[one.kind]})"
+    for direction, part in scale_and_misalignments(sensed, axis).items():
         across = f"misalignment_{letter}_{AXES[direction]}"
         if direction == axis:
-            add(
-                f"scale_{letter}",
-                derived[row],
-                per,
-                slopes,
-                f"Scale factor of output {letter}, along its own input axis",
-            )
-        elif axis not in directions:
-            add(across, derived[row], per, slopes, f"Response of output {letter} along {AXES[direction]}")
+            add(f"scale_{letter}", per, part, f"Scale factor of output {letter}, along its own input axis")
+        elif axis not in sensed:
+            add(across, per, part, f"Response of output {letter} along {AXES[direction]}")
         elif not (own_frame_ and direction > axis):
-            ratio = {k: float(slope) / own.factor for k, slope in slopes.items()}  # the output's unit cancels
-            words = f"Component of the input axis {letter} along {AXES[direction]}"
-            add(across, derived[row] / own.factor, "mrad", ratio, words)
+            add(across, "mrad", part, f"Component of the input axis {letter} along {AXES[direction]}", 1.0)
     across_g = one.places("accel") if one.kind == "gyro" else {}
     for direction, k in across_g.items():
         words = f"Response of output {letter} to specific force along {AXES[direction]}"
-        add(f"g_sensitivity_{letter}_{AXES[direction]}", values[k], f"{plain}/g", {k: 1.0}, words)
+        add(f"g_sensitivity_{letter}_{AXES[direction]}", f"{plain}/g", place(k), words)
     for k, term in enumerate(one.model.terms):
-        if term.name != "bias" and k not in places and k not in across_g.values():
+        if term.name != "bias" and k not in sensed.values() and k not in across_g.values():
             column = _COLUMNS.get(term.unit, f"({term.unit})")
             text = plain if term.unit == "1" else f"{plain}/{column}"
-            add(f"{term.name}_{letter}", values[k], text, {k: 1.0}, f"Output {letter}: {term.description}")
+            add(f"{term.name}_{letter}", text, place(k), f"Output {letter}: {term.description}")
     return found

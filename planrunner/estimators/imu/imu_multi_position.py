@@ -7,7 +7,6 @@ those at rest, because off the rotation axis they feel the centripetal accelerat
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel, error_model, term_names
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
-from planrunner.estimators.covariances import independent
+from planrunner.estimators.derived import Derived, derived
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import fit_positions
-from planrunner.estimators.fit_tables import bases_shown, basis_table, residual_table
+from planrunner.estimators.fit_tables import bases_table, residual_table
 from planrunner.estimators.imu import tables
-from planrunner.estimators.imu.coefficients import PLURAL, Framed, Reported, Response, framed, reported
+from planrunner.estimators.imu.coefficients import PLURAL, Framed, Response, calibration
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -113,7 +112,7 @@ class ImuQuantities(Quantities):
 
     triads: tuple[Triad, ...]
     frame: Framed
-    found: Reported
+    found: Derived
 
 
 class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
@@ -149,24 +148,17 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         parameters = request.parameters
         basis = parameters.uncertainty
         triads = tuple(_fit(request, *one) for one in _triads(parameters))
-        frame = framed([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
-        found = reported(frame)
-        u, freedom = spread(found, triads, basis)
-        data = independent([one.fit.covariance(basis) for one in triads])  # the triads' noise is taken for independent
-        covariance = found.gradients @ data @ found.gradients.T
-        coefficients = tuple(
-            Coefficient(name, float(value), text, float(own), float(dof), words)
-            for name, value, text, own, dof, words in zip(
-                found.names, found.values, found.units, u, freedom, found.words, strict=True
-            )
-        )
+        made = calibration([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
+        # The triads' noise is taken for independent.
+        found = derived(made.quantities, made.formula, *(one.fit for one in triads))
+        coefficients = found.coefficients(basis)
         return ImuQuantities(
             coefficients=coefficients,
-            covariance=covariance,
-            influences=_influences(request, triads, found),
-            extra=_extra(request, frame, found, u),
+            covariance=found.covariance(basis),
+            influences=found.influences([_stated(request, one) for one in triads]),
+            extra=_extra(request, made.frame, coefficients),
             triads=triads,
-            frame=frame,
+            frame=made.frame,
             found=found,
         )
 
@@ -186,9 +178,8 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
             warnings += doubted
         if len(triads) == 2 and len(triads[0].segments) > len(triads[1].segments):
             notes.append("The accelerometers are fitted from the segments at rest alone.")
-        spreads = {other: spread(found, triads, other) for other in bases_shown(basis, [one.fit for one in triads])}
         return Words(
-            headline=found.names,
+            headline=tuple(one.name for one in found.quantities),
             settings={
                 "uncertainty": basis,
                 "misalignment": parameters.misalignment,
@@ -201,7 +192,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
                     residual_table(f"Residuals of the {one.kind} triad", "segment", one.observations, one.fit)
                     for one in triads
                 ),
-                basis_table(found.names, found.units, found.values, spreads),
+                bases_table(found, basis),
             ),
             plots=tuple(
                 residual_plot(one.observations, one.fit, f"Residuals of the {one.kind} triad") for one in triads
@@ -210,22 +201,6 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
             warnings=tuple(warnings),
             segments=tuple(recorded.label for recorded in request.segments),
         )
-
-
-def spread(found: Reported, triads: Sequence[Triad], basis: str) -> tuple[Array, Array]:
-    """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the triads) of what the data show, both (q,)."""
-    variance, squares, start = np.zeros(len(found.names)), np.zeros(len(found.names)), 0
-    least = np.full(len(found.names), math.inf)
-    for one in triads:
-        end = start + one.fit.coefficients.size
-        own = found.gradients[:, start:end]
-        share = np.einsum("qi,ij,qj->q", own, one.fit.covariance(basis), own).clip(min=0.0)
-        freedom = one.fit.degrees_of_freedom(own, basis)
-        variance, squares = variance + share, squares + share**2 / freedom
-        least = np.where(np.abs(own).max(axis=1) > 0, np.minimum(least, freedom), least)
-        start = end
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.sqrt(variance), np.where(squares > 0, variance**2 / squares, least)
 
 
 def _triads(parameters: ImuMultiPositionParameters) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
@@ -304,22 +279,11 @@ def _response(one: Triad) -> Response:
     return Response(one.kind, units, one.model, one.fit.coefficients)
 
 
-def _influences(
-    request: EstimateRequest[ImuMultiPositionParameters], triads: Sequence[Triad], found: Reported
-) -> tuple[Influence, ...]:
-    """On everything that is reported; an input that acts on both triads is one input to whoever adds them up."""
-    influences: list[Influence] = []
-    start = 0
-    for one in triads:
-        end = start + one.fit.coefficients.size
-        fit = one.fit
-        stated = stated_influences(
-            one.model, one.segments, request.site, request.setup.inputs, fit.coefficients, fit.gains
-        )
-        acting = (*stated, *fit.influences(request.parameters.uncertainty))
-        influences += [item.through(found.gradients[:, start:end]) for item in acting]
-        start = end
-    return tuple(influences)
+def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) -> tuple[Influence, ...]:
+    """On one triad's coefficients."""
+    fit = one.fit
+    site = stated_influences(one.model, one.segments, request.site, request.setup.inputs, fit.coefficients, fit.gains)
+    return (*site, *fit.influences(request.parameters.uncertainty))
 
 
 def _earth_rate_alone(
@@ -342,7 +306,7 @@ def _earth_rate_alone(
 
 
 def _extra(
-    request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Reported, u: Array
+    request: EstimateRequest[ImuMultiPositionParameters], frame: Framed, found: Sequence[Coefficient]
 ) -> dict[str, object]:
     """Matrices for those who build on this, and the coefficients by temperature where all segments were held at one."""
     extra: dict[str, object] = {
@@ -355,7 +319,7 @@ def _extra(
     }
     kelvin = _held({recorded.segment.temperature for recorded in request.segments})
     if kelvin is not None:
-        extra["by_temperature"] = by_temperature(found, kelvin - ZERO_CELSIUS, u)
+        extra["by_temperature"] = by_temperature(found, kelvin - ZERO_CELSIUS)
     return extra
 
 
@@ -368,14 +332,14 @@ def _inverse(one: Response) -> Array | None:
     return tables.inverse_matrix(one) if len(one.sensed) == 3 else None
 
 
-def by_temperature(found: Reported, celsius: float, u: Array) -> Mapping[str, object]:
+def by_temperature(found: Sequence[Coefficient], celsius: float) -> Mapping[str, object]:
     """The coefficients at one temperature, as `interface.Estimate` says that extra holds them."""
     return {
-        name: {
+        one.name: {
             "temperature_degC": [celsius],
-            "value": [float(value)],
-            "standard_uncertainty": [float(own)],
-            "unit": text,
+            "value": [one.value],
+            "standard_uncertainty": [one.standard_uncertainty],
+            "unit": one.unit,
         }
-        for name, value, own, text in zip(found.names, found.values, u, found.units, strict=True)
+        for one in found
     }

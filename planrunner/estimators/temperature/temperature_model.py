@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.covariances import independent
+from planrunner.estimators.derived import independent
 from planrunner.estimators.interface import (
     Coefficient,
     CoefficientRole,

@@ -142,7 +142,10 @@ def evaluate(
     means = np.array([one.mean(axis=0) for one in repeats])
     spread = [one[..., K].std(axis=0, ddof=1) if len(one) > 1 else np.full(one.shape[1], np.nan) for one in repeats]
     kelvin = np.array([group.kelvin for group in groups])
-    coefficient, sensitivity = _over_temperature(means[..., K], kelvin, reference, worst)
+    coefficient, sensitivity = np.full((2, means.shape[1]), np.nan)
+    if np.isfinite(kelvin).all() and np.ptp(kelvin) > 0:
+        decides = worst.temperature if worst else _decisive(means[..., K], kelvin, reference)
+        coefficient, sensitivity = over_temperature(means[..., K], kelvin, reference, decides)
     return TiltedResults(
         means, tuple(repeats), tuple(residuals), np.array(spread) / means[..., K], coefficient, sensitivity
     )
@@ -156,8 +159,7 @@ def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign
 
 def worst_of(groups: Sequence[Group], found: TiltedResults, reference: int) -> Worst:
     kelvin = np.array([group.kelvin for group in groups])
-    size = np.abs(_relative_change(found.means[..., K], kelvin, reference))
-    return _worst(found.residuals, np.nan_to_num(size, nan=-1.0).argmax(axis=0))
+    return _worst(found.residuals, _decisive(found.means[..., K], kelvin, reference))
 
 
 def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
@@ -198,17 +200,16 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
     return found
 
 
-def _relative_change(values: Array, kelvin: Array, reference: int) -> Array:
-    """(K_T − K_0)/(K_0·(T − T_0)), (g, m), NaN at the reference."""
-    apart = kelvin - kelvin[reference]
-    apart = np.where(apart == 0, np.nan, apart)
-    return np.asarray((values - values[reference]) / (values[reference] * apart[:, None]))
+def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
+    """Coefficient and sensitivity, (2, m), of scale factors (g, m). decides: the temperature whose change is the sensitivity."""
+    base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
+    change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
+    return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])
 
 
-def _over_temperature(values: Array, kelvin: Array, reference: int, worst: Worst | None) -> tuple[Array, Array]:
-    m = values.shape[1]
-    if len(kelvin) < 2 or not np.isfinite(kelvin).all() or np.ptp(kelvin) == 0:
-        return np.full(m, np.nan), np.full(m, np.nan)
-    change = np.abs(_relative_change(values, kelvin, reference))
-    chosen = np.nan_to_num(change, nan=-1.0).argmax(axis=0) if worst is None else worst.temperature
-    return slope_weights(kelvin) @ values / values[reference], change[chosen, np.arange(m)]
+def _decisive(values: Array, kelvin: Array, reference: int) -> NDArray[np.int64]:
+    """The temperatures (m,) at which scale factors (g, m) have changed most for their distance from the reference."""
+    apart = np.abs(kelvin - kelvin[reference])
+    away = np.isfinite(apart) & (apart > 0)
+    size = np.abs(values - values[reference]) / np.where(away, apart, 1.0)[:, None]
+    return np.asarray(np.where(away[:, None] & np.isfinite(size), size, -1.0).argmax(axis=0))

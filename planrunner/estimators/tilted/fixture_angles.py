@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
-from planrunner.estimators.covariances import independent
+from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.interface import (
     Cell,
     Coefficient,
@@ -40,7 +39,6 @@ from planrunner.estimators.tilted.fixture_gains import (
     FITTED,
     STATED,
     GainModel,
-    Polar,
     gain_basis,
     gain_model,
     held_rates,
@@ -92,22 +90,11 @@ class FixtureAnglesParameters(Record):
     )
 
 
-@dataclass(frozen=True, slots=True)
-class AxisAngles:
-    """One axis. coefficients, covariance (q, q): of the data; influences: of what is stated on them; scale: (q,), to the results' units."""
-
-    coefficients: tuple[Coefficient, ...]
-    covariance: Array
-    influences: tuple[Influence, ...]
-    scale: Array
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixtureQuantities(Quantities):
-    """By axis: its angles, its observations and their fit."""
+    """By axis: its observations and their fit."""
 
     axes: MountedAxes
-    angles: tuple[AxisAngles, ...]
     fits: tuple[tuple[Observations, OutputsFit], ...]
 
 
@@ -140,7 +127,6 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         axes = mounted_axes(request.setup.mounting, request.segments[0].statistics.channels, parameters.outputs)
         seconds = [recorded_seconds(one) for one in request.segments]
         model = gain_model([one.segment for one in request.segments], seconds, request.site, request.setup)
-        found: list[AxisAngles] = []
         fits: list[tuple[Observations, OutputsFit]] = []
         for k, name in enumerate(axes.outputs):
             basis = gain_basis(axes, k, parameters.azimuth)
@@ -151,14 +137,14 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
             effects = (*flicker, *held_rates(model, request.setup, about))
             fit = fit_outputs(*asked, parameters.uncertainty, effects=effects)
             require_basis(fit, parameters.uncertainty, request.name)
-            found.append(_found(request, model, axes, k, fit, observations.units[0]))
             fits.append((observations, fit))
+        found = _derived(request, model, axes, fits)
+        acting = [_acting(request, model, axes, k, fit) for k, (_, fit) in enumerate(fits)]
         return FixtureQuantities(
-            coefficients=tuple(item for axis in found for item in axis.coefficients),
-            covariance=independent([axis.covariance for axis in found]),
-            influences=_padded(found),
+            coefficients=found.coefficients(parameters.uncertainty),
+            covariance=found.covariance(parameters.uncertainty),
+            influences=found.influences(acting),
             axes=axes,
-            angles=tuple(found),
             fits=tuple(fits),
         )
 
@@ -174,7 +160,7 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         return Words(
             headline=tuple(item.name for item in found.coefficients),
             settings={"uncertainty": parameters.uncertainty, "azimuth": parameters.azimuth},
-            tables=(_table(found.axes, found.angles),),
+            tables=(_table(found.axes, found.coefficients),),
             plots=tuple(
                 residual_plot(observations, fit, f"Residuals of {name}", "segment")
                 for name, (observations, fit) in zip(found.axes.outputs, found.fits, strict=True)
@@ -185,74 +171,46 @@ class FixtureAngles(Method[FixtureAnglesParameters, FixtureQuantities]):
         )
 
 
-def _found(
+def _derived(
     request: EstimateRequest[FixtureAnglesParameters],
     model: GainModel,
     axes: MountedAxes,
-    k: int,
-    fit: OutputsFit,
-    output_unit: str,
-) -> AxisAngles:
-    basis = gain_basis(axes, k, request.parameters.azimuth)
-    offsets = len(model.orientations)
-    gain = fit.coefficients[0, offsets:]
-    shape = polar(gain, basis, axes, k)
-    gradient = np.column_stack([np.zeros((len(shape.values), offsets)), shape.gradient])
-    how = request.parameters.uncertainty
-    covariance = gradient @ fit.covariance(how) @ gradient.T
-    freedom = fit.degrees_of_freedom(gradient, how)
-    shown = _shown(request, model, axes, k, shape, gain, gradient @ fit.gains[0], covariance, freedom, output_unit)
-    return _with_effects(shown, [one.through(gradient) for one in fit.influences(how)])
+    fits: Sequence[tuple[Observations, OutputsFit]],
+) -> Derived:
+    """K, angle and, if fitted, azimuth of each axis in the units of the results, from offsets and gains of all axes."""
+    offsets, shapes = len(model.orientations), []
+    reported: list[Reported] = []
+    for k, (observations, fit) in enumerate(fits):
+        text, factor = slope_unit(*rate_and_output(request.parameters.rate_unit, observations.units[0]))
+        gain = fit.coefficients[0, offsets:]
+        shapes.append((polar(gain, gain_basis(axes, k, request.parameters.azimuth), axes, k), factor))
+        for word, own, words in list(zip(("K", "angle", "azimuth"), (text, "deg", "deg"), _WORDS, strict=True))[
+            : len(gain)
+        ]:
+            period = 360.0 if word == "azimuth" else math.inf
+            reported.append(Reported(f"{word}_{axes.names[k]}", own, f"{axes.names[k]}: {words}", period))
+
+    def formula(flat: Array) -> Array:
+        made = []
+        for own, (shape, factor) in zip(np.split(flat, len(fits)), shapes, strict=True):
+            values = shape(own[offsets:])
+            made += [values[:1] * factor, values[1:] / _DEGREE]
+        return np.concatenate(made)
+
+    return derived(reported, formula, *(fit for _, fit in fits))
 
 
-def _with_effects(shown: AxisAngles, effects: Sequence[Influence]) -> AxisAngles:
-    """effects: on the values, SI."""
-    scaled = (one.through(np.diag(shown.scale)) for one in effects)
-    return replace(shown, influences=(*shown.influences, *scaled))
-
-
-def _shown(
-    request: EstimateRequest[FixtureAnglesParameters],
-    model: GainModel,
-    axes: MountedAxes,
-    k: int,
-    shape: Polar,
-    gain: Array,
-    gains: Array,
-    covariance: Array,
-    freedom: Array,
-    output_unit: str,
-) -> AxisAngles:
-    """In the units of the results. gains: (q, n), results from observations; covariance: (q, q), SI."""
-    how = request.parameters.azimuth
-    text, factor = slope_unit(*rate_and_output(request.parameters.rate_unit, output_unit))
-    units = (text, "deg", "deg")[: len(shape.values)]
-    scale = np.array([factor, 1 / _DEGREE, 1 / _DEGREE])[: len(shape.values)]
-    spread = np.sqrt(np.diag(covariance)) * scale
-    coefficients = tuple(
-        Coefficient(
-            f"{word}_{axes.names[k]}",
-            float(value),
-            own,
-            float(u),
-            float(dof),
-            f"{axes.names[k]}: {description}",
-            360.0 if word == "azimuth" else math.inf,
-        )
-        for word, value, own, u, dof, description in zip(
-            ("K", "angle", "azimuth"), shape.values * scale, units, spread, freedom, _WORDS, strict=False
-        )
-    )
-    influences = tuple(
+def _acting(
+    request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
+) -> tuple[Influence, ...]:
+    """What acts on the offsets and gains of one axis."""
+    how, gain = request.parameters.azimuth, fit.coefficients[0, len(model.orientations) :]
+    stated = (
         # The outputs are as they are: what is stated differently is answered by the opposite change of the fit.
-        Influence(
-            quantity,
-            np.column_stack([-scale * (gains @ change) for change in changes.values()]),
-            parts=tuple(changes),
-        )
+        Influence(quantity, -fit.gains[0] @ np.column_stack(list(changes.values())), parts=tuple(changes))
         for quantity, changes in stated_changes(model, request.setup, request.site, axes, k, how, gain)
     )
-    return AxisAngles(coefficients, covariance * np.outer(scale, scale), influences, scale)
+    return (*stated, *fit.influences(request.parameters.uncertainty))
 
 
 def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
@@ -265,22 +223,9 @@ def _remarks(model: GainModel, azimuth: str) -> list[Remark]:
     return [Remark("physics-fixture", f"the table turns about {seen} of the fixture only", hint)]
 
 
-def _padded(found: Sequence[AxisAngles]) -> tuple[Influence, ...]:
-    """The influences of each axis on the coefficients of all; parts of the same name are one input."""
-    size, at, made = sum(len(axis.coefficients) for axis in found), 0, []
-    for axis in found:
-        for item in axis.influences:
-            wide = np.zeros((size, item.sensitivities.shape[1]))
-            wide[at : at + len(axis.coefficients)] = item.sensitivities
-            made.append(Influence(item.quantity, wide, item.in_scatter, item.parts))
-        at += len(axis.coefficients)
-    return tuple(made)
-
-
-def _table(axes: MountedAxes, found: Sequence[AxisAngles]) -> Table:
+def _table(axes: MountedAxes, found: Sequence[Coefficient]) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for k, axis in enumerate(found):
-        angle = axis.coefficients[1]
+    for k, angle in enumerate(one for one in found if one.name in {f"angle_{name}" for name in axes.names}):
         off = (angle.value * _DEGREE - axes.angles[k]) / _ARCSEC
         stated = f"{math.degrees(axes.angles[k]):.6g} deg"
         rows.append(

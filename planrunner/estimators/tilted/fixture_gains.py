@@ -21,6 +21,7 @@ from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis
 from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.uncertainty.derivatives import Formula, angle_of, length
 from planrunner.uncertainty.influences import InputQuantity
 
 Array = NDArray[np.float64]
@@ -100,43 +101,26 @@ def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
     return np.array([across, [0.0, 0.0, 1.0]]).T
 
 
-@dataclass(frozen=True, slots=True)
-class Polar:
-    """values: K in output unit/(rad/s), angle and, if fitted, azimuth [rad]; gradient: (q, r) by the gain's components."""
-
-    values: Array
-    gradient: Array
-
-
-def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Polar:
-    """gain: (r,), components along `basis` (3, r), of axis k. An output whose sign is not that of its stated direction has a
-    negative K. Raises `EstimationError` for an axis whose azimuth means nothing, because it lies
-    along z."""
+def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
+    """K in output unit/(rad/s), angle and, if fitted, azimuth [rad], (q, n), of gains near `gain` (r,): components along `basis` (3, r) of
+    axis k. An output whose sign is not that of its stated direction has a negative K. Raises `EstimationError` for an axis whose azimuth
+    means nothing, because it lies along z."""
     sign = -1.0 if float(basis @ gain @ axes.directions[k]) < 0 else 1.0
-    own = sign * gain
-    size = float(np.linalg.norm(own))
-    if len(own) == 2:
-        across, along = own
-        values = np.array([sign * size, math.atan2(across, along)])
-        gradient = np.array([own / size * sign, np.array([along, -across]) / size**2])
-        return Polar(values, gradient * sign)
-    x, y, z = own
     about = 0.0 if math.isnan(axes.azimuths[k]) else float(axes.azimuths[k])
-    across = math.hypot(x, y)
-    if across < 1e-9 * size:
+    if len(gain) == 3 and math.hypot(*gain[:2]) < 1e-9 * float(np.linalg.norm(gain)):
         raise EstimationError(
             "an axis is parallel to the fixture's z axis, so it has no azimuth: write `azimuth: stated`"
         )
-    azimuth = about + math.remainder(math.atan2(y, x) - about, 2 * math.pi)
-    values = np.array([sign * size, math.atan2(across, z), azimuth])
-    gradient = np.array(
-        [
-            own / size * sign,
-            np.array([z * x / across, z * y / across, -across]) / size**2,
-            np.array([-y, x, 0.0]) / across**2,
-        ]
-    )
-    return Polar(values, gradient * sign)
+
+    def formula(gains: Array) -> Array:
+        own = sign * gains
+        if len(own) == 2:
+            return np.stack([sign * length(own), angle_of(own[0], own[1])])
+        azimuth = angle_of(own[1], own[0])
+        turns = np.round((azimuth.real - about) / (2 * math.pi))
+        return np.stack([sign * length(own), angle_of(length(own[:2]), own[2]), azimuth - 2 * math.pi * turns])
+
+    return formula
 
 
 def stated_changes(

@@ -64,5 +64,10 @@ def _asymmetry(x: Array, f: Array) -> Array:
     sound = np.linalg.cond(normal) < 1 / TOLERANCE
     solved = np.linalg.solve(normal[sound], right[sound][..., None])[..., 0]
     plus, minus = solved[..., 1], solved[..., 2]
-    told[sound] = 2 * (plus - minus) / (plus + minus)
+    told[sound] = asymmetry(plus, minus)
     return told
+
+
+def asymmetry(forward: Array, backward: Array) -> Array:
+    """2·(K₊ − K₋)/(K₊ + K₋)."""
+    return 2 * (forward - backward) / (forward + backward)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,11 @@ from planrunner.estimators.tilted.evaluation import (
     TiltedResults,
     Worst,
     answers_to_averages,
-    slope_weights,
+    over_temperature,
 )
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import variances_differ
+from planrunner.uncertainty.derivatives import jacobian
 
 Array = NDArray[np.float64]
 
@@ -184,8 +186,14 @@ def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, w
     gradient = np.zeros((len(found.vector), g * each))
     gradient[: g * each] = np.eye(g * each)
     if np.isfinite(found.coefficient).all():
-        kelvin = np.array([group.kelvin for group in groups])
-        _temperature_gradients(gradient[-2 * m :], found, kelvin, reference, worst)
+        kelvin, means = np.array([group.kelvin for group in groups]), found.means[..., K]
+        for axis in range(m):
+            at = [(k * m + axis) * p + K for k in range(g)]
+            decides = int(worst.temperature[axis])
+            slopes = jacobian(
+                partial(over_temperature, kelvin=kelvin, reference=reference, decides=decides), means[:, axis]
+            )
+            gradient[[-2 * m + axis, -m + axis], [[row] for row in at]] = slopes.T
     return gradient
 
 
@@ -223,22 +231,6 @@ def with_expected_repeatability(found: TiltedResults, groups: Sequence[Group], s
     repeats = np.array([len(group.names) for group in groups])
     expected = np.abs(spread * np.sqrt(repeats)[:, None] / found.means[..., K])
     return replace(found, repeatability=np.where(repeats[:, None] > 1, expected, np.nan))
-
-
-def _temperature_gradients(rows: Array, found: TiltedResults, kelvin: Array, reference: int, worst: Worst) -> None:
-    """Of coefficient and sensitivity by the scale factors, written into rows (2·m, g·m·5)."""
-    g, m, p = found.means.shape
-    weights = slope_weights(kelvin)
-    for axis in range(m):
-        at = [(k * m + axis) * p + K for k in range(g)]
-        base = found.means[reference, axis, K]
-        rows[axis, at] = weights / base
-        rows[axis, at[reference]] -= found.coefficient[axis] / base
-        other = int(worst.temperature[axis])
-        change = found.means[other, axis, K] - base
-        scale = (np.sign(change / base) or 1.0) / (base * abs(kelvin[other] - kelvin[reference]))
-        rows[m + axis, at[other]] = scale
-        rows[m + axis, at[reference]] = -scale * found.means[other, axis, K] / base
 
 
 def _correlation(products: Array) -> Array:

@@ -1,0 +1,120 @@
+"""What an estimate reports, as one formula of what it fitted: values, covariance, degrees of freedom, influences and draws follow from it.
+
+An estimator gives the formula and what its quantities are called. Nothing else about them is written down: derivatives come from the
+formula (`uncertainty.derivatives`), and Monte Carlo puts its draws through the same one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.interface import Coefficient
+from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.uncertainty.derivatives import Formula, jacobian
+from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.monte_carlo import Draws, influence_draws, t_draws
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """As what one derived quantity is reported. unit: of its value; period: of one on a circle, in that unit."""
+
+    name: str
+    unit: str
+    description: str
+    period: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Derived:
+    """q quantities computed from the r coefficients of independent fits, one fit after the other.
+
+    values: (q,), in the quantities' units; gradient: (q, r), by the coefficients as they were fitted.
+    """
+
+    quantities: tuple[Reported, ...]
+    formula: Formula
+    values: Array
+    gradient: Array
+    fits: tuple[OutputsFit, ...]
+
+    def covariance(self, basis: str) -> Array:
+        """(q, q), of what the data show."""
+        data = independent([fit.covariance(basis) for fit in self.fits])
+        return np.asarray(self.gradient @ data @ self.gradient.T)
+
+    def spread(self, basis: str) -> tuple[Array, Array]:
+        """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the fits) of what the data show, both (q,)."""
+        variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
+        least = np.full(len(self.values), math.inf)
+        for fit, own in zip(self.fits, self._by_fit(), strict=True):
+            share = np.einsum("qi,ij,qj->q", own, fit.covariance(basis), own).clip(min=0.0)
+            freedom = fit.degrees_of_freedom(own, basis)
+            variance, squares = variance + share, squares + share**2 / freedom
+            least = np.where(np.abs(own).max(axis=1) > 0, np.minimum(least, freedom), least)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.sqrt(variance), np.where(squares > 0, variance**2 / squares, least)
+
+    def coefficients(self, basis: str) -> tuple[Coefficient, ...]:
+        u, freedom = self.spread(basis)
+        return tuple(
+            Coefficient(one.name, float(value), one.unit, float(own), float(dof), one.description, one.period)
+            for one, value, own, dof in zip(self.quantities, self.values, u, freedom, strict=True)
+        )
+
+    def influences(self, acting: Sequence[Sequence[Influence]]) -> tuple[Influence, ...]:
+        """On the quantities, of the influences on each fit's coefficients; an input that acts on several fits is one input."""
+        by_fit = zip(acting, self._by_fit(), strict=True)
+        return tuple(one.through(gradient) for influences, gradient in by_fit for one in influences)
+
+    def draws(self, basis: str, acting: Sequence[Sequence[Influence]]) -> Draws:
+        """Draws of the quantities through the formula, so exact but for the influences' first order.
+
+        A fit's part is Student's t with the degrees of freedom of the variances that it rests on: one for all outputs where they are
+        pooled, else each output's own.
+        """
+        parts = [_draws(fit, basis, influences) for fit, influences in zip(self.fits, acting, strict=True)]
+
+        def draw(rng: np.random.Generator, n: int) -> Array:
+            return self.formula(np.concatenate([part(rng, n) for part in parts]))
+
+        return draw
+
+    def _by_fit(self) -> list[Array]:
+        ends = np.cumsum([fit.coefficients.size for fit in self.fits])
+        return np.split(self.gradient, ends[:-1], axis=1)
+
+
+def derived(quantities: Sequence[Reported], formula: Formula, *fits: OutputsFit, at: Array | None = None) -> Derived:
+    """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), their values, where the fits give only steps
+    from something near. Raises what the formula raises."""
+    where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
+    return Derived(tuple(quantities), formula, formula(where[:, None])[:, 0], jacobian(formula, where), fits)
+
+
+def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draws:
+    m, p = fit.coefficients.shape
+    freedom = np.repeat(fit.degrees_of_freedom(np.eye(m * p)[::p], basis), p)
+    pooled = basis == "residual" and fit.pooled
+    groups = [0 if pooled else output for output in range(m) for _ in range(p)]
+    scatter, inputs = t_draws(fit.covariance(basis), freedom, groups), influence_draws(influences, m * p)
+    centre = fit.coefficients.reshape(-1, 1)
+    return lambda rng, n: np.asarray(centre + scatter(rng, n) + inputs(rng, n))
+
+
+def independent(blocks: Sequence[Array]) -> Array:
+    """Covariance (Σn, Σn) of quantities that fall into independent parts, from that of each part, (n, n)."""
+    size = sum(len(block) for block in blocks)
+    whole, start = np.zeros((size, size)), 0
+    for block in blocks:
+        end = start + len(block)
+        whole[start:end, start:end] = block
+        start = end
+    return whole

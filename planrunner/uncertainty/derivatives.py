@@ -1,0 +1,41 @@
+"""Derivatives of a formula, from the formula itself: no gradient is written by hand.
+
+The complex step (Squire and Trapp, SIAM Review 40, 1998, 110): f(x + i·h) = f(x) + i·h·f′(x) + O(h²). Nothing is subtracted, so that h can
+be so small that the derivative is exact to rounding. It asks that the formula is analytic: sums, products, powers, `np.sqrt`, `np.sin`,
+`np.arctan`, `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not; `length` and `angle_of` stand in for the last two. Comparisons
+look at the real part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+Formula = Callable[[Array], Array]
+"""q quantities (q, n) of n sets of p parameters (p, n), each set by itself. Complex parameters give complex quantities."""
+
+_STEP = 1e-30
+
+
+def jacobian(formula: Formula, at: Array) -> Array:
+    """∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
+    moved = at[:, None] + 1j * _STEP * np.eye(len(at))
+    return np.asarray(formula(cast(Array, moved)).imag / _STEP)
+
+
+def length(vector: Array) -> Array:
+    """Euclidean length of vectors along the first axis."""
+    return np.asarray(np.sqrt(np.sum(vector * vector, axis=0)))
+
+
+def angle_of(across: Array, along: Array) -> Array:
+    """The angle whose sine and cosine are as `across` to `along`, in (−π, π], rad."""
+    steep = np.abs(across.real) > np.abs(along.real)
+    ratio = np.where(steep, along, across) / np.where(steep, across, along)
+    direct = np.arctan(ratio) + np.where(along.real < 0, np.copysign(np.pi, across.real), 0.0)
+    return np.asarray(np.where(steep, np.copysign(np.pi / 2, across.real) - np.arctan(ratio), direct))
