@@ -19,13 +19,13 @@ from planrunner.uncertainty.derivatives import length
 
 Array = NDArray[np.float64]
 
-Part = Callable[[Array], Array]
+RowFormula = Callable[[Array], Array]
 """One quantity (n,) of an output's row of coefficients (p, n)."""
 
 _FLAT = 1e-3  # volume of three unit vectors below which they count as lying in a plane
 
 
-def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Part]:
+def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, RowFormula]:
     """The scale factor, in the place of the direction `own`, and the misalignments, elsewhere, from a row of responses.
 
     places: direction (0, 1, 2 for x, y, z) → which coefficient of the row responds to it. An output that was never excited along its own
@@ -33,10 +33,10 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Pa
     """
     listed = list(places.values())
 
-    def across(place: int) -> Part:
+    def across(place: int) -> RowFormula:
         return lambda row: np.asarray(row[place] / length(row[listed]))
 
-    def plain(place: int) -> Part:
+    def plain(place: int) -> RowFormula:
         return lambda row: np.asarray(row[place])
 
     if own not in places:

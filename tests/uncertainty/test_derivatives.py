@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from planrunner.error_model.terms import error_model
 
+from planrunner.error_model.terms import error_model
 from planrunner.estimators.accelerometer.gravity_magnitude import fit_magnitude
 from planrunner.estimators.flexure_gyro.compensation_influences import sums_and_ratios
 from planrunner.estimators.imu.coefficients import Response, calibration

@@ -33,7 +33,7 @@ from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_influences import stated_influences
-from planrunner.estimators.triad import Part, scale_and_misalignments
+from planrunner.estimators.triad import RowFormula, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
@@ -129,7 +129,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     )
 
 
-def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, Part]]:
+def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, RowFormula]]:
     """What is reported of one axis, each with its formula of the axis's coefficients in SI."""
     letter = _AXES[axis]
     seen = {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
@@ -137,7 +137,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
         raise UnfitDataError(
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
         )
-    found: list[tuple[Reported, Part]] = []
+    found: list[tuple[Reported, RowFormula]] = []
     if "bias" in model.names:
         place = model.names.index("bias")
         found.append(

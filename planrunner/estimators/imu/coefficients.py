@@ -17,7 +17,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.derived import Reported
 from planrunner.estimators.interface import EstimationError, UnfitDataError
-from planrunner.estimators.triad import Part, own_frame, scale_and_misalignments, small_angles
+from planrunner.estimators.triad import RowFormula, own_frame, scale_and_misalignments, small_angles
 from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 from planrunner.uncertainty.derivatives import Formula
 
@@ -62,7 +62,7 @@ class Framed:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class ImuResults:
     """Everything that is reported, as a formula of the responses as fitted, all triads' one after the other. frame: of what was fitted."""
 
     frame: Framed
@@ -70,7 +70,7 @@ class Calibration:
     formula: Formula
 
 
-def calibration(fitted: Sequence[Response], lower_triangular: bool) -> Calibration:
+def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
     """In the fixture's frame, or in the own frame of the accelerometers, of the gyros where there are none. Raises `EstimationError`, also
     for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
@@ -103,7 +103,7 @@ def calibration(fitted: Sequence[Response], lower_triangular: bool) -> Calibrati
         *(part.reported for _, _, part in rows),
         *(Reported(f"rotation_{name}", "arcmin", words) for name, words in zip(AXES, turns, strict=False)),
     )
-    return Calibration(Framed(responses, reference.kind if reference else ""), quantities, formula)
+    return ImuResults(Framed(responses, reference.kind if reference else ""), quantities, formula)
 
 
 def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
@@ -153,7 +153,7 @@ class _Part:
     """One reported quantity of one output: factor × `of` the output's row of responses, in own unit per SI column."""
 
     reported: Reported
-    of: Part
+    of: RowFormula
     factor: float
 
 
@@ -165,7 +165,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     sensed, names = one.sensed, one.model.names
     found: list[_Part] = []
 
-    def add(name: str, text: str, of: Part, words: str, si: float = own.factor) -> None:
+    def add(name: str, text: str, of: RowFormula, words: str, si: float = own.factor) -> None:
         """text: the unit to report in; si: the SI value of what `of` gives."""
         try:
             factor = si / unit(text).factor
@@ -173,7 +173,7 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
             raise EstimationError(f"the coefficient {one.kind}_{name} has an unknown unit: {error}") from None
         found.append(_Part(Reported(f"{one.kind}_{name}", text, words), of, factor))
 
-    def place(k: int) -> Part:
+    def place(k: int) -> RowFormula:
         return lambda row: np.asarray(row[k])
 
     if "bias" in names:
