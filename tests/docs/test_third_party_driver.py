@@ -69,7 +69,7 @@ def test_the_documented_chamber_is_installed_checked_and_asked(tmp_path: Path) -
     )
     (tmp_path / "wrong.yaml").write_text(head + own % "192.168.0.6:2049", encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(head + own % "ASRL/dev/no-such-port::INSTR", encoding="utf-8")
-    assert "chamber: A chamber that speaks ASCII-2, as Vötsch ones do." in chamber("bench", "list").stdout
+    assert "chamber: A chamber with the ASCII-2 protocol, such as one of Vötsch." in chamber("bench", "list").stdout
     assert "'192.168.0.6:2049' is not a VISA resource name" in chamber("bench", "ping", "wrong.yaml").stderr
     asked = chamber("bench", "ping", "mine.yaml")
     assert asked.returncode == 3, asked.stderr

@@ -88,6 +88,6 @@ def test_what_it_does_not_do_is_noticed(votsch: Any) -> None:
 def test_another_instrument_is_told(votsch: Any, said: bytes) -> None:
     with (
         answering(lambda message: said, b"\r\n") as server,
-        pytest.raises(InstrumentError, match="no answer in ASCII-2"),
+        pytest.raises(InstrumentError, match="not an ASCII-2 reply"),
     ):
         votsch.Votsch.connect(parameters(votsch.VotschParameters, server.address, *RANGE), surroundings())

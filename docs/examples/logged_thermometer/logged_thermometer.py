@@ -1,4 +1,4 @@
-"""A monitor: the newest temperature that another program writes into a text file, one reading a line."""
+"""A monitor: the latest temperature that another program writes into a text file, one reading per line."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from planrunner.plan.kinds import Record, Text, key
 
 
 class LoggedThermometerParameters(Record):
-    file: str = key(Text(), "Text file whose last line is the newest temperature in degC.", "room.txt")
+    file: str = key(Text(), "Text file whose last line is the latest temperature in degC.", "room.txt")
 
 
 class LoggedThermometer:
@@ -35,7 +35,7 @@ class LoggedThermometer:
             raise InstrumentError(f"no temperature in {self.file} ({error}): is its logger running?") from None
 
     def make_safe(self):
-        """Reading does nothing dangerous."""
+        """Nothing to do: reading moves nothing."""
 
     def close(self):
-        """Nothing is held open."""
+        """Nothing to do: nothing stays open."""

@@ -7,7 +7,7 @@ from planrunner.plan.kinds import Record, Text, key
 
 
 class MedianParameters(Record):
-    output: str = key(Text(), "Output whose level is wanted.", "torquer_x")
+    output: str = key(Text(), "Output whose level is computed.", "torquer_x")
 
 
 class MedianOutput:

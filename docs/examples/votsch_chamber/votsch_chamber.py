@@ -1,4 +1,4 @@
-"""Chambers that speak ASCII-2, as Vötsch ones do: one query tells everything, one command sets everything."""
+"""Chambers with the ASCII-2 protocol, such as those of Vötsch: one query returns all values, one command sets all values."""
 
 from planrunner.instruments.chamber_keys import ChamberKeys
 from planrunner.instruments.chambers.wired_chamber import WiredChamber
@@ -6,17 +6,17 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.links import LineAnswers, LinkKeys, LinkSettings, MessageLink
 from planrunner.plan.kinds import Number, key
 
-RUNNING = 1  # place of the bit that starts and stops it
+RUNNING = 1  # index of the bit that starts and stops the chamber
 
 
 class VotschParameters(LinkKeys, ChamberKeys):
-    """A chamber that speaks ASCII-2."""
+    """A chamber with the ASCII-2 protocol."""
 
-    station: int = key(Number(1, 99, integer=True), "Its number on the line.", 1, default=1)
+    station: int = key(Number(1, 99, integer=True), "Number of the chamber on the line.", 1, default=1)
 
 
 class Votsch:
-    """A chamber that speaks ASCII-2, as Vötsch ones do."""
+    """A chamber with the ASCII-2 protocol, such as one of Vötsch."""
 
     role = "chamber"
     Parameters = VotschParameters
@@ -35,7 +35,7 @@ class Votsch:
 
 
 class VotschCommands:
-    """How it is told; what `AirCommands` asks for."""
+    """Commands of an ASCII-2 chamber; implements `AirCommands`."""
 
     def __init__(self, parameters):
         settings = LinkSettings(
@@ -45,18 +45,18 @@ class VotschCommands:
         self.station = f"${parameters.station:02d}"
 
     def identify(self):
-        self._values()  # it does not say who it is, but nothing else answers like this
+        self._values()  # the protocol has no identification, but no other instrument replies in this form
         return {"manufacturer": "Vötsch", "model": "ASCII-2"}
 
     def prepare(self, ramp):
-        """Its ramp is set at its panel."""
+        """The ramp is set at the panel."""
 
     def limit(self, coldest, hottest):
-        return []  # its own limits are set at its panel
+        return []  # the limits of the chamber are set at its panel
 
     def head_for(self, celsius):
         values, bits = self._values()
-        wanted = [celsius, *values[2::2]]  # set points only; those of its other channels stay
+        wanted = [celsius, *values[2::2]]  # set points only; those of the other channels stay
         bits = bits[:RUNNING] + "1" + bits[RUNNING + 1 :]
         self.link.write(" ".join([f"{self.station}E", *(f"{value:06.1f}" for value in wanted), bits]))
         kept, bits = self._values()
@@ -67,7 +67,7 @@ class VotschCommands:
         return self._values()[0][1]
 
     def faults(self):
-        return []  # its alarm bits differ from model to model
+        return []  # the alarm bits differ from model to model
 
     def remarks(self):
         return self.link.remarks()
@@ -76,7 +76,7 @@ class VotschCommands:
         self.link.close()
 
     def _values(self):
-        """Set and measured value of every channel in turn, and the bits."""
+        """Set point and measured value of each channel in turn, and the bits."""
         said = self.link.query(f"{self.station}I")
         *values, bits = said.split() or [""]
         try:
@@ -84,4 +84,4 @@ class VotschCommands:
                 raise ValueError
             return [float(value) for value in values], bits
         except ValueError:
-            raise InstrumentError(f"'{said[:60]}' is no answer in ASCII-2: look at address and station") from None
+            raise InstrumentError(f"'{said[:60]}' is not an ASCII-2 reply: check address and station") from None
