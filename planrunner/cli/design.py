@@ -1,8 +1,5 @@
-"""`planrunner design`: better positions or rates for a plan on its bench, with the bound that no design can exceed; or a better rotation
-cycle.
-
-One module a kind of study (`design_positions`, `design_rates`, `design_cycle`) makes it and says what its page is given; here it is chosen
-and shown.
+"""`planrunner design`: better positions or rates for a plan on its bench, with the bound that no design can exceed; or a better
+rotation cycle.
 """
 
 from __future__ import annotations
@@ -14,14 +11,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING
 
-from planrunner.cli import design_cycle, design_positions, design_rates, exit_codes
+from planrunner.cli import exit_codes
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.quantity import QuantityError, without_uncertainty
 from planrunner.reporting.printable import beneath
+
+if TYPE_CHECKING:
+    from planrunner.design.study import Study
 
 PATIENCE = 2.0
 """Seconds before progress is shown."""
@@ -44,9 +43,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DURATION",
         help="total time of the plan, such as '45 min': distribute the dwell times within it",
     )
-    design_positions.add_arguments(parser)
-    design_rates.add_arguments(parser)
-    design_cycle.add_arguments(parser)
+    parser.add_argument(
+        "--output", metavar="NAME", help="design for this output, where the outputs have different terms"
+    )
+    parser.add_argument(
+        "--orientations",
+        choices=("free", "cardinal", "planned"),
+        default="free",
+        help="set that is written into the plan (default: free)",
+    )
+    parser.add_argument("--restarts", type=int, default=8, help="seeded starts of the free search (default: 8)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: 0)")
+    parser.add_argument(
+        "--rates",
+        action="store_true",
+        help="design the rates of a sweep (default: if an estimate fits a line over rates)",
+    )
+    parser.add_argument(
+        "--line-only",
+        action="store_true",
+        help="rates: design for the straight line alone, without asymmetry and nonlinearity",
+    )
+    parser.add_argument("--drop-lowest", action="store_true", help="rates: the design may omit the lowest planned rate")
+    parser.add_argument(
+        "--segment",
+        metavar="LABEL",
+        help="design this segment's cycle of turns and stops (default: if no estimate has positions that can be designed)",
+    )
+    parser.add_argument(
+        "--order",
+        choices=("free", "same"),
+        default="free",
+        help="cycle that is written into the plan: with a free order of stops, or with the same order (default: free)",
+    )
     parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the chosen design")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
@@ -57,64 +86,49 @@ def run(args: argparse.Namespace) -> int:
     # The searches solve many tiny systems, where threads of the linear algebra only wait for each other. The setting is read when scipy is
     # loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    kind = _kind(args)
+    from planrunner.design.study import Asked
+    from planrunner.tasks.design import design
+
+    asked = Asked(
+        args.estimate, args.criterion, _seconds(args.time), args.output, args.orientations, args.restarts, args.seed,
+        args.rates, args.line_only, not args.drop_lowest, args.segment, args.order,
+    )  # fmt: skip
     with _progress(args.quiet) as progress:
-        study: Any = kind.study(args, _seconds(args.time), progress)
-    print_findings(study.checked.findings)
-    context, page = kind.context(study), _page(kind)
+        study = design(Path(args.plan), asked, args.bench, progress)
+    print_findings(study.subject.findings)
     if not args.json:
-        _show(context, page)
-    _write(args, kind, study, context, page)
+        _show(study)
+    _write(args, study)
     if args.json:
-        print_json(page.to_json(context))
+        print_json(study.data)
     return exit_codes.DONE
 
 
-def _kind(args: argparse.Namespace) -> ModuleType:
-    """The kind of study for a plan and the options: positions if any estimate uses segments at rest."""
-    if args.segment is not None:
-        return design_cycle
-    if args.rates:
-        return design_rates
-    from planrunner.tasks.check import check_plan
-    from planrunner.tasks.design_cycles import has_cycle_alone
-    from planrunner.tasks.design_rates import has_rates_alone
-
-    checked = check_plan(Path(args.plan), bench=args.bench)
-    if has_rates_alone(checked, args.estimate):
-        return design_rates
-    return design_cycle if args.estimate is None and has_cycle_alone(checked) else design_positions
-
-
-def _page(kind: ModuleType) -> ModuleType:
-    from planrunner.reporting import cycle_page, design_page, rates_page
-
-    return {design_positions: design_page, design_rates: rates_page, design_cycle: cycle_page}[kind]
-
-
-def _show(context: Any, page: ModuleType) -> None:
+def _show(study: Study) -> None:
     from planrunner.reporting import terminal
 
     console = terminal.console()
-    console.print(page.heading(context))
-    for table in page.tables(context):
+    console.print(study.heading)
+    for table in study.tables:
         console.print(terminal.data_table(table))
-    for note in page.notes(context):
+    for note in study.notes:
         console.print(f"note: {note}", style="dim")
 
 
-def _write(args: argparse.Namespace, kind: ModuleType, study: Any, context: Any, page: ModuleType) -> None:
+def _write(args: argparse.Namespace, study: Study) -> None:
     """Write the page and the plan, if requested."""
     out = sys.stderr if args.json else sys.stdout
     if args.html is not None:
-        write_file(args.html, page.render_page(context))
+        from planrunner.reporting.study_page import render_page
+
+        write_file(args.html, render_page(study))
         print(args.html, file=out)
     if args.write is not None:
-        from planrunner.tasks.designed_plan import write_plan
+        from planrunner.tasks.design import write_plan
 
         if not study.text:
-            raise EstimationError(kind.missing(study))
-        print_findings(write_plan(study, args.write, args.bench).findings)
+            raise EstimationError(study.missing)
+        print_findings(write_plan(study.text, study.subject.file, args.write, args.bench).findings)
         print(args.write, file=out)
 
 

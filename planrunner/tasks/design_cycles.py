@@ -1,21 +1,18 @@
 """Designing the rotation cycle of a segment: the residual of a constant horizontal error for the planned cycle, and cycles with zero
 residual.
 
-study = design_cycle(Path("plans/x.yaml"), CycleOptions()) study.cycles["planned"], ["same order"], ["free order"]     if available
-study.text                                                  the plan with the chosen cycle in it
-
 Angles and turns of a study have the sense of the plan, clockwise if it says so.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from planrunner.base.findings import Findings, InputError
 from planrunner.design.cycles import Cable, CycleError, FoundCycle, StudiedCycle, free_order, same_order
+from planrunner.design.study import Asked, FoundCycles
 from planrunner.estimators.interface import EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
 from planrunner.physics.modulation import schuler_drive
@@ -24,32 +21,9 @@ from planrunner.plan import model, source
 from planrunner.plan.expand import expand
 from planrunner.plan.rewriting import RewriteError, with_moves
 from planrunner.plan.schedule import Cycle, Segment
-from planrunner.tasks.check import Checked, check_plan
+from planrunner.tasks.check import Checked
 
 ORDERS = {"same": "same order", "free": "free order"}
-
-
-@dataclass(frozen=True, slots=True)
-class CycleOptions:
-    """segment: label of the segment with the cycle, by default the first one with a cycle. order: which cycle goes into the plan."""
-
-    segment: str | None = None
-    order: str = "free"
-
-
-@dataclass(frozen=True, slots=True)
-class CycleStudy:
-    """cycles: `planned` and, where they were found, `same order` and `free order`. searches, reasons: what was searched, or why not, by
-    the same names. text: the plan with the chosen cycle, empty where it was not found."""
-
-    segment: Segment
-    axis: TableAxis
-    cycles: Mapping[str, StudiedCycle]
-    searches: Mapping[str, FoundCycle]
-    reasons: Mapping[str, str]
-    chosen: str
-    text: str
-    checked: Checked
 
 
 def has_cycle_alone(checked: Checked) -> bool:
@@ -58,12 +32,13 @@ def has_cycle_alone(checked: Checked) -> bool:
     return cycles and not any(design.blocks for design in checked.designs.values())
 
 
-def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) -> CycleStudy:
+def design_cycle(checked: Checked, asked: Asked) -> FoundCycles:
     """Raises `InputError` with the plan's findings, and `EstimationError` if there is no cycle to design."""
-    checked = check_plan(path, bench=bench)
+    if asked.time is not None:
+        raise EstimationError("--time distributes dwell times; the length of a cycle follows from its turns and stops")
     if checked.findings.errors or checked.schedule is None or checked.models is None or checked.plan is None:
         raise InputError(checked.findings)
-    segment = _find(checked.schedule.segments, options.segment)
+    segment = _find(checked.schedule.segments, asked.segment)
     motion, table = segment.motion, checked.models.table
     assert isinstance(motion, Cycle)
     if table is None or checked.models.replays:
@@ -92,9 +67,9 @@ def design_cycle(path: Path, options: CycleOptions, bench: str | None = None) ->
         name: StudiedCycle(one, _moves(one, motion, sign), schuler_drive(_turned(one, sign), seconds, site))
         for name, one in found.items()
     }
-    chosen = ORDERS[options.order]
+    chosen = ORDERS[asked.order]
     text = _text(checked, segment, cycles[chosen].moves) if chosen in cycles else ""
-    return CycleStudy(segment, axis, cycles, searches, reasons, chosen, text, checked)
+    return FoundCycles(segment, axis, cycles, searches, reasons, chosen, text)
 
 
 def _find(segments: Sequence[Segment], label: str | None) -> Segment:

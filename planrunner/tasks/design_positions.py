@@ -1,120 +1,63 @@
-"""Designing the positions of a plan on its bench: the information from the planned positions, from the best set found, and the bound.
-
-study = design_plan(Path("plans/x.yaml"))
-study.sets["planned"], ["cardinal"], ["free"]     with criteria, efficiencies and the time they take
-study.text                                        the plan with the chosen set in it
-"""
+"""Designing the positions of a plan on its bench: the information from the planned positions, from the best set found, and the bound."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.base.findings import InputError
+from planrunner.base.findings import Findings, InputError
+from planrunner.bench.scheduling import build_schedule
 from planrunner.design import continuous, direction_cosines, exchange, optimal, worst_variance
 from planrunner.design import places as positions
-from planrunner.design.efficiency import Efficiency, Merit, efficiency, merit, region_moment
+from planrunner.design.efficiency import Merit, efficiency, merit, region_moment
 from planrunner.design.places import Place, Sight
+from planrunner.design.study import Asked, Bounds, FoundPositions, PositionSet, SearchProgress
 from planrunner.estimators import rank
+from planrunner.estimators.analysis import design_of
 from planrunner.estimators.interface import Design, EstimationError
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles
+from planrunner.plan import source
+from planrunner.plan.expand import expand
+from planrunner.plan.orientation import Orientation, in_words
 from planrunner.plan.rewriting import (
     DECIMALS,
+    RewriteError,
     as_written,
     cardinal_orientations,
     orientation_text,
+    with_dwells,
+    with_orientations,
 )
 from planrunner.plan.schedule import Schedule
 from planrunner.plan.selection import Detection
-from planrunner.tasks.check import Checked, check_plan
-from planrunner.tasks.designed_plan import moved, with_positions
+from planrunner.tasks.check import Checked
 
 Array = NDArray[np.float64]
-SearchProgress = Callable[[str, float], None]
+_Mark = tuple[int, int]  # (line, column) of what is changed in the plan
 
 SPREAD = 2000  # attitudes over which exchange looks, and over which predictions are judged
 _REPAIRED = ("physics-rank", "physics-condition")  # findings that other positions may resolve
 _WITH_BOUND = ("D", "A", "I")  # criteria whose continuous optimum is solved for; that of G is that of D
 
 
-@dataclass(frozen=True, slots=True)
-class PositionOptions:
-    """estimate, output: which to design for, by default the first with a design. criterion: D, A, G or I. orientations: which set goes
-    into the plan: free, cardinal or planned. time: s, the whole plan's; dwells are allotted within it."""
-
-    estimate: str | None = None
-    output: str | None = None
-    criterion: str = "D"
-    orientations: str = "free"
-    time: float | None = None
-    restarts: int = 8
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class PositionSet:
-    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies against the best found among all
-    reachable orientations and against the continuous bound; of_cardinal: against the best found among cardinal ones, for cardinal sets.
-    schedule: the plan with this set; designs: what its estimates could then learn."""
-
-    attitudes: tuple[Array, ...]
-    texts: tuple[str, ...]
-    merit: Merit
-    of_found: Efficiency | None
-    of_bound: Efficiency
-    of_cardinal: Efficiency | None
-    schedule: Schedule
-    designs: Mapping[str, Design]
-
-
-@dataclass(frozen=True, slots=True)
-class Bounds:
-    """D, A, I: bounds of the criteria that no set with this number of positions exceeds. certificate: maximum variance of the D-optimal
-    continuous design, and the number of terms, which is its lower bound."""
-
-    merit: Merit
-    certificate: float
-
-
-@dataclass(frozen=True, slots=True)
-class Study:
-    sight: Sight
-    places: tuple[Place, ...]
-    options: PositionOptions
-    sets: Mapping[str, PositionSet]
-    best: Mapping[str, Merit]
-    bounds: Mapping[str, Bounds]
-    search: str
-    dwells: tuple[float, ...]
-    dwell_gain: float
-    text: str
-    checked: Checked
-
-    @property
-    def chosen(self) -> PositionSet:
-        return self.sets[self.options.orientations]
-
-
-def design_plan(
-    path: Path, options: PositionOptions, bench: str | None = None, progress: SearchProgress | None = None
-) -> Study:
+def design_positions(checked: Checked, asked: Asked, progress: SearchProgress | None = None) -> FoundPositions:
     """Raises `InputError` with the plan's findings, and `EstimationError` if there is nothing to design."""
-    checked = check_plan(path, bench=bench)
     if any(finding.code not in _REPAIRED for finding in checked.findings.errors) or checked.schedule is None:
         raise InputError(checked.findings)
-    return _Designer(checked, options, progress or (lambda stage, fraction: None)).study()
+    if asked.restarts < 1 or asked.seed < 0:
+        raise EstimationError("--restarts must be at least 1 and --seed at least 0")
+    return _Designer(checked, asked, progress or (lambda stage, fraction: None)).study()
 
 
 class _Designer:
-    def __init__(self, checked: Checked, options: PositionOptions, progress: SearchProgress):
+    def __init__(self, checked: Checked, asked: Asked, progress: SearchProgress):
         assert checked.plan and checked.models and checked.schedule and checked.models.sensor
-        self.checked, self.options, self.progress = checked, options, progress
+        self.checked, self.asked, self.progress = checked, asked, progress
         self.plan, self.models, self.schedule = checked.plan, checked.models, checked.schedule
         if self.models.table is None or self.models.replays:
             raise EstimationError(
@@ -135,10 +78,10 @@ class _Designer:
 
     def _find(self) -> tuple[tuple[Place, ...], Sight]:
         names = list(self.plan.estimates)
-        if self.options.estimate is not None and self.options.estimate not in names:
-            raise EstimationError(f"the plan has no estimate '{self.options.estimate}'; it has {', '.join(names)}")
+        if self.asked.estimate is not None and self.asked.estimate not in names:
+            raise EstimationError(f"the plan has no estimate '{self.asked.estimate}'; it has {', '.join(names)}")
         problems = []
-        for name in [self.options.estimate] if self.options.estimate else names:
+        for name in [self.asked.estimate] if self.asked.estimate else names:
             spec = self.plan.estimates[name]
             patterns = spec.segments.within if isinstance(spec.segments, Detection) else spec.segments
             uses = {used: self.checked.designs[used] for used in spec.uses if used in self.checked.designs}
@@ -147,23 +90,23 @@ class _Designer:
                 sensor = self.models.sensor
                 assert sensor is not None
                 return found, positions.sight(
-                    name, spec, found, self.models.site, sensor, uses, self.checked.setup, spins, self.options.output
+                    name, spec, found, self.models.site, sensor, uses, self.checked.setup, spins, self.asked.output
                 )
             except EstimationError as error:
                 problems.append(f"{name}: {error}")
         raise EstimationError("; ".join(problems) or "the plan has no estimates, so there is nothing to design for")
 
-    def study(self) -> Study:
+    def study(self) -> FoundPositions:
         rows_of = self._rows_of
         kept, cardinal_settings = positions.reachable(self.axes, cardinal_orientations(), self.azimuth)
         bounds = [(axis.lowest, axis.highest) for axis in self.axes]
-        spread = optimal.spread(bounds, SPREAD, self.options.seed)
+        spread = optimal.spread(bounds, SPREAD, self.asked.seed)
         region = optimal.region(rows_of, np.concatenate([cardinal_settings, spread]), bounds)
         self.region_rows, cardinal_rows = region.rows, region.rows[: len(kept)]
         self._require_rank()
         self._require_time()
         planned = [place.attitude for place in self.places]
-        weighting = self._weighting(self.options.criterion)
+        weighting = self._weighting(self.asked.criterion)
         found: dict[str, list[Array]] = {"planned": planned}
         how = []
         if len(kept) and self._merit(cardinal_rows).sound:
@@ -172,28 +115,28 @@ class _Designer:
             found["cardinal"] = self._ordered([kept[index] for index in indices])
             tried = f"all {chosen.tried} choices" if chosen.exhaustive else f"exchange from {chosen.tried} starts"
             how.append(f"cardinal: {tried} of {self.count} out of {len(kept)} orientations")
-        elif self.options.orientations == "cardinal":
+        elif self.asked.orientations == "cardinal":
             raise EstimationError(
                 f"no {self.count} cardinal orientations separate all terms "
                 f"(rank {np.linalg.matrix_rank(cardinal_rows)} of {self.terms} with all of them): design free ones"
             )
         starts = [self._settings(planned)]
         free = optimal.search(
-            region, self.count, weighting, restarts=self.options.restarts, seed=self.options.seed, starts=starts,
+            region, self.count, weighting, restarts=self.asked.restarts, seed=self.asked.seed, starts=starts,
             fixed=self.fixed, progress=lambda part: self.progress("free orientations", part),
         )  # fmt: skip
         settings = free.settings
-        if self.options.criterion == "G":
+        if self.asked.criterion == "G":
             settings = worst_variance.refine(region, settings, region.rows, self.fixed)
         attitudes = positions.attitudes(self.axes, self._rounded(settings), self.azimuth)
         found["free"] = self._ordered([as_written(attitude, self._decimals) for attitude in attitudes])
         how.append(f"free: {free.starts} local searches, {free.agreeing} of which found the best value")
         best, limits = self._references(region, cardinal_rows, settings, found)
         sets = {name: self._set(name, attitudes, best, limits) for name, attitudes in found.items()}
-        dwells, gain = self._dwells(sets[self.options.orientations])
-        text = self._text(sets[self.options.orientations], dwells)
-        return Study(
-            self.sight, self.places, self.options, sets, best, limits, "; ".join(how), dwells, gain, text, self.checked
+        dwells, gain = self._dwells(sets[self.asked.orientations])
+        text = self._text(sets[self.asked.orientations], dwells)
+        return FoundPositions(
+            self.sight, self.places, self.asked, sets, best, limits, "; ".join(how), dwells, gain, text
         )
 
     def _require_rank(self) -> None:
@@ -209,7 +152,7 @@ class _Designer:
     def _require_time(self) -> None:
         """Raises `EstimationError` before the search if the parts of the plan that do not depend on positions already use up the time
         budget."""
-        if self.options.time is None:
+        if self.asked.time is None:
             return
         recorded = [segment for place in self.places for segment in place.segments]
         if any(segment.dwell is None for segment in recorded):
@@ -222,10 +165,10 @@ class _Designer:
 
     def _left(self, spent: float, what: str) -> float:
         """Time [s] in the budget for each recording of all positions. Raises `EstimationError` if it is too short."""
-        assert self.options.time is not None
-        left = (self.options.time - spent) / len(self.places[0].segments)
+        assert self.asked.time is not None
+        left = (self.asked.time - spent) / len(self.places[0].segments)
         if left < 10 * self.count:
-            raise EstimationError(f"{what} {spent:.0f} s, which leaves too little of {self.options.time:.0f} s")
+            raise EstimationError(f"{what} {spent:.0f} s, which leaves too little of {self.asked.time:.0f} s")
         return left
 
     # -- searching ---------------------------------------------------------------------------------------------------
@@ -261,13 +204,13 @@ class _Designer:
 
         if self.count > len(rows):
             return exchange.exchange(
-                rows, self.count, weighting, seed=self.options.seed, repeats=True, fixed=self.fixed, progress=tell
+                rows, self.count, weighting, seed=self.asked.seed, repeats=True, fixed=self.fixed, progress=tell
             )
-        return exchange.choose(rows, self.count, weighting, seed=self.options.seed, fixed=self.fixed, progress=tell)
+        return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
         """For G, the choice with the worst variance lowered by exchanges; else the choice itself."""
-        if self.options.criterion != "G":
+        if self.asked.criterion != "G":
             return indices
         return worst_variance.exchange(
             rows, indices, self.region_rows, repeats=self.count > len(rows), fixed=self.fixed
@@ -292,9 +235,9 @@ class _Designer:
             self.progress("bounds", number / len(_WITH_BOUND))
             weighting = self._weighting(criterion)
             settings = free
-            if criterion != self.options.criterion:
+            if criterion != self.asked.criterion:
                 settings = optimal.search(
-                    region, self.count, weighting, restarts=3, seed=self.options.seed, starts=[free], fixed=self.fixed
+                    region, self.count, weighting, restarts=3, seed=self.asked.seed, starts=[free], fixed=self.fixed
                 ).settings
                 merits.append(self._merit(region.rows_of(settings)))
             continuous_ones[criterion] = optimal.bound(region, settings, weighting, fixed=self._per_observation())
@@ -304,7 +247,7 @@ class _Designer:
         if "cardinal" in found:
             sets = [
                 exchange.exchange(
-                    cardinal_rows, self.count, self._weighting(name), seed=self.options.seed,
+                    cardinal_rows, self.count, self._weighting(name), seed=self.asked.seed,
                     repeats=self.count > len(cardinal_rows), fixed=self.fixed,
                 )
                 for name in _WITH_BOUND
@@ -353,7 +296,7 @@ class _Designer:
         schedule, designs = (
             (self.schedule, self.checked.designs)
             if name == "planned"
-            else moved(self.checked, dict(zip((place.mark for place in self.places), attitudes, strict=True)))
+            else _moved(self.checked, dict(zip((place.mark for place in self.places), attitudes, strict=True)))
         )
         return PositionSet(
             tuple(attitudes), texts, own, efficiency(own, best["free"]), efficiency(own, limits["free"].merit),
@@ -362,7 +305,7 @@ class _Designer:
 
     def _dwells(self, chosen: PositionSet) -> tuple[tuple[float, ...], float]:
         """Dwells within the time budget, by place, and the D-efficiency of equal dwells against them."""
-        if self.options.time is None:
+        if self.asked.time is None:
             return (), 1.0
         used = [chosen.schedule.segments[segment.index] for place in self.places for segment in place.segments]
         spent = chosen.schedule.total - sum(segment.dwell or 0.0 for segment in used)
@@ -370,25 +313,55 @@ class _Designer:
         rows = self.sight.rows(np.array(chosen.attitudes))
         if not chosen.merit.sound:
             raise EstimationError("longer dwells cannot help if the positions do not separate all terms")
-        shares = optimal.allocate(rows, self._weighting(self.options.criterion), fixed=self._per_observation())
+        shares = optimal.allocate(rows, self._weighting(self.asked.criterion), fixed=self._per_observation())
         equal = self._merit(rows)
         allotted = merit(rows, self.region_rows, shares * self.count, self.sight.fixed)
-        gain = getattr(efficiency(equal, allotted), self.options.criterion)
+        gain = getattr(efficiency(equal, allotted), self.asked.criterion)
         return tuple(float(math.floor(available * share)) for share in shares), float(gain)
 
     def _text(self, chosen: PositionSet, dwells: Sequence[float]) -> str:
         marks = [place.mark for place in self.places]
-        texts = {} if self.options.orientations == "planned" else dict(zip(marks, chosen.texts, strict=True))
-        return with_positions(self.checked, texts, dict(zip(marks, dwells, strict=True)) if dwells else {})
+        texts = {} if self.asked.orientations == "planned" else dict(zip(marks, chosen.texts, strict=True))
+        return _with_positions(self.checked, texts, dict(zip(marks, dwells, strict=True)) if dwells else {})
 
 
-def residual_ratios(study: Study, name: str) -> dict[str, float]:
-    """`estimate.ratio_…` → expected ratio of residual sums of squares with one of the sets, for every comparison in the plan."""
-    found: dict[str, float] = {}
-    for estimate, design in study.sets[name].designs.items():
-        values: Mapping[str, Any] = design.extra
-        found |= {f"{estimate}.{key}": float(value) for key, value in values.items() if key.startswith("ratio_")}
-    return found
+def _moved(checked: Checked, attitudes: Mapping[_Mark, NDArray[np.float64]]) -> tuple[Schedule, dict[str, Design]]:
+    """The plan with other orientations, attitudes (3, 3) by where they are stated: its schedule with real transition times, and what its
+    estimates could learn. Raises `EstimationError` where the bench cannot do it."""
+    assert checked.plan is not None and checked.models is not None and checked.models.sensor is not None
+    new = {
+        place: Orientation(in_words(attitude), tuple(map(tuple, attitude.tolist())))
+        for place, attitude in attitudes.items()
+    }
+    stated = []
+    for item in expand(checked.plan, Findings()):
+        mark = item.marks.get("orientation")
+        changed = new.get((mark.line, mark.column)) if mark else None
+        stated.append(replace(item, state={**item.state, "orientation": changed}) if changed else item)
+    log = Findings()
+    schedule = build_schedule(stated, checked.models, log, checked.plan.mounting)
+    if log.errors:
+        raise EstimationError(f"the bench cannot do it: {log.errors[0].message}")
+    designs: dict[str, Design] = {}
+    for name, spec in checked.plan.estimates.items():
+        with contextlib.suppress(EstimationError):  # an estimate that is not designed for may make no sense here
+            design = design_of(
+                name, spec, schedule.segments, checked.models.site, checked.models.sensor, designs, checked.setup
+            )
+            if design is not None:
+                designs[name] = design
+    return schedule, designs
+
+
+def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells: Mapping[_Mark, float]) -> str:
+    """The plan's text with other orientations and, where they are given, dwells [s]. Raises `EstimationError`."""
+    text = source.decode(checked.plan_bytes, checked.file)
+    try:
+        if dwells:
+            return with_dwells(text, {place: f"{dwell:g} s" for place, dwell in dwells.items()}, orientations)
+        return with_orientations(text, orientations) if orientations else text
+    except RewriteError as error:
+        raise EstimationError(f"{checked.file}: {error}") from None
 
 
 def _best(merits: Sequence[Merit]) -> Merit:

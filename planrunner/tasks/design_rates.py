@@ -1,10 +1,6 @@
 """Designing the rates of a plan: the pairs of rates with most information about a scale factor, and their recording times within a time
 budget.
 
-study = design_rates(Path("plans/x.yaml"), RateOptions())
-study.sets["planned"], ["best"]      rates with criteria and what the estimates could then learn
-study.text                           the plan with the chosen rates in it
-
 The estimator gives the information of each rate: one sweep of the plan is changed, and everything else stays. For a straight line only the
 largest rates would be chosen. By default the columns |rate| and rate³ are therefore added to the estimator's terms, for asymmetry and
 nonlinearity, which a scale-factor test also reports.
@@ -13,22 +9,16 @@ nonlinearity, which a scale-factor test also reports.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import Findings, InputError
 from planrunner.design import bundles
-from planrunner.estimators.interface import (
-    Coefficient,
-    DesignBlock,
-    DesignRequest,
-    EstimationError,
-    estimator_of,
-)
+from planrunner.design.study import Asked, FoundRates, RateSet
+from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, estimator_of
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis, spin_up_time
 from planrunner.plan import source
 from planrunner.plan.expand import expand
@@ -44,51 +34,6 @@ STEPS = 12  # parts of the largest rate: an operator can distinguish such rates,
 TERMS_BESIDE = ("|rate|", "rate^3")
 LEAST_SHARE = 0.25  # of an equal share of the time, which every rate keeps, so that none is lost for checking the line
 _COPY = "designed rate "
-
-
-@dataclass(frozen=True, slots=True)
-class RateOptions:
-    """estimate: the first whose segments spin without one. criterion: D or A. line_only: the estimator's own terms alone. keep_lowest:
-    the lowest planned rate stays, at which threshold and resolution are judged. time: s, the whole plan's; recording times are allotted."""
-
-    estimate: str | None = None
-    criterion: str = "D"
-    line_only: bool = False
-    keep_lowest: bool = True
-    time: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class RateSet:
-    """rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the scaled terms.
-
-    efficiency: against the best rates found, for as many observations; per_hour: against the best use of the same time. variance: of a
-    predicted output over the study's `course`, in units of one observation's at the largest rate. predicted, total: what the plan with
-    these rates promises, and how long it takes [s].
-    """
-
-    rates: tuple[float, ...]
-    dwells: tuple[float, ...]
-    loss: float
-    efficiency: float
-    per_hour: float
-    variance: Array
-    predicted: tuple[Coefficient, ...]
-    total: float
-
-
-@dataclass(frozen=True, slots=True)
-class RateStudy:
-    estimate: str
-    output: str
-    terms: tuple[str, ...]
-    options: RateOptions
-    sets: Mapping[str, RateSet]
-    course: Array
-    excess: float
-    repeats: int
-    text: str
-    checked: Checked
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
@@ -114,12 +59,14 @@ def _used(checked: Checked, name: str) -> tuple[Segment, ...]:
     return tuple(segments[index] for index in select([one.label for one in segments], patterns))
 
 
-def design_rates(path: Path, options: RateOptions, bench: str | None = None) -> RateStudy:
-    """Raises `InputError` with the plan's findings, and `EstimationError` where there are no rates to design."""
-    checked = check_plan(path, bench=bench)
+def design_rates(checked: Checked, asked: Asked, bench: str | None = None) -> FoundRates:
+    """Raises `InputError` with the plan's findings, and `EstimationError` where there are no rates to design. bench: as for
+    `check_plan`."""
     if checked.findings.errors or checked.schedule is None:
         raise InputError(checked.findings)
-    return _RateDesigner(checked, options, bench).study()
+    if asked.criterion not in ("D", "A"):
+        raise EstimationError(f"rates are designed by D or A, not by {asked.criterion}")
+    return _RateDesigner(checked, asked, bench).study()
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,14 +121,14 @@ def _sweep(checked: Checked, wanted: str | None) -> _Sweep:
 
 
 class _RateDesigner:
-    def __init__(self, checked: Checked, options: RateOptions, bench: str | None):
+    def __init__(self, checked: Checked, asked: Asked, bench: str | None):
         assert checked.plan and checked.models and checked.schedule and checked.models.sensor
-        self.checked, self.options, self.bench = checked, options, bench
+        self.checked, self.asked, self.bench = checked, asked, bench
         if checked.models.table is None or checked.models.replays:
             raise EstimationError(
                 "this bench has no table that can turn at other rates; choose another bench with --bench"
             )
-        self.sweep = _sweep(checked, options.estimate)
+        self.sweep = _sweep(checked, asked.estimate)
         self.spec = checked.plan.estimates[self.sweep.name]
         self.planned = tuple(sorted({abs(one.rate) for one in self.sweep.moved}, reverse=True))
         self.largest = self.planned[0]
@@ -196,7 +143,7 @@ class _RateDesigner:
         self.axis = self._axis()
         planned_block = self._block(self.sweep.used)
         self.output, self.scale = planned_block.output, np.asarray(planned_block.magnitudes, dtype=float)
-        beside = () if options.line_only or len(planned_block.terms) > 2 else TERMS_BESIDE
+        beside = () if asked.line_only or len(planned_block.terms) > 2 else TERMS_BESIDE
         self.terms = (*planned_block.terms, *beside)
         self.unit_sigma = float(np.min(planned_block.sigma)) or 1.0
         others = {one.label for one in self.sweep.moved}
@@ -280,29 +227,29 @@ class _RateDesigner:
 
     # -- the study -----------------------------------------------------------------------------------------------------
 
-    def study(self) -> RateStudy:
+    def study(self) -> FoundRates:
         grid = sorted({*self.planned, *(self.largest * k / STEPS for k in range(1, STEPS + 1))}, reverse=True)
         added = self._bundles(grid)
-        kept = [grid.index(self.planned[-1])] if self.options.keep_lowest else []
+        kept = [grid.index(self.planned[-1])] if self.asked.keep_lowest else []
         try:
-            chosen = bundles.choose(added, self.fixed, len(self.planned), self.options.criterion, kept)
+            chosen = bundles.choose(added, self.fixed, len(self.planned), self.asked.criterion, kept)
             costs = np.array([self._dwell(rate) + self._overhead(rate) for rate in grid])
             own = sum(self._dwell(rate) + self._overhead(rate) for rate in self.planned)
-            part, excess = bundles.shares(added * (own / costs)[:, None, None], self.fixed, self.options.criterion)
+            part, excess = bundles.shares(added * (own / costs)[:, None, None], self.fixed, self.asked.criterion)
         except ValueError as error:
             raise EstimationError(f"no suitable rates up to the largest of the plan: {error}") from None
-        bound = bundles.loss(self.fixed + np.tensordot(part * own / costs, added, 1), self.options.criterion)
+        bound = bundles.loss(self.fixed + np.tensordot(part * own / costs, added, 1), self.asked.criterion)
         best = tuple(grid[index] for index in chosen)
-        least = bundles.loss(self.fixed + added[list(chosen)].sum(axis=0), self.options.criterion)
+        least = bundles.loss(self.fixed + added[list(chosen)].sum(axis=0), self.asked.criterion)
         dwells = self._allotted(best)
         text = self._text(best, dwells)
         sets = {
             "planned": self._set(self.planned, None, least, bound, own, self.checked),
             "best": self._set(best, dwells, least, bound, own, self._with(text)),
         }
-        return RateStudy(
-            self.sweep.name, self.output, self.terms, self.options, sets, self._course(), excess,
-            len(self.pattern) // len({one.rate for one in self.pattern}), text, self.checked,
+        return FoundRates(
+            self.sweep.name, self.output, self.terms, self.asked, sets, self._course(), excess,
+            len(self.pattern) // len({one.rate for one in self.pattern}), text,
         )  # fmt: skip
 
     def _course(self) -> Array:
@@ -318,10 +265,10 @@ class _RateDesigner:
         checked: Checked,
     ) -> RateSet:
         matrix = self.fixed + self._bundles(rates).sum(axis=0)
-        loss = bundles.loss(matrix, self.options.criterion)
+        loss = bundles.loss(matrix, self.asked.criterion)
         times = dwells or [self._dwell(rate) for rate in rates]
         spent = sum(times) + sum(map(self._overhead, rates))
-        timed = bundles.loss(self.fixed + self._bundles(rates, times).sum(axis=0), self.options.criterion)
+        timed = bundles.loss(self.fixed + self._bundles(rates, times).sum(axis=0), self.asked.criterion)
         x = self._course() / self.largest
         columns = np.column_stack([np.ones_like(x), x * self.largest / self.scale[1], np.abs(x), x**3])[
             :, : len(self.terms)
@@ -340,28 +287,28 @@ class _RateDesigner:
     def _share(self, reference: float, loss: float) -> float:
         if math.isinf(loss):
             return 0.0
-        return math.exp((reference - loss) / len(self.terms)) if self.options.criterion == "D" else reference / loss
+        return math.exp((reference - loss) / len(self.terms)) if self.asked.criterion == "D" else reference / loss
 
     def _allotted(self, rates: Sequence[float]) -> tuple[float, ...] | None:
         """Whole turns a rate within the time budget, largest rate first; None without one."""
-        if self.options.time is None:
+        if self.asked.time is None:
             return None
         assert self.checked.schedule is not None
         runs = len(self.pattern)
         spent = self.checked.schedule.total - sum(one.dwell or 0.0 for one in self.sweep.moved)
         spent += runs * (sum(map(self._overhead, rates)) - sum(map(self._overhead, self.planned)))
-        available = (self.options.time - spent) / runs
+        available = (self.asked.time - spent) / runs
         turn = [2 * math.pi / rate for rate in rates]
         if available < sum(turn):
-            needed = self.options.time + (sum(turn) - available) * runs
+            needed = self.asked.time + (sum(turn) - available) * runs
             raise EstimationError(
-                f"one turn at every rate takes {needed:.0f} s in all, more than {self.options.time:.0f} s"
+                f"one turn at every rate takes {needed:.0f} s in all, more than {self.asked.time:.0f} s"
             )
         least = [one * max(1, math.floor(LEAST_SHARE * available / len(rates) / one)) for one in turn]
         left = max(0.0, available - sum(least))
         added = self._bundles(rates, [available] * len(rates))
         always = self.fixed + np.tensordot(np.array(least) / available, added, 1)
-        part, _ = bundles.shares(added * (left / available), always, self.options.criterion)
+        part, _ = bundles.shares(added * (left / available), always, self.asked.criterion)
         return tuple(
             held + one * math.floor(left * share / one) for held, one, share in zip(least, turn, part, strict=True)
         )

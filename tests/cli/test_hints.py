@@ -10,6 +10,7 @@ import pytest
 from planrunner.base.findings import Finding, InputError, nearest
 from planrunner.bench.model import benches_for, models, read_bench
 from planrunner.cli import main
+from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_file import open_recording
@@ -17,7 +18,7 @@ from planrunner.plan.reader import load_plan
 from planrunner.plan.run_information import gather
 from planrunner.plan.units import suggestion
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.design_rates import RateOptions, design_rates, has_rates_alone
+from planrunner.tasks.design_rates import design_rates, has_rates_alone
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 EIGHT = PLANS / "flexure_gyro_eight_position.yaml"
@@ -147,8 +148,8 @@ def test_rates_of_several_sweeps_are_not_designed_as_positions(tmp_path: Path) -
     path.write_text(RATES, encoding="utf-8")
     assert has_rates_alone(check_plan(path))
     with pytest.raises(EstimationError, match="lines 8, 9"):
-        design_rates(path, RateOptions())
+        design_rates(check_plan(path), Asked())
     one = [line for line in RATES.splitlines() if "down{" not in line]
     path.write_text("\n".join(one).replace('"1, 5, 10 deg/s"', '"±1, ±5, ±10 deg/s"'), encoding="utf-8")
     assert has_rates_alone(check_plan(path))
-    assert design_rates(path, RateOptions()).estimate == "sf", "what the message proposes works"
+    assert design_rates(check_plan(path), Asked()).estimate == "sf", "what the message proposes works"

@@ -12,11 +12,12 @@ import pytest
 
 from planrunner.cli import main
 from planrunner.design.cycles import Cable, CycleError, free_order, same_order
+from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.rewriting import RewriteError, with_moves
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.design_cycles import CycleOptions, design_cycle
+from planrunner.tasks.design_cycles import design_cycle
 
 DEG = math.pi / 180
 PRINTED = (180, 90, -180, -90, -180, -90, 180, 90)
@@ -205,7 +206,7 @@ def test_a_plan_without_a_cycle_has_none_to_design(tmp_path: Path) -> None:
     path = tmp_path / "still.yaml"
     path.write_text(PLAN[: PLAN.index("  - label: navigate")], encoding="utf-8")
     with pytest.raises(EstimationError, match="no segment of the plan has a cycle"):
-        design_cycle(path, CycleOptions())
+        design_cycle(check_plan(path), Asked())
 
 
 def test_positions_that_are_not_round_figures(plan: Path) -> None:

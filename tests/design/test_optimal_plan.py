@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,28 +11,29 @@ import pytest
 
 from planrunner.base.findings import Findings
 from planrunner.cli import main
-from planrunner.estimators.interface import EstimationError
+from planrunner.design.study import Asked, FoundPositions
+from planrunner.estimators.interface import Design, EstimationError
 from planrunner.plan import source
 from planrunner.plan.orientation import OrientationKind, in_words
 from planrunner.plan.rewriting import as_written, cardinal_orientations, orientation_text, with_orientations
-from planrunner.tasks.check import Checked, check_plan
-from planrunner.tasks.design_positions import PositionOptions, Study, design_plan, residual_ratios
-from planrunner.tasks.designed_plan import write_plan
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.design import write_plan
+from planrunner.tasks.design_positions import design_positions
 
 FLAGSHIP = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
-QUICK = PositionOptions(restarts=2)
+QUICK = Asked(restarts=2)
 
 
-def predicted(checked: Checked, name: str) -> dict[str, float]:
-    return {item.name: item.standard_uncertainty for item in checked.designs[name].predicted}
+def predicted(designs: Mapping[str, Design], name: str) -> dict[str, float]:
+    return {item.name: item.standard_uncertainty for item in designs[name].predicted}
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
-    return design_plan(FLAGSHIP, QUICK)
+def study() -> FoundPositions:
+    return design_positions(check_plan(FLAGSHIP), QUICK)
 
 
-def test_the_published_set_is_the_best_cardinal_one_and_free_ones_are_better(study: Study) -> None:
+def test_the_published_set_is_the_best_cardinal_one_and_free_ones_are_better(study: FoundPositions) -> None:
     planned, free = study.sets["planned"], study.sets["free"]
     assert planned.merit.determinant == pytest.approx(706.081, abs=5e-4)
     assert planned.of_cardinal is not None
@@ -46,35 +47,36 @@ def test_the_published_set_is_the_best_cardinal_one_and_free_ones_are_better(stu
     assert 6.0 <= study.bounds["free"].certificate < 6.01
 
 
-def test_the_claimed_ratio_is_told_as_design_theory_has_it(study: Study) -> None:
-    ratios = {name: residual_ratios(study, name)["residual.ratio_traditional_to_drift"] for name in study.sets}
+def test_the_claimed_ratio_is_told_as_design_theory_has_it(study: FoundPositions) -> None:
+    ratios = {name: one.residual_ratios["residual.ratio_traditional_to_drift"] for name, one in study.sets.items()}
     assert ratios["planned"] == pytest.approx(1.28, abs=0.005)
     assert ratios["planned"] < ratios["free"] < 1.51
 
 
-def test_the_written_plan_passes_and_promises_smaller_uncertainties(study: Study, tmp_path: Path) -> None:
+def test_the_written_plan_passes_and_promises_smaller_uncertainties(study: FoundPositions, tmp_path: Path) -> None:
     path = tmp_path / "better.yaml"
-    write_plan(study, path)
+    write_plan(study.text, str(FLAGSHIP), path)
     checked = check_plan(path)
     assert checked.ok
     (before, after) = (
         np.linalg.det(block.matrix.T @ block.matrix)
-        for block in (study.checked.designs["drift"].blocks[0], checked.designs["drift"].blocks[0])
+        for block in (study.sets["planned"].designs["drift"].blocks[0], checked.designs["drift"].blocks[0])
     )
     assert after / before == pytest.approx(836.83 / 706.081, abs=1e-3)
-    old, new = (predicted(one, "drift") for one in (study.checked, checked))
+    old, new = (predicted(one.designs, "drift") for one in (study.sets["planned"], checked))
     assert all(new[f"D_{x}_{y}"] < old[f"D_{x}_{y}"] for x in "XY" for y in "XY")
     assert new["D_X_Z"] > old["D_X_Z"]  # the joint region shrinks, not every side of it
     with pytest.raises(EstimationError, match="the plan itself"):
-        write_plan(study, FLAGSHIP)
+        write_plan(study.text, str(FLAGSHIP), FLAGSHIP)
     kept = [line for line in FLAGSHIP.read_text().splitlines() if "  P" not in line]
     assert [line for line in path.read_text().splitlines() if "  P" not in line] == kept
 
 
 def test_a_poor_set_is_replaced_by_one_that_is_better_in_every_coefficient(tmp_path: Path) -> None:
-    found = design_plan(FLAGSHIP, PositionOptions(estimate="traditional", restarts=1))
+    found = design_positions(check_plan(FLAGSHIP), Asked(estimate="traditional", restarts=1))
     assert found.sets["planned"].merit.determinant == pytest.approx(88.26, abs=0.005)
-    old, new = (predicted(one, "traditional") for one in (found.checked, write_plan(found, tmp_path / "new.yaml")))
+    written = write_plan(found.text, str(FLAGSHIP), tmp_path / "new.yaml")
+    old, new = (predicted(one.designs, "traditional") for one in (found.sets["planned"], written))
     assert all(new[name] <= old[name] * (1 + 1e-4) for name in old)
     assert np.mean([new[name] / old[name] for name in old]) < 0.9
 
@@ -88,24 +90,24 @@ def test_product_terms_get_positions_that_see_them(plan_file: Callable[..., Path
         ("  residual: {estimator: compensation_residual, uses: [drift, traditional], segments: V*}\n", ""),
     )
     assert not check_plan(plan).ok
-    found = design_plan(plan, QUICK)
+    found = design_positions(check_plan(plan), QUICK)
     assert found.sets["planned"].merit.rank == 6
     assert "cardinal" not in found.sets
     assert found.sets["free"].merit.rank == 8
-    assert write_plan(found, tmp_path / "seen.yaml").ok
+    assert write_plan(found.text, str(FLAGSHIP), tmp_path / "seen.yaml").ok
     with pytest.raises(EstimationError, match="no 8 cardinal orientations"):
-        design_plan(plan, PositionOptions(restarts=1, orientations="cardinal"))
+        design_positions(check_plan(plan), Asked(restarts=1, orientations="cardinal"))
 
 
 def test_dwells_fill_the_time_budget(tmp_path: Path) -> None:
-    found = design_plan(FLAGSHIP, PositionOptions(restarts=1, orientations="cardinal", time=4000.0))
+    found = design_positions(check_plan(FLAGSHIP), Asked(restarts=1, orientations="cardinal", time=4000.0))
     assert found.dwell_gain < 1.0 + 1e-9
-    checked = write_plan(found, tmp_path / "timed.yaml")
+    checked = write_plan(found.text, str(FLAGSHIP), tmp_path / "timed.yaml")
     assert checked.schedule is not None
     assert 4000.0 - 8 <= checked.schedule.total <= 4000.0
     assert [segment.dwell for segment in checked.schedule.segments[:8]] == list(found.dwells)
     with pytest.raises(EstimationError, match="too little"):
-        design_plan(FLAGSHIP, PositionOptions(restarts=1, time=600.0))
+        design_positions(check_plan(FLAGSHIP), Asked(restarts=1, time=600.0))
 
 
 def test_orientations_are_written_as_they_are_read() -> None:

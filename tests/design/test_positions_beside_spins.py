@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from planrunner.cli import main
 from planrunner.design import continuous, exchange
+from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
-from planrunner.tasks.design_positions import PositionOptions, design_plan
+from planrunner.tasks.check import check_plan
+from planrunner.tasks.design_positions import design_positions
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"
 
 
 def test_spins_stay_and_count() -> None:
-    study = design_plan(PLANS / "imu_multi_position.yaml", PositionOptions(output="gyro_x", restarts=1))
-    block = next(one for one in study.checked.designs["imu"].blocks if one.output == "gyro_x")
+    study = design_positions(check_plan(PLANS / "imu_multi_position.yaml"), Asked(output="gyro_x", restarts=1))
+    block = next(one for one in study.sets["planned"].designs["imu"].blocks if one.output == "gyro_x")
     rows = block.matrix / block.magnitudes
     rest = np.array([label.startswith("P") for label in block.labels])
     noise = block.sigma / math.sqrt(np.mean(block.sigma[rest] ** 2))
@@ -32,10 +36,10 @@ def test_spins_stay_and_count() -> None:
 
 def test_without_spins_the_rates_cannot_be_told() -> None:
     """Earth rate alone: an accelerometer sees no spin, and its design has no fixed rows."""
-    study = design_plan(PLANS / "imu_multi_position.yaml", PositionOptions(output="accel_z", restarts=1))
+    study = design_positions(check_plan(PLANS / "imu_multi_position.yaml"), Asked(output="accel_z", restarts=1))
     assert not len(study.sight.fixed)
     with pytest.raises(EstimationError, match="see different things"):
-        design_plan(PLANS / "imu_multi_position.yaml", PositionOptions(restarts=1))
+        design_positions(check_plan(PLANS / "imu_multi_position.yaml"), Asked(restarts=1))
 
 
 def test_exchange_and_bound_beside_fixed_information() -> None:
@@ -59,3 +63,11 @@ def test_exchange_and_bound_beside_fixed_information() -> None:
             other = 5 * (rows.T @ (share[:, None] * rows)) + fixed
             reached = -math.log(np.linalg.det(other)) if weighting is None else float(np.trace(np.linalg.inv(other)))
             assert reached >= limit
+
+
+def test_a_bound_that_is_not_known_is_null_in_json(capsys: pytest.CaptureFixture[str]) -> None:
+    plan = str(PLANS / "imu_multi_position.yaml")
+    assert main(["design", plan, "--output", "gyro_x", "--restarts", "1", "--quiet", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["bounds"]["free"]["worst_variance"] is None
+    assert printed["sets"]["free"]["efficiency"]["bound"]["G"] is None

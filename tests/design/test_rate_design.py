@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from planrunner.cli import main
+from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.rewriting import with_rates
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.design_rates import RateOptions, design_rates
+from planrunner.tasks.design_rates import design_rates
 
 BENCH = """planrunner_bench: 1
 name: rates
@@ -68,7 +69,7 @@ def by_hand(rates: tuple[float, ...]) -> float:
 
 
 def test_the_best_of_all_choices_is_found(plan: Path) -> None:
-    study = design_rates(plan, RateOptions(keep_lowest=False))
+    study = design_rates(check_plan(plan), Asked(keep_lowest=False))
     grid = sorted({20 * k for k in range(1, 13)} | {240, 120, 60, 20})
     best = max(itertools.combinations(grid, 4), key=by_hand)
     found = tuple(round(math.degrees(rate)) for rate in study.sets["best"].rates)
@@ -79,11 +80,11 @@ def test_the_best_of_all_choices_is_found(plan: Path) -> None:
 
 
 def test_the_lowest_rate_stays_unless_it_may_go(plan: Path) -> None:
-    assert round(math.degrees(design_rates(plan, RateOptions()).sets["best"].rates[-1])) == 20
+    assert round(math.degrees(design_rates(check_plan(plan), Asked()).sets["best"].rates[-1])) == 20
 
 
 def test_a_line_alone_wants_the_largest_rates(plan: Path) -> None:
-    study = design_rates(plan, RateOptions(line_only=True, keep_lowest=False))
+    study = design_rates(check_plan(plan), Asked(line_only=True, keep_lowest=False))
     assert [round(math.degrees(rate)) for rate in study.sets["best"].rates] == [240, 220, 200, 180]
 
 
@@ -141,7 +142,7 @@ def test_what_cannot_be_designed(
 def test_a_plan_at_rest_has_no_rates(tmp_path: Path) -> None:
     flagship = Path(__file__).resolve().parents[2] / "plans" / "flexure_gyro_eight_position.yaml"
     with pytest.raises(EstimationError, match="do not come from a sweep over rates"):
-        design_rates(flagship, RateOptions())
+        design_rates(check_plan(flagship), Asked())
 
 
 def test_rates_written_in_place_and_once_a_rate() -> None:

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.design_positions import PositionOptions, design_plan
-from planrunner.tasks.designed_plan import write_plan
+from planrunner.tasks.design import write_plan
+from planrunner.tasks.design_positions import design_positions
 
 OUTER = "{name: outer, direction: east, max_rate: 100 deg/s, max_acceleration: 100 deg/s^2, lowest: -120 deg, highest: 120 deg}"
 INNER = "{name: inner, direction: north, max_rate: 100 deg/s, max_acceleration: 100 deg/s^2}"
@@ -54,11 +55,11 @@ def write(folder: Path, axes: str, orientations: list[str]) -> Path:
 
 
 def test_two_axes_with_limits(tmp_path: Path) -> None:
-    study = design_plan(write(tmp_path, f"{OUTER}, {INNER}", TWO), PositionOptions(restarts=3))
+    study = design_positions(check_plan(write(tmp_path, f"{OUTER}, {INNER}", TWO)), Asked(restarts=3))
     planned, cardinal, free = (study.sets[name].merit for name in ("planned", "cardinal", "free"))
     assert planned.determinant < cardinal.determinant < free.determinant < study.bounds["free"].merit.determinant
     better = tmp_path / "better.yaml"
-    checked = write_plan(study, better)
+    checked = write_plan(study.text, str(tmp_path / "few.yaml"), better)
     assert checked.ok and check_plan(better).ok
     matrix = checked.designs["drift"].blocks[0].matrix / checked.designs["drift"].blocks[0].magnitudes
     assert np.linalg.det(matrix.T @ matrix) == pytest.approx(free.determinant, rel=1e-6)
@@ -68,12 +69,12 @@ def test_one_axis_cannot_tell_the_drifts_apart(tmp_path: Path) -> None:
     with pytest.raises(
         EstimationError, match=r"within this table's reach separate bias, accel_x, accel_y, accel_z \(rank 3 of 6"
     ):
-        design_plan(write(tmp_path, ONLY, ONE), PositionOptions(restarts=1))
+        design_positions(check_plan(write(tmp_path, ONLY, ONE)), Asked(restarts=1))
 
 
 def test_the_worst_variance_is_lowered(tmp_path: Path) -> None:
     plan = write(tmp_path, f"{OUTER}, {INNER}", TWO)
-    by_d, by_g = (design_plan(plan, PositionOptions(restarts=2, criterion=criterion)) for criterion in "DG")
+    by_d, by_g = (design_positions(check_plan(plan), Asked(restarts=2, criterion=criterion)) for criterion in "DG")
     assert by_g.sets["free"].merit.worst < by_d.sets["free"].merit.worst
     assert by_g.sets["free"].merit.worst >= 6 / 8
     assert by_g.sets["cardinal"].merit.worst <= by_d.sets["cardinal"].merit.worst

@@ -1,21 +1,17 @@
-"""Output of a design study of a rotation cycle: tables for the terminal, plain data, and a page with plots of the cycles."""
+"""What a design study of a rotation cycle shows: what the cycles leave, their moves, what was searched, and their courses."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from planrunner.design.cycles import FoundCycle, StudiedCycle
+from planrunner.design.cycles import StudiedCycle
+from planrunner.design.study import FoundCycles, Study, Subject
 from planrunner.estimators.interface import Plot, Role, Table, TableColumn
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.reporting import words
 from planrunner.reporting.columns import alike
-from planrunner.reporting.study_page import StudyPage
 
 POINTS = 1500  # of a plotted curve
 ROUNDS = 3  # number of plotted periods of the longest cycle
@@ -27,51 +23,37 @@ FOOTER = (
 TITLES = {"planned": "as planned", "same order": "same order of stops", "free order": "free order of stops"}
 
 
-@dataclass(frozen=True, slots=True)
-class CycleContext:
-    """label: of the segment; cycles, searches, reasons: by `planned`, `same order`, `free order`, if available; chosen: the one for the
-    plan."""
-
-    title: str
-    label: str
-    axis: str
-    cycles: Mapping[str, StudiedCycle]
-    searches: Mapping[str, FoundCycle]
-    reasons: Mapping[str, str]
-    chosen: str
-    facts: Mapping[str, str] = field(default_factory=dict)
-
-
-def render_page(context: CycleContext, folder: Path | None = None) -> str:
-    """One self-contained HTML page. Raises `ReportError`."""
-    said = {**context.facts, **facts(context)}
-    study = StudyPage(
-        "Design of a rotation cycle", context.title, said, tables(context), plots(context), notes(context), FOOTER
+def study(found: FoundCycles, subject: Subject) -> Study:
+    """Everything that is shown of a designed cycle."""
+    about = facts(found)
+    said = notes(found)
+    reason = found.reasons.get(found.chosen, "none was found")
+    return Study(
+        subject,
+        "a rotation cycle",
+        f"cycle of '{found.segment.label}': stops of {about['Stops']}, turns at {about['Turns']}",
+        about,
+        (_left(found), _moves(found), _rounds(found)),
+        said,
+        FOOTER,
+        _data(found, said),
+        found.text,
+        f"no cycle with the {found.chosen} of stops can be written: {reason}",
+        plots(found),
     )
-    return study.render(folder)
 
 
-def heading(context: CycleContext) -> str:
-    said = facts(context)
-    return f"cycle of '{context.label}': stops of {said['Stops']}, turns at {said['Turns']}"
-
-
-def facts(context: CycleContext) -> dict[str, str]:
-    planned = context.cycles["planned"].cycle
+def facts(found: FoundCycles) -> dict[str, str]:
+    planned = found.cycles["planned"].cycle
     return {
-        "Segment": context.label,
-        "Axis": context.axis,
+        "Segment": found.segment.label,
+        "Axis": found.axis.name,
         "Stops": f"{words.duration(planned.stop)} each",
         "Turns": f"{math.degrees(planned.rate):g} °/s, ramps of {math.degrees(planned.acceleration):g} °/s²",
     }
 
 
-def tables(context: CycleContext) -> list[Table]:
-    """Tables of the residuals of the cycles, their moves, and the search."""
-    return [_left(context), _moves(context), _rounds(context)]
-
-
-def _left(context: CycleContext) -> Table:
+def _left(found: FoundCycles) -> Table:
     columns = (
         TableColumn("Cycle"),
         TableColumn("Moves", Role.COUNT),
@@ -82,7 +64,7 @@ def _left(context: CycleContext) -> Table:
         TableColumn("Schuler drive", Role.VALUE),
     )
     rows = []
-    for name, one in context.cycles.items():
+    for name, one in found.cycles.items():
         stops, turns = one.cycle.integral()
         low, high = (f"{round(math.degrees(angle), 6):g}" for angle in one.cycle.reach)
         rows.append(
@@ -95,16 +77,16 @@ def _left(context: CycleContext) -> Table:
     return Table("Residual of a constant horizontal error after one cycle", columns, tuple(rows))
 
 
-def _moves(context: CycleContext) -> Table:
-    rows = [(TITLES[name], ", ".join(one.moves)) for name, one in context.cycles.items()]
+def _moves(found: FoundCycles) -> Table:
+    rows = [(TITLES[name], ", ".join(one.moves)) for name, one in found.cycles.items()]
     return Table("Moves", alike(Role.LABEL, "Cycle", "Moves"), tuple(rows))
 
 
-def _rounds(context: CycleContext) -> Table:
+def _rounds(found: FoundCycles) -> Table:
     rows = [
         (TITLES[name], one.moves, one.tried, one.balanced, one.wound, "all" if one.exhaustive else "stopped")
-        for name, found in context.searches.items()
-        for one in found.rounds
+        for name, search in found.searches.items()
+        for one in search.rounds
     ]
     counts = alike(Role.COUNT, "Moves", "Cycles tried", "leave nothing", "of these wind up")
     columns = (TableColumn("Search"), *counts, TableColumn("Tried"))
@@ -117,19 +99,19 @@ def vector(left: complex) -> str:
     return f"{along} s" if across == "0" else f"{along} s, {across} s across"
 
 
-def notes(context: CycleContext) -> list[str]:
+def notes(found: FoundCycles) -> tuple[str, ...]:
     """Explanations of the figures, in sentences."""
-    said = [f"{TITLES[name].capitalize()}: {reason}." for name, reason in context.reasons.items()]
-    for name, found in context.searches.items():
+    said = [f"{TITLES[name].capitalize()}: {reason}." for name, reason in found.reasons.items()]
+    for name, search in found.searches.items():
         title = TITLES[name].capitalize()
-        if found.cycle is None:
+        if search.cycle is None:
             said.append(f"{title}: none of the cycles tried has a zero residual without winding up the cables.")
         said += [
             f"{title}: with {one.moves} moves there is none; all {one.balanced} with a zero residual wind up the cables."
-            for one in found.rounds
+            for one in search.rounds
             if one.exhaustive and one.balanced and one.balanced == one.wound
         ]
-    driven = [TITLES[name] for name, one in context.cycles.items() if one.drive >= 1]
+    driven = [TITLES[name] for name, one in found.cycles.items() if one.drive >= 1]
     if driven:
         said.append(
             f"The Schuler oscillation is driven at least as strongly as without rotation: {', '.join(driven)}. Shorten the stops."
@@ -138,26 +120,26 @@ def notes(context: CycleContext) -> list[str]:
         "Seconds times a constant horizontal gyro drift or accelerometer bias, oriented as at the first position, is what a cycle adds in "
         "the navigation frame. The error along the rotation axis is not modulated by any cycle."
     )
-    return said
+    return tuple(said)
 
 
-def plots(context: CycleContext) -> list[Plot]:
+def plots(found: FoundCycles) -> tuple[Plot, ...]:
     """Plots of the table's angle over one period of the longest cycle, and of the accumulated error over several periods."""
-    longest = max(one.cycle.period for one in context.cycles.values())
+    longest = max(one.cycle.period for one in found.cycles.values())
     times = np.linspace(0, longest, POINTS)
     angles = {
         TITLES[name]: tuple(np.round(np.degrees(one.cycle.angle(times)), 3).tolist())
-        for name, one in context.cycles.items()
+        for name, one in found.cycles.items()
     }
     minutes = tuple(np.round(times / 60, 4).tolist())
     course = Plot("The table’s angle", "time [min]", "angle from the first position [°]", minutes, angles, lines=True)
-    sums = {TITLES[name]: _added(one.cycle, ROUNDS * longest) for name, one in context.cycles.items()}
+    sums = {TITLES[name]: _added(one.cycle, ROUNDS * longest) for name, one in found.cycles.items()}
     minutes = tuple(np.round(np.linspace(0, ROUNDS * longest, POINTS) / 60, 4).tolist())
     added = Plot(
         "Accumulated error along its direction at the first position", "time [min]", "integral [s]", minutes, sums,
         lines=True,
     )  # fmt: skip
-    return [course, added]
+    return course, added
 
 
 def _added(cycle: RotationCycle, seconds: float) -> tuple[float, ...]:
@@ -169,27 +151,26 @@ def _added(cycle: RotationCycle, seconds: float) -> tuple[float, ...]:
     return tuple(np.round(sums[::fine], 3).tolist())
 
 
-def to_json(context: CycleContext) -> dict[str, Any]:
-    """The study as plain data."""
+def _data(found: FoundCycles, said: tuple[str, ...]) -> dict[str, object]:
     return {
-        "segment": context.label,
-        "chosen": context.chosen,
-        "cycles": {name: _json(one) for name, one in context.cycles.items()},
+        "segment": found.segment.label,
+        "chosen": found.chosen,
+        "cycles": {name: _json(one) for name, one in found.cycles.items()},
         "searches": {
             name: [
                 {
                     "moves": one.moves, "tried": one.tried, "leave_nothing": one.balanced, "wind_up": one.wound,
                     "exhaustive": one.exhaustive,
                 }
-                for one in found.rounds
+                for one in search.rounds
             ]
-            for name, found in context.searches.items()
+            for name, search in found.searches.items()
         },
-        "notes": notes(context),
+        "notes": list(said),
     }  # fmt: skip
 
 
-def _json(one: StudiedCycle) -> dict[str, Any]:
+def _json(one: StudiedCycle) -> dict[str, object]:
     stops, turns = one.cycle.integral()
     return {
         "moves": list(one.moves),

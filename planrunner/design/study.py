@@ -1,0 +1,196 @@
+"""A design study: what is asked of it, what its search finds, and what it shows.
+
+Positions, rates and cycles are three sorts of study. Each has a search (`planrunner.tasks.design_positions` and so on), which gives a
+`Found…`, and its facts, tables and pictures (`planrunner.reporting.positions_study` and so on), which make it a `Study`. From there on
+all are alike: one task, one command, one page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import Findings
+from planrunner.design.cycles import FoundCycle, StudiedCycle
+from planrunner.design.efficiency import Efficiency, Merit
+from planrunner.design.places import Place, Sight
+from planrunner.estimators.interface import Coefficient, Design, Plot, Table
+from planrunner.physics.kinematics import TableAxis
+from planrunner.plan.schedule import Schedule, Segment
+
+Array = NDArray[np.float64]
+SearchProgress = Callable[[str, float], None]
+"""Called with the stage of a search and the part of it that is done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a study is asked for; each sort looks at its options alone. estimate: by default the first that can be designed. criterion: D,
+    A, G or I, of rates D or A. time: s, the whole plan's; dwells are allotted within it.
+
+    Of positions, output: which to design for, where outputs differ; orientations: which set goes into the plan, free, cardinal or planned;
+    restarts, seed: of the free search. Of rates, rates: design them, whatever else could be; line_only: the estimator's own terms alone;
+    keep_lowest: the lowest planned rate stays, at which threshold and resolution are judged. Of cycles, segment: label of the segment, by
+    default the first with a cycle; order: which cycle goes into the plan, free or same.
+    """
+
+    estimate: str | None = None
+    criterion: str = "D"
+    time: float | None = None
+    output: str | None = None
+    orientations: str = "free"
+    restarts: int = 8
+    seed: int = 0
+    rates: bool = False
+    line_only: bool = False
+    keep_lowest: bool = True
+    segment: str | None = None
+    order: str = "free"
+
+
+@dataclass(frozen=True, slots=True)
+class PositionSet:
+    """One set of positions in the order of the plan's labels. of_found, of_bound: efficiencies against the best found among all
+    reachable orientations and against the continuous bound; of_cardinal: against the best found among cardinal ones, for cardinal sets.
+    schedule: the plan with this set; designs: what its estimates could then learn."""
+
+    attitudes: tuple[Array, ...]
+    texts: tuple[str, ...]
+    merit: Merit
+    of_found: Efficiency | None
+    of_bound: Efficiency
+    of_cardinal: Efficiency | None
+    schedule: Schedule
+    designs: Mapping[str, Design]
+
+    @property
+    def residual_ratios(self) -> dict[str, float]:
+        """`estimate.ratio_…` → expected ratio of residual sums of squares, for every comparison in the plan."""
+        return {
+            f"{estimate}.{key}": float(value)
+            for estimate, design in self.designs.items()
+            for key, value in design.extra.items()
+            if key.startswith("ratio_")
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """D, A, I: bounds of the criteria that no set with this number of positions exceeds. certificate: maximum variance of the D-optimal
+    continuous design, and the number of terms, which is its lower bound."""
+
+    merit: Merit
+    certificate: float
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPositions:
+    """sets: `planned`, `cardinal`, `free` as far as there are any; best, bounds: by domain (free, cardinal). dwells: s, of the chosen set,
+    empty if they were not optimised; dwell_gain: efficiency of equal dwells against them. text: the plan with the chosen set."""
+
+    sight: Sight
+    places: tuple[Place, ...]
+    asked: Asked
+    sets: Mapping[str, PositionSet]
+    best: Mapping[str, Merit]
+    bounds: Mapping[str, Bounds]
+    search: str
+    dwells: tuple[float, ...]
+    dwell_gain: float
+    text: str
+
+    @property
+    def chosen(self) -> PositionSet:
+        return self.sets[self.asked.orientations]
+
+
+@dataclass(frozen=True, slots=True)
+class RateSet:
+    """rates: (n,), rad/s, magnitudes, largest first; dwells: (n,), s. loss: −ln|M| or tr M⁻¹ of the scaled terms.
+
+    efficiency: against the best rates found, for as many observations; per_hour: against the best use of the same time. variance: of a
+    predicted output over the study's `course`, in units of one observation's at the largest rate. predicted, total: what the plan with
+    these rates promises, and how long it takes [s].
+    """
+
+    rates: tuple[float, ...]
+    dwells: tuple[float, ...]
+    loss: float
+    efficiency: float
+    per_hour: float
+    variance: Array
+    predicted: tuple[Coefficient, ...]
+    total: float
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRates:
+    """sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess: what is left of the bound's certificate.
+    text: the plan with the best rates."""
+
+    estimate: str
+    output: str
+    terms: tuple[str, ...]
+    asked: Asked
+    sets: Mapping[str, RateSet]
+    course: Array
+    excess: float
+    repeats: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCycles:
+    """cycles: `planned` and, where they were found, `same order` and `free order`. searches, reasons: what was searched, or why not, by
+    the same names. text: the plan with the chosen cycle, empty where it was not found."""
+
+    segment: Segment
+    axis: TableAxis
+    cycles: Mapping[str, StudiedCycle]
+    searches: Mapping[str, FoundCycle]
+    reasons: Mapping[str, str]
+    chosen: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What is studied. title: of the plan; facts: plan, bench and site by name; file, findings: of the plan as it was checked."""
+
+    title: str
+    facts: Mapping[str, str]
+    file: str
+    findings: Findings
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One orientation as it is drawn. attitude: (3, 3), sensor axes in site axes; words: as the plan writes it."""
+
+    label: str
+    attitude: Array
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What a study shows. varied: what it designs, such as `positions`; heading: one line; poses: rows of orientations by title; footer:
+    how the figures are meant; data: all of it as plain data. text: the plan with the chosen design; empty where there is none, and
+    `missing` says why."""
+
+    subject: Subject
+    varied: str
+    heading: str
+    facts: Mapping[str, str]
+    tables: tuple[Table, ...]
+    notes: tuple[str, ...]
+    footer: str
+    data: Mapping[str, object]
+    text: str
+    missing: str = ""
+    plots: tuple[Plot, ...] = ()
+    poses: Mapping[str, tuple[Pose, ...]] = field(default_factory=dict)

@@ -1,0 +1,55 @@
+"""Designing a plan on its bench: better positions, rates or a better rotation cycle, whichever the plan is about.
+
+study = design(Path("plans/x.yaml"), Asked())
+study.tables, study.data       what was found
+study.text                     the plan with the chosen design in it
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planrunner.design.study import Asked, SearchProgress, Study, Subject
+from planrunner.estimators.interface import EstimationError
+from planrunner.reporting import cycle_study, positions_study, rates_study
+from planrunner.reporting.context import site_facts
+from planrunner.tasks.check import Checked, Document, check_plan
+from planrunner.tasks.design_cycles import design_cycle, has_cycle_alone
+from planrunner.tasks.design_positions import design_positions
+from planrunner.tasks.design_rates import design_rates, has_rates_alone
+
+
+def design(
+    plan: Path | Document, asked: Asked, bench: str | None = None, progress: SearchProgress | None = None
+) -> Study:
+    """The study that plan and options ask for: of positions wherever an estimate takes segments at rest. Raises `InputError` with the
+    plan's findings, and `EstimationError` if there is nothing to design."""
+    checked = check_plan(plan, bench=bench)
+    if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
+        return rates_study.study(design_rates(checked, asked, bench), _subject(checked))
+    if asked.segment is not None or (asked.estimate is None and has_cycle_alone(checked)):
+        return cycle_study.study(design_cycle(checked, asked), _subject(checked))
+    return positions_study.study(design_positions(checked, asked, progress), _subject(checked))
+
+
+def _subject(checked: Checked) -> Subject:
+    assert checked.plan is not None and checked.bench is not None and checked.models is not None
+    facts = {"Plan": checked.file, "Bench": checked.bench.name, **site_facts(checked.models.site)}
+    return Subject(checked.plan.title, facts, checked.file, checked.findings)
+
+
+def write_plan(text: str, original: str, path: Path, bench: str | None = None) -> Checked:
+    """Writes a designed plan once it passes its checks. original: file of the plan that it was designed for. Raises `InputError` with what
+    is wrong, and `EstimationError` if it would overwrite the original."""
+    if path.exists() and path.samefile(original):
+        raise EstimationError(f"{path} is the plan itself: write to another file")
+    data = text.encode()
+    checked = check_plan(Document(data, str(path)), bench)
+    checked.sound()
+    aside = path.with_name(f".{path.name}.tmp")
+    try:
+        aside.write_bytes(data)
+        aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)
+    return checked
