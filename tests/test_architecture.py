@@ -316,3 +316,31 @@ def test_public_names_of_types_have_one_meaning() -> None:
         if len(found) > 1 and not device:
             twice[name] = rooms_of_it
     assert twice == {}, "give each its own name, in the words of its field"
+
+
+MODULES = {"os", "signal", "yaml"}
+"""Modules that lack some of their constants on some platforms."""
+PROBES = {
+    ("archive/journal.py", "tolist"): "arrays and NumPy scalars become JSON, without NumPy being imported",
+    ("base/dataclass.py", "__post_init__"): "the language's own hook",
+    ("base/guarded_folder.py", "st_file_attributes"): "a field that only Windows has",
+    ("base/trusted_folders.py", "st_file_attributes"): "a field that only Windows has",
+    ("instruments/wire/serial_stream.py", "set_buffer_size"): "a method that only Windows' ports have",
+    ("reporting/template_data.py", "__html__"): "the convention by which text is marked as HTML",
+}
+"""Attributes whose presence is asked for by name, and why no type can promise them."""
+
+
+def probes(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("getattr", "hasattr"):
+            whose, name = node.args[:2]
+            platform = isinstance(whose, ast.Name) and whose.id.lstrip("_") in MODULES
+            if isinstance(name, ast.Constant) and not platform:
+                yield str(name.value)
+
+
+def test_nothing_asks_an_object_for_an_attribute_that_its_type_could_promise() -> None:
+    """A protocol or a typed attribute with a default says what an object can do; a name in quotes escapes every check."""
+    found = {(path.relative_to(PACKAGE).as_posix(), name) for path in PACKAGE.rglob("*.py") for name in probes(path)}
+    assert found == set(PROBES)

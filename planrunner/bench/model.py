@@ -21,7 +21,7 @@ from planrunner.base.shipped import shipped
 from planrunner.bench.calibration import LINE, Calibration, Laboratory, check_dates
 from planrunner.bench.protection import PROTECTION, Protection, kept_chamber, kept_table
 from planrunner.bench.simulation import SimulationSpec
-from planrunner.instruments.interfaces import Counting, Resumable, Watched
+from planrunner.instruments.interfaces import Counting, Driver, PlaysBack, Resumable, Watched
 from planrunner.instruments.models import ChamberModel, DataOrigin, SensorModel, TableModel
 from planrunner.physics.earth import Site
 from planrunner.plan import source
@@ -256,9 +256,10 @@ class BenchModels:
     origin: DataOrigin = "measured"
 
 
-def driver_of(entry: InstrumentEntry) -> Any:
+def driver_of(entry: InstrumentEntry) -> type[Driver]:
     """The driver class of an instrument. Raises `InputError` if it is not installed."""
-    return plugins.load(plugins.INSTRUMENTS, entry.driver)
+    driver: type[Driver] = plugins.load(plugins.INSTRUMENTS, entry.driver)
+    return driver
 
 
 def site_of(bench: Bench) -> Site:
@@ -285,7 +286,7 @@ def models(bench: Bench) -> BenchModels:
     table, chamber = found.get("table"), found.get("chamber")
     table = None if table is None else kept_table(table, bench.protection)
     chamber = None if chamber is None else kept_chamber(chamber, bench.protection)
-    replays = any(getattr(driver, "replays", False) for driver in drivers.values())
+    replays = any(issubclass(driver, PlaysBack) for driver in drivers.values())
     simulated = _virtual(bench, replays)
     measures = simulated or any(issubclass(driver, Watched) for driver in drivers.values())
     counts = simulated or any(driver.role == "sensor" and issubclass(driver, Counting) for driver in drivers.values())
@@ -293,10 +294,10 @@ def models(bench: Bench) -> BenchModels:
     return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts, origin)
 
 
-def _origin(bench: Bench, drivers: Iterable[Any], replays: bool) -> DataOrigin:
+def _origin(bench: Bench, drivers: Iterable[type[Driver]], replays: bool) -> DataOrigin:
     """The origin is simulated if one instrument is: in this program (its state is restored after a crash), or in the process behind its
     address."""
-    inside = any(issubclass(driver, Resumable) and not getattr(driver, "replays", False) for driver in drivers)
+    inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"
     return "replayed" if replays else "measured"
@@ -309,7 +310,7 @@ def real_instruments(bench: Bench) -> tuple[str, ...]:
 
 def runs_on_virtual_clock(bench: Bench) -> bool:
     """Whether time is simulated: as the bench states. By default only played-back recordings use simulated time."""
-    return _virtual(bench, any(getattr(driver_of(entry), "replays", False) for entry in bench.instruments.values()))
+    return _virtual(bench, any(issubclass(driver_of(entry), PlaysBack) for entry in bench.instruments.values()))
 
 
 def _virtual(bench: Bench, replays: bool) -> bool:
@@ -428,8 +429,8 @@ def _check(bench: Bench, log: Findings) -> None:
 
 
 def _check_chamber(entry: InstrumentEntry, log: Findings) -> None:
-    chamber: ChamberModel | None = driver_of(entry).model(entry.parameters)
-    if chamber is not None and chamber.lowest >= chamber.highest:
+    chamber = driver_of(entry).model(entry.parameters)
+    if isinstance(chamber, ChamberModel) and chamber.lowest >= chamber.highest:
         message = "the chamber's lowest temperature is not below its highest"
         log.error("meaning-range", entry.parameters.at("lowest"), message, "exchange them")
 

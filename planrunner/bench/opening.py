@@ -61,7 +61,7 @@ class OpenBench:
 
     def __init__(self, bench: Bench, clock: Clock, site: Site):
         self.bench = bench
-        self.clock: Any = clock
+        self.clock = clock
         self.site = site
         self.table: Any = None
         self.chamber: Any = None

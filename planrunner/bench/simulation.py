@@ -54,7 +54,7 @@ def ask(control: str, request: Mapping[str, Any], token: str | None = None) -> d
             with connection.makefile("rb") as replies:
                 reply: dict[str, Any] = json.loads(replies.readline() or b'{"error": "it hung up"}')
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
+        reason = (error.strerror if isinstance(error, OSError) else None) or error
         message = f"no simulated bench answers at {control} ({reason}): start it with `planrunner simulate-bench BENCH`"
         raise InstrumentError(message) from None
     if "error" in reply:

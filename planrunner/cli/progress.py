@@ -5,14 +5,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from planrunner.execution.progress import ProgressCallback, ProgressEvent
 
 LINES_EVERY = 10.0
 """Seconds between lines of progress if the output is not a terminal."""
 
 
 @contextmanager
-def run_progress(quiet: bool) -> Iterator[tuple[Callable[[Any], None] | None, Callable[[str], None]]]:
+def run_progress(quiet: bool) -> Iterator[tuple[ProgressCallback | None, Callable[[str], None]]]:
     """A callback for the executor's progress events, and one for notices to the operator."""
     if quiet:
         yield None, lambda text: print(text, file=sys.stderr)
@@ -22,9 +25,10 @@ def run_progress(quiet: bool) -> Iterator[tuple[Callable[[Any], None] | None, Ca
         yield from _bar()
 
 
-def _bar() -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
+def _bar() -> Iterator[tuple[ProgressCallback, Callable[[str], None]]]:
     from rich.progress import BarColumn, Progress, TextColumn
 
+    from planrunner.execution.progress import Advanced
     from planrunner.reporting import terminal
 
     columns = (
@@ -38,8 +42,8 @@ def _bar() -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
     with Progress(*columns, console=console, transient=False) as progress:
         task = progress.add_task("", total=1.0, count="", left="")
 
-        def take(event: Any) -> None:
-            what = getattr(event, "activity", "")
+        def take(event: ProgressEvent) -> None:
+            what = event.activity if isinstance(event, Advanced) else ""
             progress.update(
                 task,
                 completed=event.fraction,
@@ -60,7 +64,7 @@ class _Lines:
         self._now = time.monotonic
         self._shown = self._now()
 
-    def take(self, event: Any) -> None:
+    def take(self, event: ProgressEvent) -> None:
         if self._now() - self._shown >= LINES_EVERY:
             self._shown = self._now()
             text = f"{event.fraction:.0%}, segment {event.index + 1} of {event.segments} ({event.label})"

@@ -158,12 +158,14 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
 def _copied(data: bytes, bench: Bench, control: str, serving: Any) -> bytes:
     """The bench file with its addresses replaced by the served ones."""
     from planrunner.bench.model import driver_of
+    from planrunner.instruments.interfaces import Addressed
 
     places: list[tuple[Any, str, str, str]] = [
         (bench.simulation, "control", control, f"{serving.control.host}:{serving.control.port}")
     ]
     for name, served in serving.addresses.items():
         parameters, driver = bench.instruments[name].parameters, driver_of(bench.instruments[name])
+        assert issubclass(driver, Addressed)  # it is served at its address
         written = driver.address(parameters)
         key = next(item for item in ("address", "port") if getattr(parameters, item, None) == written)
         places.append((parameters, key, written, served))

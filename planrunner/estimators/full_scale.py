@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planrunner.estimators.interface import DesignRequest, Remark
 from planrunner.plan.model import MountedAxis
-from planrunner.plan.schedule import Cycle, Spin
+from planrunner.plan.schedule import Cycle, Motion, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
     declared scale factor K_… to be judged; one of specific force is not judged.
     """
     found = []
-    rates = np.array([getattr(segment.motion, "rate", 0.0) for segment in request.segments], dtype=float)
+    rates = np.array([_rate(segment.motion) for segment in request.segments], dtype=float)
     for k, name in enumerate(outputs):
         model = request.sensor.output(name)
         if model is None or not math.isfinite(model.full_scale) or not rates.size:
@@ -96,13 +96,24 @@ def _nearest_axis(request: DesignRequest[object], row: int) -> str:
     return _AXES[int(np.abs(np.asarray(segment.attitude) @ np.asarray(segment.motion.about)).argmax())]
 
 
+def _rate(motion: Motion) -> float:
+    return motion.rate if isinstance(motion, Spin | Cycle) else 0.0
+
+
+def _axis(motion: Motion) -> tuple[float, float, float] | None:
+    """In site axes; None for a motion without one axis."""
+    if isinstance(motion, Cycle):
+        return UP
+    return motion.about if isinstance(motion, Spin) else None
+
+
 def shares_by_name(request: DesignRequest[object], outputs: Sequence[str]) -> Array:
     """What part of the rate each output feels, (n, m): its axis is that of the sensor that its name ends with (gyro_x: x), or of the
     plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
     shares = np.zeros((len(request.segments), len(outputs)))
     directions = [input_direction(request.setup.mounting, name) for name in outputs]
     for row, segment in enumerate(request.segments):
-        about = UP if isinstance(segment.motion, Cycle) else getattr(segment.motion, "about", None)
+        about = _axis(segment.motion)
         if about is None or segment.attitude is None:
             continue
         seen = np.asarray(segment.attitude) @ (np.asarray(about, dtype=float) / np.linalg.norm(about))

@@ -24,7 +24,9 @@ from planrunner.execution.progress import Meter, ProgressCallback, seconds_behin
 from planrunner.execution.reaching import Patience, Reaching
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
+    Attends,
     Clock,
+    Closes,
     Counting,
     FrameCounts,
     InstrumentError,
@@ -43,7 +45,7 @@ class ConnectedBench(Protocol):
     instruments enforce themselves."""
 
     @property
-    def clock(self) -> Any: ...
+    def clock(self) -> Clock: ...
 
     @property
     def table(self) -> Any: ...
@@ -297,9 +299,8 @@ class _Execution:
                 holding.check()
                 self._say("recording")
         finally:
-            close = getattr(stream, "close", None)
-            if close is not None:
-                close()
+            if isinstance(stream, Closes):
+                stream.close()
 
     def _stand(self, segment: Segment, holding: Holding) -> None:
         """A dwell without recording."""
@@ -350,9 +351,8 @@ class _Execution:
             )
 
     def _attend(self, callback: Callable[[], bool] | None) -> None:
-        attend = getattr(self.clock, "attend", None)
-        if attend is not None:
-            attend(callback)
+        if isinstance(self.clock, Attends):
+            self.clock.attend(callback)
 
 
 def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:

@@ -18,7 +18,7 @@ whatever happens, the executor then calls `make_safe` on every instrument that i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -57,6 +57,28 @@ class Clock(Protocol):
     def sleep(self, seconds: float) -> None: ...
 
 
+@runtime_checkable
+class Attends(Protocol):
+    """A clock that looks after something else while it sleeps."""
+
+    def attend(self, callback: Callable[[], bool] | None) -> None:
+        """Call `callback` during sleeps; it returns whether to end the sleep. None: call nothing."""
+
+
+@runtime_checkable
+class Hastens(Protocol):
+    """A clock that runs `speed` times as fast as real time, for a bench whose simulated instruments do so."""
+
+    speed: float
+
+
+@runtime_checkable
+class Closes(Protocol):
+    """Something that holds resources, such as a stream of samples that is left before its end."""
+
+    def close(self) -> None: ...
+
+
 @dataclass(slots=True)
 class Surroundings:
     """What a driver is given to connect: clock, site, the root that data paths must stay beneath, the run's seed, and the other
@@ -82,6 +104,14 @@ class Driver(Protocol):
     def model(cls, parameters: Any) -> TableModel | ChamberModel | SensorModel | None: ...
     @classmethod
     def connect(cls, parameters: Any, surroundings: Surroundings) -> Instrument: ...
+
+
+class PlaysBack:
+    """Base of the drivers whose samples come from a recording: orientations, rates and temperatures then come from it too."""
+
+
+class TakesEffects:
+    """Base of the virtual sensors to whose outputs effects of the catalogue can be added."""
 
 
 @runtime_checkable

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import Findings, Mark
-from planrunner.instruments.interfaces import Block, Clock, InstrumentError, Surroundings, UnservedError
+from planrunner.instruments.interfaces import Block, Clock, InstrumentError, PlaysBack, Surroundings, UnservedError
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.recording_file import RecordingFile, beneath, open_recording
 from planrunner.instruments.recording_keys import SECONDS, RecordingParameters
@@ -30,11 +30,10 @@ RATE_TOLERANCE = math.log(1.25)
 _TABLE = "check the table of segments in the bench file and the plan's labels"
 
 
-class RecordingPlayer:
+class RecordingPlayer(PlaysBack):
     """A sensor that plays back a recording."""
 
     role = "sensor"
-    replays = True
     Parameters = RecordingParameters
 
     def __init__(

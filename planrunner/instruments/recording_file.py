@@ -320,7 +320,7 @@ class _File:
             raise InstrumentError(f"{self.name}, row {first + index}: {message}; sort the recording or remove the row")
 
     def _unreadable(self, error: Exception) -> InstrumentError:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0][:200]
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error).splitlines()[0][:200]
         if isinstance(error, UnicodeDecodeError):
             reason = "its header is not UTF-8 text; save it as UTF-8"
         return InstrumentError(f"{self.name} cannot be read: {reason}")

@@ -10,7 +10,7 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from planrunner.base import plugins
 from planrunner.plan import model, selection
@@ -107,6 +107,13 @@ def _quantity_section() -> str:
     return "\n".join(lines) + "\n"
 
 
+@runtime_checkable
+class Described(Protocol):
+    """A kind that says itself what it accepts."""
+
+    what: str
+
+
 def type_words(kind: Any) -> str:
     """Accepted values of a kind, in words."""
     match kind:
@@ -141,7 +148,7 @@ def type_words(kind: Any) -> str:
     for own, words in _OWN.items():
         if isinstance(kind, own):
             return words
-    return str(getattr(kind, "what", "see the description"))
+    return kind.what if isinstance(kind, Described) else "see the description"
 
 
 _OWN: dict[type, str] = {

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from planrunner.base.findings import InputError, closest
 from planrunner.bench.model import Bench, InstrumentEntry, driver_of, read_bench, site_of
 from planrunner.bench.simulation import SimulationSpec
-from planrunner.instruments.interfaces import Surroundings
+from planrunner.instruments.interfaces import Addressed, Surroundings
 from planrunner.instruments.virtual.world import World
 from planrunner.simulators import sensor_units as units
 from planrunner.simulators.acutrol import Acutrol
@@ -32,7 +32,7 @@ from planrunner.simulators.declared_frame import (
 )
 from planrunner.simulators.espec_p300 import EspecP300
 from planrunner.simulators.kvh1775 import Kvh1775
-from planrunner.simulators.live_world import LiveWorld, SensorFeed
+from planrunner.simulators.live_world import LiveWorld, RunsFreely, SensorFeed
 from planrunner.simulators.message_port import Manner
 from planrunner.simulators.navigation_units import VectorNavUnit, XsensUnit
 from planrunner.simulators.ports import Address
@@ -44,13 +44,21 @@ from planrunner.simulators.vectornav import VectorNav
 from planrunner.simulators.watlow_f4t import WatlowF4t
 from planrunner.simulators.xsens import Xsens
 
+
+class PlantController(Controller, Protocol):
+    """A controller of a table or a chamber."""
+
+    @property
+    def plant(self) -> TablePlant | ChamberPlant: ...
+
+
 CRLF = Manner(b"\r\n", b"\r\n")
-TABLES: Mapping[str, tuple[Callable[[TablePlant], Controller], Manner]] = {
+TABLES: Mapping[str, tuple[Callable[[TablePlant], PlantController], Manner]] = {
     "acutrol": (Acutrol, Manner()),
     "scpi_table": (ScpiTable, Manner()),
     "aerosmith": (Aerosmith, Manner(b"\r\n", b"\r", "prompt")),
 }
-CHAMBERS: Mapping[str, tuple[Callable[[ChamberPlant], Controller], Manner]] = {
+CHAMBERS: Mapping[str, tuple[Callable[[ChamberPlant], PlantController], Manner]] = {
     "watlow_f4t": (WatlowF4t, Manner()),
     "espec_p300": (EspecP300, CRLF),
     "thermotron_8800": (Thermotron8800, Manner(b"\r", b"\r")),
@@ -64,7 +72,7 @@ class Spoken:
 
     name: str
     role: str
-    controller: Any
+    controller: PlantController
     manner: Manner
     address: Address
 
@@ -109,13 +117,14 @@ def simulated(bench: Bench, path: str, clock: Any, seed: int | None = None) -> S
     spoken: list[Spoken] = []
     sensor = None
     for name, entry in bench.instruments.items():
-        role = driver_of(entry).role
-        if getattr(driver_of(entry), "address", None) is None:
+        driver = driver_of(entry)
+        role = driver.role
+        if not issubclass(driver, Addressed):
             continue  # simulated within the run itself
         if getattr(live, role, None) is None:
             message = f"the bench '{simulation.bench}' has no {role} to stand behind '{name}'"
             raise InputError.at(entry.origin.mark, "meaning-simulation", message, "name another virtual bench")
-        address = Address.of(driver_of(entry).address(entry.parameters))
+        address = Address.of(driver.address(entry.parameters))
         if role == "sensor":
             sensor = _streamed(name, entry, live, address)
         else:
@@ -160,7 +169,7 @@ def _spoken(name: str, role: str, entry: InstrumentEntry, live: LiveWorld, addre
 def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, address: Address) -> Streamed:
     if entry.driver not in SENSORS:
         raise _not_simulated(entry, SENSORS)
-    if not hasattr(live.sensor, "sampler"):
+    if not isinstance(live.sensor, RunsFreely):
         message = f"the virtual sensor '{type(live.sensor).__name__}' cannot run freely"
         raise InputError.at(entry.origin.mark, "meaning-simulation", message, "use a virtual gyro or inertial sensor")
     rate, fastest = entry.parameters.sample_rate.value, live.sensor.parameters.sample_rate.value

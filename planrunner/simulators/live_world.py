@@ -12,12 +12,15 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
 
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.virtual.noise import generator
 from planrunner.instruments.virtual.streaming import Sampling
 from planrunner.instruments.virtual.world import World
+from planrunner.plan.quantity import Quantity
 
 
 class RunningClock:
@@ -34,6 +37,23 @@ class RunningClock:
     def sleep(self, seconds: float) -> None:
         """Nobody sleeps here: the bench is asked what it is doing, whenever that is."""
         raise AssertionError("a simulated instrument does not wait")
+
+
+class SampledAtRate(Protocol):
+    """Keys of a sensor with a sample rate."""
+
+    @property
+    def sample_rate(self) -> Quantity: ...
+
+
+@runtime_checkable
+class RunsFreely(Protocol):
+    """A virtual sensor that makes samples without a segment."""
+
+    @property
+    def parameters(self) -> SampledAtRate: ...
+
+    def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]: ...
 
 
 @dataclass(slots=True)

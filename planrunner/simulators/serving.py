@@ -120,8 +120,8 @@ class Serving:
         if fault.fault in ("unplug", "refuse"):
             self._pull(fault, begins)
             return
-        controllers = {item.name: item.controller for item in self.simulated.spoken}
-        plant = getattr(controllers.get(fault.instrument), "plant", None)
+        plants = {item.name: item.controller.plant for item in self.simulated.spoken}
+        plant = plants.get(fault.instrument)
         if isinstance(plant, TablePlant) and fault.fault in TABLE:
             if fault.fault == "interlock open":
                 plant.open_interlock(begins)

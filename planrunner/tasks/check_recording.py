@@ -27,7 +27,7 @@ def check_recording(checked: Checked, data_root: Path, progress: Callable[[int],
         return
     segments = checked.schedule.segments if checked.schedule else ()
     for entry in bench.instruments.values():
-        if driver_of(entry) is not RecordingPlayer:
+        if not issubclass(driver_of(entry), RecordingPlayer):
             continue
         try:
             player = RecordingPlayer.connect(entry.parameters, Surroundings(VirtualClock(), models.site, data_root))

@@ -141,7 +141,7 @@ class _RateDesigner:
                 )
         self.stated = {item.label: item.state for item in expand(checked.plan, Findings())}
         self.axis = self._axis()
-        planned_block = self._block(self.sweep.used)
+        planned_block = self._blocks(self.sweep.used)[0]
         self.output, self.scale = planned_block.output, np.asarray(planned_block.magnitudes, dtype=float)
         beside = () if asked.line_only or len(planned_block.terms) > 2 else TERMS_BESIDE
         self.terms = (*planned_block.terms, *beside)
@@ -166,6 +166,10 @@ class _RateDesigner:
     # -- information from a rate ---------------------------------------------------------------------------------------
 
     def _block(self, segments: Sequence[Segment]) -> DesignBlock:
+        """That of the studied output."""
+        return next(one for one in self._blocks(segments) if one.output == self.output)
+
+    def _blocks(self, segments: Sequence[Segment]) -> Sequence[DesignBlock]:
         checked = self.checked
         assert checked.models is not None and checked.models.sensor is not None
         uses = {used: checked.designs[used] for used in self.spec.uses if used in checked.designs}
@@ -180,7 +184,7 @@ class _RateDesigner:
         )
         design = estimator_of(self.spec).design(request)
         assert design is not None
-        return next(one for one in design.blocks if one.output == getattr(self, "output", one.output))
+        return design.blocks
 
     def _information(self, block: DesignBlock, kept: Sequence[bool], rate: float) -> Array:
         """Of the block's kept rows with their own noise, in units of one observation at the largest rate; (p, p)."""

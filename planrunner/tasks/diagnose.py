@@ -275,7 +275,7 @@ def _bench_for_others(bench: str, plan: Path | None) -> str:
 
 def _parameters(bench: Bench, plan: str) -> RecordingParameters:
     for entry in bench.instruments.values():
-        if driver_of(entry) is RecordingPlayer:
+        if issubclass(driver_of(entry), RecordingPlayer):
             found: RecordingParameters = entry.parameters
             return found
     message = (

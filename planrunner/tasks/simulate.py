@@ -17,6 +17,7 @@ import yaml
 from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import driver_of, runs_on_virtual_clock
 from planrunner.error_model.virtual_instrument import AddedEffects
+from planrunner.instruments.interfaces import TakesEffects
 from planrunner.plan import source
 from planrunner.tasks.check import Document, Sound, check_plan
 
@@ -78,13 +79,13 @@ def _additions(sound: Sound, effects: Sequence[str]) -> tuple[Addition, ...]:
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 
-    taken = any(getattr(driver_of(entry), "takes_effects", False) for entry in sound.bench.instruments.values())
+    taken = any(issubclass(driver_of(entry), TakesEffects) for entry in sound.bench.instruments.values())
     channels = sensor_channels(sound.sensor)
     if not taken or not channels:
         message = f"the sensor of the bench '{sound.bench.name}' does not support added effects"
         hint = "use a bench whose sensor is a virtual_imu with outputs such as gyro_x and accel_x"
         raise InputError.at(Mark(sound.file), "simulate-sensor", message, hint)
-    if any(driver_of(entry) is AddedEffects for entry in sound.bench.instruments.values()):
+    if any(issubclass(driver_of(entry), AddedEffects) for entry in sound.bench.instruments.values()):
         message = f"the bench '{sound.bench.name}' already has added effects"
         raise InputError.at(Mark(sound.file), "simulate-twice", message, "add to them in the bench file")
     observed = scheduled(sound.schedule.segments, sound.models.site, channels, sound.sensor.sample_rate)

@@ -21,7 +21,7 @@ from planrunner.bench.opening import open_bench
 from planrunner.bench.simulation import SimulationSpec, ask, attach
 from planrunner.cli import main
 from planrunner.cli.exit_codes import FAULT, WRONG_INPUT
-from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.interfaces import Hastens, InstrumentError
 from planrunner.simulators.ports import Address, PortError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -232,6 +232,7 @@ def test_what_nobody_fetches_is_dropped(served: dict[str, Any]) -> None:
 def test_a_run_takes_its_clock_from_the_simulated_bench(served: dict[str, Any]) -> None:
     bench, _, _ = read_bench(str(served["folder"] / "bench.yaml"))
     with open_bench(bench) as opened:
+        assert isinstance(opened.clock, Hastens)
         assert opened.clock.speed == 20
         assert "ACUTRO" in opened.table.identify()["model"]
     elsewhere = SimulationSpec(bench="virtual", control=served["control"])

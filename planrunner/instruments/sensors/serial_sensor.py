@@ -12,7 +12,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
-from planrunner.instruments.interfaces import Block, Clock, Condition, FrameCounts, InstrumentError, Surroundings
+from planrunner.instruments.interfaces import (
+    Block,
+    Clock,
+    Condition,
+    FrameCounts,
+    Hastens,
+    InstrumentError,
+    Surroundings,
+)
 from planrunner.instruments.models import rate_refused
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.sensors.segment_stream import SegmentStream
@@ -111,7 +119,7 @@ class SerialSensor:
         self.link = link
         self.clock = clock
         self.identity = dict(identity or {})
-        self._speed = float(getattr(clock, "speed", 1.0))  # of a simulated bench that hastens
+        self._speed = clock.speed if isinstance(clock, Hastens) else 1.0  # of a simulated bench that hastens
         self._current: SegmentStream | None = None
         self._streaming = False
         self._skew = 0.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError
-from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings
+from planrunner.instruments.interfaces import Block, InstrumentError, Surroundings, TakesEffects
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.instruments.virtual.added import Gives, Moments
 from planrunner.instruments.virtual.averages import interval_means
@@ -54,12 +54,11 @@ class _Dwell:
     counters: Mapping[str, PulseCounter]
 
 
-class VirtualImu:
+class VirtualImu(TakesEffects):
     """A simulated inertial sensor."""
 
     role = "sensor"
     Parameters = VirtualImuParameters
-    takes_effects = True
 
     def __init__(self, parameters: VirtualImuParameters, world: World):
         self.parameters = parameters
