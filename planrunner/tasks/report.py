@@ -89,7 +89,7 @@ def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str
     if lasted is not None:
         yield "duration of the measurements", words.duration(lasted)
     if analysis:
-        yield "analysis", f"{analysis} of {max(int(analysis), len(reader.analyses))} when it was made"
+        yield "analysis", f"{analysis} (of {max(int(analysis), len(reader.analyses))} at that time)"
 
 
 def _minute(moment: str, before: str = "") -> str:

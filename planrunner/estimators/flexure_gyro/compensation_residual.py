@@ -103,7 +103,7 @@ class CompensationResidual:
         first, *others = expected
         ratios = {_ratio(name, first)[0]: expected[name] / expected[first] for name in others}
         notes = [
-            f"Expected residual sum of squares of {name} over that of {first}: "
+            f"Expected ratio of the residual sums of squares, {name} over {first}: "
             f"{expected[name] / expected[first]:.3g}, with equal noise."
             for name in others
         ]
