@@ -1,1 +1,1 @@
-"""Answers: posterior, verdict, where the gap is, whether it closes, and what to measure next."""
+"""Answers: posterior, verdict, place of the gap, closure, and what to measure next."""

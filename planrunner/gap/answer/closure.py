@@ -1,11 +1,11 @@
-"""Closure: how far the gap shrinks on segments that had no part in choosing or fitting the effect.
+"""Closure: reduction of the gap on segments that were not used to choose or fit the effect.
 
-Segments are held out in groups, some of every kind of motion in each, and the choice of the effect is repeated without each. The
-difference d of the predictions with and without it is then known exactly, and what is asked is the size of the gap g itself: before |g|,
-after |g − d|. g is known in two ways, and takes each as often as the diagnosis finds it probable.
+Segments are held out in groups, each with segments of every kind of motion, and the effect is chosen again without each group. The
+difference d of the predictions with and without the effect is then known exactly. The unknown is the size of the gap g itself: |g| before,
+|g − d| after. Two cases are averaged, weighted by their probability in the diagnosis.
 
-- An effect or pair of the catalogue is the whole cause: g is its signature at amplitudes estimated from all segments together, normal with
-  their covariance. - Something else acts, too, or alone. With r the held-out residual of the nominal simulation, whitened with the
+- An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments, normal with
+  their covariance. - Something else acts, additionally or alone. With r the held-out residual of the nominal simulation, whitened with the
   uncertainty of its fitted parameters (r = g + noise), the part of g along d is measured with unit noise, and the size of the rest follows
   from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
 """
@@ -25,19 +25,20 @@ from planrunner.gap.hypotheses.candidates import Weighed, Weighing
 
 Array = NDArray[np.float64]
 FOLDS = 4
-FEWEST = 6  # segments, so that three in four of them still say something
+FEWEST = 6  # segments; three quarters of fewer carry too little information
 DRAWS = 2000
 SEED = 21
-WIDEST = 0.5  # of an interval that still says something
-TOLD = 0.5  # share of the information of held-out segments on an effect that the others must contain
+WIDEST = 0.5  # width of an interval above which the closure is not resolvable
+TOLD = 0.5  # information on an effect that the other segments must have, relative to the held-out ones
 _EXACT = np.full((1, 1), 1e-12)
-WORTH = 4.0  # log BF in a fold from which on an effect is taken up there
+WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """before, after: size of the held-out gap in standard deviations of the noise, root mean square over coefficients. shrinks_by: share
-    of it, 1 where it closes. interval_90: of that share. resolvable: False where the data cannot say; the numbers are then NaN."""
+    """before, after: size of the held-out gap in standard deviations of the noise, root mean square over coefficients. shrinks_by:
+    relative reduction, 1 for a closed gap. interval_90: interval of that reduction. resolvable: False if the data do not determine it;
+    the numbers are then NaN."""
 
     before: float
     after: float
@@ -51,7 +52,7 @@ NOT_RESOLVABLE = Closure(np.nan, np.nan, np.nan, (np.nan, np.nan), False)
 
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
-    """An effect or pair that a fold may choose. probability: that it is the whole cause. whole: its amplitude is 1."""
+    """An effect or pair that a fold may choose. probability: probability that it is the whole cause. whole: the amplitude is fixed at 1."""
 
     weighed: Weighed
     probability: float
@@ -69,7 +70,7 @@ class FoldChoice:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause by the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d; mean
+    """A cause from the catalogue. gram (p, p) and along (p,): inner products of its held-out signatures with each other and with d; mean
     and covariance of its amplitudes."""
 
     probability: float
@@ -90,7 +91,8 @@ class _Fold:
 
 
 def closure(weighing: Weighing, choices: Sequence[FoldChoice], beyond: float) -> Closure:
-    """The closure by the effects and pairs among which each fold chooses anew. beyond: probability of what none of them explains whole."""
+    """The closure for the effects and pairs among which each fold chooses again. beyond: probability that none of them is the whole
+    cause."""
     if len(weighing.observed) < FEWEST or not choices:
         return NOT_RESOLVABLE
     folds = [_fold(weighing, choices, held) for held in held_out(weighing)]
@@ -122,14 +124,14 @@ def predictions(
 
 
 def held_out(weighing: Weighing) -> list[NDArray[np.bool_]]:
-    """The rows (M,) that each fold holds out."""
+    """The rows (M,) that are held out in each fold."""
     dealt = dealt_by_motion([type(motion).__name__ for motion in weighing.observed.motions])
     return [(dealt == fold)[weighing.spectrum.segment] for fold in range(FOLDS)]
 
 
 def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
-    """The fold (S,) of each segment: those of one kind of motion are dealt in turn, each round beginning with the next fold. Plans repeat
-    themselves: every fourth segment may well be all there is of one orientation."""
+    """The fold (S,) of each segment. Segments of one kind of motion are distributed in turn, and each round begins with the next fold,
+    because plans are periodic: every fourth segment might contain all segments of one orientation."""
     order = np.argsort(np.unique(kinds, return_inverse=True)[1], kind="stable")
     place = np.arange(len(kinds))
     dealt = np.empty(len(kinds), dtype=np.int64)
@@ -173,7 +175,7 @@ def measured(residual: Array, difference: Array, known: Sequence[KnownCause] = (
 
 
 def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Generator) -> Array:
-    """Squares of before and after, (count, 2), whatever the gap consists of."""
+    """Squares of the gap before and after, (count, 2), for any composition of the gap."""
     from scipy.special import chndtr
 
     m, size = len(residual), float(np.linalg.norm(difference))
@@ -188,7 +190,7 @@ def _unknown(residual: Array, difference: Array, count: int, draw: np.random.Gen
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """The same where a cause is the whole gap. squared: |d|²."""
+    """The same if a known cause is the whole gap. squared: |d|²."""
     root = np.linalg.cholesky(cause.covariance)
     amplitudes = cause.mean + draw.standard_normal((count, len(cause.mean))) @ root.T
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
@@ -196,7 +198,7 @@ def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Ge
 
 
 def _fold(weighing: Weighing, choices: Sequence[FoldChoice], held: NDArray[np.bool_], worth: float = WORTH) -> _Fold:
-    """Held-out rows of all channels, with the effect that the other rows choose."""
+    """Held-out rows of all channels, with the effect chosen from the other rows."""
     used = [_Rows(weighing, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([len(choice.weighed.gram[0]) for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]

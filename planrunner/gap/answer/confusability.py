@@ -1,7 +1,7 @@
 """Confusability: which effects this plan can distinguish, before and after data.
 
-ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. Of an effect fitted with the
-energy λ, λ(1 − ρ) is what remains to distinguish it from B: the non-centrality of the test between them.
+ρ(A|B) is the share of A's projected, whitened signature energy that B reproduces with its own amplitudes. For an effect fitted with the
+energy λ, λ(1 − ρ) is the non-centrality of the test between A and B.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed
 
 Array = NDArray[np.float64]
 DISCRIMINABLE = 10.0  # non-centrality below which two effects are not distinguished
-ALIKE = 0.9  # share from which on they count as one class whatever the energy
+ALIKE = 0.9  # share at and above which they form one class at any energy
 _RIDGE = 1e-9
 
 
@@ -30,7 +30,7 @@ def energy(signature: Sequence[Array]) -> float:
 
 
 def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
-    """The share of a signature's energy that the best of some variants reproduces."""
+    """The share of a signature's energy that the best of several variants reproduces."""
     total = energy(signature)
     if total <= 0:
         return 0.0
@@ -43,7 +43,8 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def beside(pair: Weighed, first: Candidate) -> float:
-    """The share of the other effect's fitted energy in channels that `first` does not act on: none of it is residue of that one's form."""
+    """The share of the other effect's fitted energy in channels on which `first` does not act. This energy cannot be form residue of
+    `first`."""
     amplitudes, _ = pair.amplitudes
     width = pair.variant.widths[0]
     own, other = slice(0, width), slice(width, None)

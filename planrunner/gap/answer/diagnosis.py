@@ -1,10 +1,8 @@
 """The diagnosis of a recording: where it differs from its simulation, which effect explains that, and how far the gap shrinks.
 
-Steps: spectra and noise, nominal parameters projected out (`weighing`); evidence for every effect that is installed (`candidates`),
-for pairs
-and for competitors that are nobody's effect (`posterior`, `open_set`); a verdict that names no member of a class that the plan cannot
-separate
-(`verdict`, `confusability`); where the gap lives (`where`) and whether it closes on segments held out (`closure`).
+Steps: spectra and noise, nominal parameters projected out (`weighing`); evidence for every installed effect (`candidates`), for pairs and
+for patterns outside the catalogue (`posterior`, `open_set`); a verdict that names no single member of a class that the plan cannot separate
+(`verdict`, `confusability`); the place of the gap (`where`) and its closure on held-out segments (`closure`).
 """
 
 from __future__ import annotations
@@ -35,14 +33,14 @@ EFFECTS = "planrunner.effects"
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
-_CHOICES = 6  # candidates among which a fold of the closure chooses
-_LIKELY = 1e-3  # of which each has this probability at least
-_ABSORBED_SHARE = 0.05  # of a signature's energy: less counts as absorbed and is listed
+_CHOICES = 6  # number of candidates among which a fold of the closure chooses
+_LIKELY = 1e-3  # smallest probability of such a candidate
+_ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an effect counts as absorbed
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """nominal: what the nominal simulation fits, of `candidates.FULL`; effects: candidates, all that are installed without it."""
+    """nominal: terms that the nominal simulation fits, from `candidates.FULL`; effects: candidates, by default all that are installed."""
 
     nominal: tuple[str, ...] = FULL
     effects: tuple[str, ...] | None = None
@@ -50,8 +48,8 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True)
 class Grounds:
-    """What a diagnosis rests on, for whoever asks further. nominal: names of what the nominal simulation fits; choices: among which the
-    closure chose."""
+    """Basis of a diagnosis, for further analysis. nominal: names of the terms that the nominal simulation fits; choices: the choices of
+    the closure."""
 
     weighing: Weighing
     candidates: tuple[Candidate, ...]
@@ -61,8 +59,8 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that nominal parameters leave.
-    pictures: numbers for drawings, as plain data."""
+    """gap: by channel, in its unit. posterior: of all hypotheses. absorbed: effect → share of its energy that remains after the nominal
+    parameters. pictures: data for plots."""
 
     gap: Mapping[str, Mapping[str, Any]]
     where: tuple[MisfitPlace, ...]
@@ -119,7 +117,7 @@ class Diagnosis:
 
 
 def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions()) -> Diagnosis:
-    """Diagnose a recording. Raises `ObservationError` where it cannot be."""
+    """Diagnose a recording. Raises `ObservationError` if it cannot be diagnosed."""
     if len(observed) < FEWEST_SEGMENTS:
         few = f"the recording has {len(observed)} segments; distinguishing an effect from fitted parameters needs {FEWEST_SEGMENTS} or more"
         hint = (
@@ -161,7 +159,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """The forms of an effect that has its shape alone, where that can be found exactly."""
+    """The forms of an effect that is fully determined by its shape, if the shape can be found exactly."""
     effect = shape_alone(candidate)
     found = forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
@@ -197,7 +195,7 @@ def _parameters(
     effects: list[Effect],
     exact: Mapping[str, Forms],
 ) -> list[ParameterEstimate]:
-    """Estimates for the likeliest effects. Those of a pair are fitted together."""
+    """Estimates for the likeliest effects. The effects of a pair are fitted together."""
     listed: list[ParameterEstimate] = []
     pair = found.pairs.get("+".join(sorted(said.effects)))
     for name in said.effects:

@@ -1,9 +1,9 @@
-"""How well further measurements would separate rival explanations: the expected evidence between them, before they are made.
+"""Expected evidence between rival explanations from further measurements, computed before they are made.
 
-Every rival is a linear model with normal amplitudes beside the nominal parameters. What the recording has taught of them is their prior for
-what comes next, so that the expected log evidence of A against B, if A is true, is the Kullback-Leibler divergence of the two predictions:
-the criterion of Box and Hill (Technometrics 9, 1967), T-optimality (Atkinson and Fedorov, Biometrika 62, 1975) averaged over what is not
-known of the amplitudes. New measurements enter by their information matrix alone, whatever their number of samples.
+Every rival is a linear model with the nominal parameters and normal amplitudes. The posterior from the recording is the prior for the next
+measurements. If A is true, the expected log evidence of A against B is therefore the Kullback-Leibler divergence of the two predictions:
+the criterion of Box and Hill (Technometrics 9, 1967), T-optimality (Atkinson and Fedorov, Biometrika 62, 1975) averaged over the
+uncertainty of the amplitudes. New measurements enter only through their information matrix, regardless of the number of samples.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_FLAT = 1e-9  # precision of a parameter that is not known at all, relative to what was learnt of it
-_AT_ONCE = 4_000_000  # numbers in the matrices of the measurements that are weighed at a time: memory
+_FLAT = 1e-9  # precision of an unknown parameter, relative to its information from the recording
+_AT_ONCE = 4_000_000  # numbers in the matrices that are evaluated at a time; limits memory
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 
 @dataclass(frozen=True)
 class Rival:
-    """An explanation after a recording. columns: which of all columns it has, (p,); mean (p,) and precision (p, p) of their amplitudes."""
+    """An explanation after a recording. columns: indices of its columns, (p,); mean (p,) and precision (p, p) of their amplitudes."""
 
     name: str
     probability: float
@@ -71,8 +71,8 @@ def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
-    """(…): expected −log of the probability that the true rival then has, after measurements of that information (…, P, P): what a choice
-    of measurements is to make small."""
+    """(…): expected −log of the probability of the true rival after measurements with that information (…, P, P). A choice of
+    measurements should make it small."""
     many = information.reshape(-1, *information.shape[-2:])
     at_once = max(1, _AT_ONCE // (len(rivals) * many[0].size)) if len(many) else 1
     parts = [
@@ -85,7 +85,7 @@ def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
     """Expected probability of the true rival among all, after measurements of that information (P, P).
 
-    The log evidence is taken as normal about its expectation D with variance 2D, as it is between two known signals.
+    The log evidence is assumed to be normal with expectation D and variance 2D, as for two known signals.
     """
     return float(_averaged(rivals, expected_evidence(rivals, information), lambda odds: 1 / (1 + odds)))
 

@@ -1,6 +1,6 @@
-"""What segments that were not measured yet would show: the information that each holds of given columns.
+"""Information of segments that are not yet measured on given columns.
 
-A segment is sampled as the recording was, over whole turns and periods for a few seconds only: a repeated part is described by its length.
+A segment is sampled like the recording, but only for a few seconds of whole turns and periods; the rest of its length is a repetition.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from planrunner.plan.units import ZERO_CELSIUS
 Array = NDArray[np.float64]
 Columns = Callable[[Observed], Sequence[Sequence[Column]]]
 LATER = 600.0  # s after the recording's end, when a segment is taken to begin
-_SAMPLED = 2.0  # s of a segment at rest; of turns and periods, as many whole ones as last at least that long
-_STUB = 8  # samples that stand for every segment when a few are looked at closely
-_CHUNK = 25  # segments looked at closely at a time: memory
+_SAMPLED = 2.0  # s of a segment at rest; for turns and periods, the whole number that lasts at least this long
+_STUB = 8  # samples that represent each segment while a few are examined closely
+_CHUNK = 25  # segments examined closely at a time; limits memory
 _CHANGED = 1.0  # K
 
 
@@ -42,11 +42,11 @@ class Foreseen:
 
     @cached_property
     def whole(self) -> Array:
-        """(P, P), of the segment's own dwell."""
+        """(P, P), for the dwell of the segment."""
         return self.information(self.segment.dwell or 0.0)
 
     def information(self, seconds: float) -> Array:
-        """(P, P), of a dwell of some seconds. Of the mean, slow noise leaves no more than its own variance allows."""
+        """(P, P), for a dwell of some seconds. Slow noise limits the information of the mean."""
         slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
         products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
@@ -56,7 +56,7 @@ class Foreseen:
 def foresee(
     observed: Observed, white: Array, segments: Sequence[Segment], columns: Columns, widths: Sequence[int]
 ) -> Iterator[Foreseen]:
-    """What each segment would show, following the recording. white: (K,), standard deviation of a sample.
+    """Information of each segment if it followed the recording. white: (K,), standard deviation of a sample.
 
     columns: for a recording, groups of columns; widths: of the groups, whose columns are distinguished by their order. Those that a channel
     does not see are zero there.
@@ -87,7 +87,7 @@ def foresee(
 def following(
     observed: Observed, segments: Sequence[Segment], near: Sequence[int] | range
 ) -> tuple[Observed, list[slice]]:
-    """The recording with segments after it that hold no values, and the samples of each of them.
+    """The recording with segments without values appended, and the samples of each of them.
 
     All but those `near` are stubs of a few samples, so that what an effect makes of the set of all segments, such as which orientations
     there are, is the same however many are looked at closely.

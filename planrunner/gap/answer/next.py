@@ -1,7 +1,8 @@
 """What to measure next: the segments that a bench can execute and that separate the remaining explanations soonest.
 
-Greedy: whatever brings the most expected evidence per second of test time, moves and temperature changes included, comes next, until the
-true explanation is expected to be known, or nothing helps. For comparison the same is foreseen of repeating the recorded segments.
+The choice is greedy: the next segment is the one with the most expected evidence per second of test time, including moves and temperature
+changes. It ends when the true explanation is expected to be identified, or when nothing helps. For comparison, repeating the recorded
+segments is evaluated in the same way.
 """
 
 from __future__ import annotations
@@ -23,24 +24,27 @@ from planrunner.plan.schedule import Segment
 Array = NDArray[np.float64]
 Seconds = Callable[[Segment | None, Segment], float]
 SETTLED = 0.95
-"""Probability of an explanation from which on nothing more need be measured; that of the true one which a proposal aims at is higher."""
+"""Probability of an explanation at and above which no further measurement is needed. Proposals aim at a higher probability of the true
+explanation."""
 AIM = 0.97
 FAINT = 0.05
-"""Probability that an effect must have to be worth looking for where noise alone or something unknown is the likeliest."""
+"""Smallest probability of an effect that is worth a measurement if noise alone or something unknown is likeliest."""
 LONGEST = 12 * 3600.0  # s of test time
 FEWEST = 4
-"""Segments of a proposal: fewer could as well be odd ones out."""
-_BUNDLE = 4  # segments at another temperature that are looked at together: one alone seldom pays for the way there
-_KEPT = 60  # options that stay in the running after the first round
+"""Smallest number of segments of a proposal: fewer might be outliers."""
+_BUNDLE = (
+    4  # segments at another temperature that are evaluated together: one alone rarely justifies the temperature change
+)
+_KEPT = 60  # options kept after the first round
 _REPEATS = (1, 2, 3, 5, 10, 20, 50)
-_HELPS = 0.005  # expected loss that a segment must save to be worth taking
+_HELPS = 0.005  # smallest reduction of the expected loss that justifies a segment
 
 
 @dataclass(frozen=True)
 class SegmentProposal:
-    """segments: in their order, none where nothing on the bench helps. rivals: names and present probabilities. now, probability:
-    expected of the true one among them, at present and after `seconds` of test time. repeating: seconds and expected probability of
-    repeating the recorded segments. sensor: what could separate them where the bench cannot."""
+    """segments: in order; empty if nothing on the bench helps. rivals: names and present probabilities. now, probability: expected
+    probability of the true rival, at present and after `seconds` of test time. repeating: seconds and expected probability for repeating
+    the recorded segments. sensor: an instrument that could separate them if the bench cannot."""
 
     segments: tuple[Segment, ...]
     rivals: tuple[tuple[str, float], ...]
@@ -60,10 +64,10 @@ def propose(
     seconds: Seconds,
     lasted: float,
 ) -> SegmentProposal | None:
-    """The segments to measure next; None where one explanation stands out.
+    """The segments to measure next; None if one explanation is clear.
 
-    options: segments that the bench can do; seconds: test time of one after another (or first), moves, settling and dwell included;
-    lasted: that of the recording.
+    options: segments that the bench can execute; seconds: test time of a segment after another one (or as the first), including moves,
+    settling and dwell; lasted: test time of the recording.
     """
     listed = explanations(found, candidates)
     if not options or not _open(listed):
@@ -86,7 +90,7 @@ def propose(
 
 
 def _open(listed: Sequence[Explanation]) -> bool:
-    """Whether there is a question that measuring can answer."""
+    """Whether there is a question that a measurement can answer."""
     if len(listed) < 2:
         return False
     least = FAINT if listed[0].name in SILENT else 0.0
@@ -131,7 +135,7 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
             running, gains, costs = _shortened(running, gains, costs, rivals, size, last, beyond)
             first = False
         rate = np.array(gains) / np.array(costs)
-        if len(chosen) < FEWEST:  # others than those that are taken already
+        if len(chosen) < FEWEST:  # without those already selected
             rate[[any(item is taken for item in move for taken in chosen) for move in running]] = -np.inf
         best = int(np.argmax(rate))
         enough = expected_probability(rivals, total) >= AIM
@@ -145,7 +149,7 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """What each move saves of the loss that `total` (P, P) leaves."""
+    """Reduction by each move of the loss after the information `total` (P, P)."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -192,7 +196,7 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """The chosen without those that the aim, or what was reached of it, does not need."""
+    """The chosen segments without those that are not needed to reach the aim, or the best value reached."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:

@@ -1,6 +1,6 @@
-"""Instruments that a bench does not have and that would separate what its own segments cannot: foreseen like any segment.
+"""Instruments that a bench lacks and that would separate explanations that its segments cannot. They are evaluated like segments.
 
-Effects of the table and the site are felt by whatever else stands on the table, effects of the sensor and of its data by the sensor alone.
+Effects of the table and the site act on every instrument on the table, effects of the sensor and of its data only on the sensor.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from planrunner.plan.schedule import Segment
 
 Array = NDArray[np.float64]
 ENOUGH = 0.9  # expected probability of the true explanation with the instrument
-ACCELEROMETER = 50e-6 * 9.80665  # SI·√s, white noise of a second-hand one
+ACCELEROMETER = 50e-6 * 9.80665  # SI·√s, white noise of an additional instrument
 ARCSECOND = np.pi / 180 / 3600  # standard uncertainty of an autocollimator with a level
 _LOOKED_AT = 40  # segments
 

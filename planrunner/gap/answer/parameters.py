@@ -38,7 +38,7 @@ def amplitudes(effect: str, weighed: Weighed, columns: slice = slice(None)) -> l
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """The shape, its uncertainty from the evidence over the values that were tried."""
+    """The shape, with its uncertainty from the evidence over the evaluated values."""
     effect = candidate.effect
     values = np.array([item.variant.shape for item in candidate.variants if item.variant.shape is not None])
     if not len(values) or not isinstance(effect, Shaped):
@@ -55,7 +55,7 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
 
 
 def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
-    """The shape of an effect that has no amplitude, from its forms and how probable each is."""
+    """The shape of an effect without amplitude, from its forms and their probabilities."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))
@@ -75,7 +75,7 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
 
 
 def of_noise(weighing: Weighing, effect: ActsOnNoise) -> list[ParameterEstimate]:
-    """What an effect on the noise changes: white level or resolution per gyro, or the random walk's density."""
+    """Parameters of an effect on the noise: white level or resolution per gyro, or the density of the random walk."""
     observed, name, noise = weighing.observed, effect.id, effect.noise
     gyros = observed.of_kind("gyro")
     found = []

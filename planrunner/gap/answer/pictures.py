@@ -1,4 +1,4 @@
-"""Numbers for the drawings of a diagnosis, and the gap by channel, as plain data in the channels' units."""
+"""Data for the plots of a diagnosis, and the gap by channel, as plain data in the units of the channels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, dict[str, Any]]:
-    """By channel: root mean square of what the nominal simulation leaves of the coefficients, what noise alone leaves, and the unit."""
+    """By channel: root mean square of the residual coefficients of the nominal simulation, the value for noise alone, and the unit."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         weight = weighing.weights[index][0]

@@ -17,17 +17,16 @@ from planrunner.gap.hypotheses.open_set import competitors, unknown
 
 Array = NDArray[np.float64]
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.15, "unknown": 0.15}
-FIRST = 6  # effects that pairs are built on: the likeliest alone
-WEIGHED = 10  # pairs, of those that a quick look finds best, that are weighed in full
+FIRST = 6  # number of effects from which pairs are formed: the likeliest
+WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
 PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 
 
 @dataclass(frozen=True)
 class Posterior:
     """probability: of every hypothesis, pairs as 'a+b' in alphabetical order. log_evidence: of each, relative to none. pairs: the
-    weighed variant
-    of pairs of two deterministic effects. kinds: log evidence, relative to none, of what
-    "unknown" could be. by_channel: log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise's level."""
+    weighed variant of pairs of two deterministic effects. kinds: log evidence, relative to none, of what "unknown" could be. by_channel:
+    log BF (K,) of each of those in one channel alone. levels: effects that only raise the noise level."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -67,7 +66,8 @@ def posterior(weighing: Weighing, effects: Sequence[Effect], candidates: Sequenc
 
 
 def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:
-    """Priors shared evenly by all effects that can act here, and by all pairs of these: one that this plan cannot show is none here."""
+    """Priors are shared evenly by all effects that the plan can excite, and by all pairs of these. An effect that this plan cannot
+    excite counts as absent."""
     acting = sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
     shares = {"single": PRIORS["single"] / max(acting, 1), "pair": PRIORS["pair"] / max(acting * (acting - 1) / 2, 1)}
     logs = {}
@@ -79,11 +79,11 @@ def _normalised(log_evidence: dict[str, float]) -> dict[str, float]:
 
 
 def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[str, float], dict[str, Weighed]]:
-    """Log evidence of pairs of effects with signatures, and the best of them weighed.
+    """Log evidence of pairs of effects with signatures, and the fully evaluated best pairs.
 
-    A quick look takes each likely effect at its most probable size as given and weighs every form of the others on what it leaves; the
-    best of those are weighed with both amplitudes on a grid, under every setting of the noise; the others count with what they have at the
-    declared noise alone.
+    A quick evaluation fixes each likely effect at its most probable size and evaluates every form of the others on the rest. The best pairs
+    are then evaluated with both amplitudes on a grid, under every setting of the noise. The others keep their evidence at the declared
+    noise.
     """
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
@@ -114,7 +114,7 @@ def _pairs(weighing: Weighing, candidates: Sequence[Candidate]) -> tuple[dict[st
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[Weighed, float]]]:
-    """The form of each effect that the data want most beside `a` at its most probable size, and the log BF that it adds."""
+    """The form of each effect that fits the data best in addition to `a` at its most probable size, and the log BF that it adds."""
     if not others:
         return
     mean, covariance = a.amplitudes
@@ -126,7 +126,7 @@ def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Candidate,
         grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
         scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
         values, vectors = np.linalg.eigh(grams)
-        # every variant's energies are in units of its own trace
+        # the energies of each variant are in units of its trace
         traces = np.array([item.trace for item in other.variants])[:, None]
         part = slice(last, last := last + count), slice(values.shape[1])
         size[part] = np.maximum(values, 0.0) / traces

@@ -1,4 +1,4 @@
-"""The explanations that a diagnosis leaves standing, as models that predict: columns over any recording, and what was learnt of them."""
+"""The explanations that remain after a diagnosis, as predictive models: columns over any recording, and their posterior."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from planrunner.gap.answer.posterior import Posterior
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing, nominal_columns, simulated
 
 Array = NDArray[np.float64]
-MOST = 5  # explanations that are planned for
+MOST = 5  # maximum number of explanations
 SILENT = ("none", "unknown")
 """Explanations that predict nothing."""
-LEAST = 0.01  # probability of one that is
+LEAST = 0.01  # smallest probability of an explanation
 
 
 @dataclass(frozen=True)
 class ExplanationPart:
-    """One effect of an explanation, in the form that the recording wants of it. prior: variance of its amplitudes, in magnitudes²."""
+    """One effect of an explanation, in the form that fits the recording best. prior: variance of its amplitudes, in magnitudes²."""
 
     effect: Effect
     weighed: Weighed
@@ -34,7 +34,7 @@ class ExplanationPart:
         return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
-        """Its columns over another recording; none where it cannot act there."""
+        """Its columns over another recording; none if it cannot act there."""
         shape = self.weighed.variant.shape
         if isinstance(self.effect, Shaped):
             return self.effect.at(observed, float(shape or 0.0)).columns
@@ -51,8 +51,8 @@ class Explanation:
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
     """The likeliest explanations, at most `MOST`, that differ in what they predict.
 
-    What acts on the noise alone predicts nothing: with and without it, an explanation counts once. So does "unknown", of which nothing
-    can be foreseen: it counts with none, under the name of the likelier of the two.
+    Effects that act only on the noise predict nothing, so an explanation with and without such an effect counts once. "Unknown" predicts
+    nothing either: it counts together with "none", under the name of the likelier of the two.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])
@@ -65,7 +65,7 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """Pairs that are less likely than one of their effects alone are counted with it: what they add may as well be nothing."""
+    """Pairs that are less likely than one of their effects alone are counted with that effect, because the addition may be nothing."""
     found = {name: value for name, value in total.items() if "+" not in name}
     for name, value in total.items():
         likelier = [one for one in name.split("+") if total.get(one, 0.0) > value] if "+" in name else []
@@ -116,7 +116,7 @@ def _size(weighed: Weighed, columns: slice) -> float:
 
 @dataclass(frozen=True)
 class Layout:
-    """All columns of some explanations side by side: nominal parameters first, then the effects, each by the names of its columns."""
+    """All columns of several explanations: nominal parameters first, then the effects, identified by the names of their columns."""
 
     nominal: tuple[str, ...]
     parts: tuple[ExplanationPart, ...]
@@ -125,7 +125,7 @@ class Layout:
 
     @classmethod
     def of(cls, listed: Sequence[Explanation], weighing: Weighing, nominal: Sequence[str], whole: Observed) -> Layout:
-        """whole: the recording with all segments that may follow, which say what columns there are."""
+        """whole: the recording with all segments that may follow; it determines the columns."""
         distinct = tuple({part.key: part for item in listed for part in item.parts}.values())
         names = tuple(tuple(column.name for column in part.on(whole)) for part in distinct)
         return cls(tuple(nominal), distinct, names, _fitted(weighing))
@@ -142,7 +142,7 @@ class Layout:
             for channel, part in column.parts.items():
                 output[:, channel] += part * (column.magnitude * value)
         observed.__dict__["nominal_output"] = (
-            output  # what a dead zone or a limit sees: the sensor's, not an ideal one's
+            output  # a dead zone or a limit acts on the output of the sensor, not of an ideal sensor
         )
         return [nominal, *(part.on(observed) for part in self.parts)]
 
@@ -183,7 +183,7 @@ class Layout:
 
 
 def _fitted(weighing: Weighing) -> tuple[float, ...]:
-    """The nominal parameters that fit the recording best by themselves, in magnitudes."""
+    """The nominal parameters that fit the recording best without effects, in magnitudes."""
     values = np.zeros(len(weighing.nominal_columns))
     for channel, nominal in enumerate(weighing.whole):
         own = [c for c, column in enumerate(weighing.nominal_columns) if channel in column.parts]

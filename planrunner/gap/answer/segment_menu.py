@@ -1,6 +1,6 @@
-"""The menu from which further segments are chosen: orientations, rates, rocking and temperatures, as lines of a plan.
+"""The options for further segments: orientations, rates, rocking and temperatures, as lines of a plan.
 
-It is a coarse grid over what may be done; whether the bench can do it, its schedule says.
+They form a coarse grid; the schedule decides whether the bench can execute them.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """What may be done after some recorded segments. Temperature is stated wherever the recorded plan states one."""
+    """The options after recorded segments. They state a temperature if the recorded plan does."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())
@@ -85,7 +85,8 @@ def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) ->
 
 
 def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Array]:
-    """Recorded ones first, then others along the site's axes, then oblique ones; only recorded ones where nothing can turn the sensor."""
+    """Recorded orientations first, then others along the site's axes, then oblique ones; only recorded ones if nothing can turn the
+    sensor."""
     visited = {
         tuple(np.round(item.attitude, 6).ravel() + 0.0): item.attitude for item in recorded if item.attitude is not None
     }
@@ -100,7 +101,7 @@ def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Arra
 
 
 def _oblique() -> list[Array]:
-    """All three axes alike to the vertical, in as many ways as there are upper octants of a cube."""
+    """All three axes at equal angles to the vertical, one orientation for each upper octant."""
     found = []
     for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         up = np.array([x, y, 1.0]) / math.sqrt(3)

@@ -1,4 +1,4 @@
-"""From a posterior to a verdict: none, one effect, a pair, unknown, or a class that this plan cannot distinguish apart.
+"""From a posterior to a verdict: none, one effect, a pair, unknown, or a class of effects that this plan cannot distinguish.
 
 An effect that explains nearly all of a gap is named, whatever else there is; the rest is reported as a remainder. Such a rest may be terms
 of the full nominal model that a poorer one lacks: a sensor whose simulation has no bias has one, and a small swing in a way that no
@@ -19,18 +19,18 @@ from planrunner.gap.answer.posterior import Posterior, pair_key
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.plan.model import NOMINAL_TERMS
 
-STRONG = 2500.0  # twice the log evidence of an effect at 50 σ, above which its idealised form shows
-RESIDUE = 0.05  # share of the explained energy below which the rest may be residue of an effect's form
-FORM = 0.01  # the same, below which it is taken for that: of a second effect, or of what "something else" explains beyond one
-TWO_NAMES = 4.0  # nats of evidence between hypotheses that may be two names for one thing
+STRONG = 2500.0  # twice the log evidence of an effect at 50 σ, above which errors of its idealised form are visible
+RESIDUE = 0.05  # share of the explained energy below which the rest may be form residue
+FORM = 0.01  # the same, below which a second effect or "something else" counts as form residue
+TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same cause
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """The effect or pair that explains, at more than 50 σ, nearly all of what the likeliest hypothesis `top` does, and what of `top` is
-    then a remainder; None where there is none, or where it is `top` itself.
+    """The effect or pair that explains, at more than 50 σ, nearly as much as the likeliest hypothesis `top`, and the part of `top` that is
+    then a remainder; None if there is no such effect, or if it is `top` itself.
 
-    log_evidence: of every hypothesis relative to none; that of a strong effect is half the energy which it explains. signatures: effects
-    that are more than noise.
+    log_evidence: of every hypothesis relative to none; for a strong effect it is half the explained energy. signatures: effects that do not
+    only change the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -48,25 +48,23 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Hypotheses with their probability relative to `best`, those left out that explain distinctly more."""
+    """Hypotheses with their probability relative to `best`, without those that explain clearly more."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
 
 NAMEABLE = 0.05  # the probability of none above which no effect is named
-RIVAL = 0.02  # of the first's probability: less likely members of a class are left out, the data have excluded them
+RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
 COVERED = 0.95
-ELSEWHERE = 0.5  # share of an effect's energy beside another from which on it is no residue of that one's form
-SOMETHING_ELSE = (
-    0.90  # the probability of unknown from which on a recording is said to hold what the catalogue does not
-)
+ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
+SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reported
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: what cannot be distinguished from them,
-    themselves included; pairs as 'a+b'. residue: an effect, or "unknown", that takes up no more than the named one's idealised form may
-    leave; one of a named pair that may be no more than that."""
+    """kind: none, effect, pair, unknown or indistinguishable. effects: the likeliest. members: effects that cannot be distinguished from
+    them, including themselves; pairs as 'a+b'. residue: an effect, or "unknown", that may be only form residue of the named effect; it
+    may also be one of a named pair."""
 
     kind: str
     effects: tuple[str, ...] = ()
@@ -100,7 +98,7 @@ def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate
 
 
 def _named(kind: str, effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None) -> Verdict:
-    """Effects of a kind, or, where they have rivals, the class that these make."""
+    """Effects of a kind or, if they have rivals, their class."""
     return (
         Verdict("indistinguishable", effects, rivals, residue)
         if len(rivals) > 1
@@ -109,7 +107,7 @@ def _named(kind: str, effects: tuple[str, ...], rivals: tuple[str, ...], residue
 
 
 def ambiguity_set(probability: Mapping[str, float]) -> list[str]:
-    """The likeliest hypotheses that together hold 95 %."""
+    """The likeliest hypotheses with a total probability of 95 %."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -126,8 +124,8 @@ def _confusable(weighed: Weighed, rivals: Sequence[Weighed]) -> bool:
 
 
 def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], top: str) -> tuple[str, ...]:
-    """Single effects that cannot be distinguished from `top`, with itself first. Effects on the noise are distinguished by their evidence
-    alone."""
+    """Single effects that cannot be distinguished from `top`, with itself first. Effects on the noise are distinguished only by their
+    evidence."""
     found = [top]
     for name, value in probability.items():
         if name == top or "+" in name or name in ("none", "unknown") or value < RIVAL * probability.get(top, 0.0):
@@ -159,9 +157,9 @@ def _rival_pairs(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], pair: str) -> tuple[str, str | None]:
-    """What is to be named of a pair, and what of it may be residue of form: the weaker effect, where at more than 50 σ it explains less
-    than `RESIDUE` of what both do. Less than `FORM` is not named. It is none if it acts on channels on which the first does not, or raises
-    the level of the noise, which is measured where no form shows; terms of a nominal model are exact and leave none."""
+    """The effects of a pair to name, and the one that may be form residue: the weaker effect, if at more than 50 σ it explains less than
+    `RESIDUE` of what both explain. Below `FORM` it is not named. It is not form residue if it acts on channels on which the first does
+    not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in pair.split("+") if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")
     if not first or first in NOMINAL_TERMS:

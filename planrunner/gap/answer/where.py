@@ -1,10 +1,10 @@
-"""Where the gap lives: channel and factor, and of the factor the level that stands out most.
+"""The place of the gap: channel, factor, and the most conspicuous level of the factor.
 
-Factors are orientation, rate, temperature, time, the table's angle and the band of frequencies. Which one the whitened residual of a
-channel follows is a matter of evidence, weighed with the patterns of the open set. Levels are scored by their energy. A level's energy
-has its own degrees of freedom under pure noise, and there are many to look at, so its p-value is the chance that the highest score
-anywhere comes out so high: from residuals of noise alone, freed of the nominal parameters like the data (max-statistic parametric
-bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+Factors are orientation, rate, temperature, time, the table's angle and the band of frequencies. The factor that the whitened residual of a
+channel follows is found by its evidence, using the patterns of the open set. Levels are scored by their energy. Under pure noise each level
+has different degrees of freedom, and many levels are examined. The p-value is therefore the probability that the highest score of all
+places is at least as high, from residuals of pure noise, projected like the data (max-statistic parametric bootstrap; Westfall and Young,
+Resampling-Based Multiple Testing, 1993).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
-"""An axis is named by a direction with a word where the cosine between both is more than 0.999."""
+"""Smallest cosine between an axis and a direction whose word names it."""
 _LIVES = {
     "temperature": "temperature",
     "time": "time",
@@ -42,14 +42,14 @@ _LIVES = {
     "noise": "band",
     "tone": "band",
 }
-"""Word in a pattern's name → factor; the first that fits. What differs from segment to segment lives in time."""
+"""Word in a pattern's name → factor; the first match counts. Differences from segment to segment count as time."""
 
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
-    """A part of the recording. share: of all energy above the noise. Every factor cuts all of it anew: the shares of the levels of one
-    factor, over all channels, add up to 1 at most, those of several factors overlap. of: noise where the share is of the channel's
-    noise instead, as of what lies outside the basis. p: adjusted for the number of places."""
+    """A part of the recording. share: of all energy above the noise. Every factor divides the same energy: within one factor, over all
+    channels, the shares add up to at most 1; shares of several factors overlap. of: `noise` if the share refers to the noise of the
+    channel, as for energy outside the basis. p: adjusted for the number of places."""
 
     channel: str
     factor: str
@@ -60,10 +60,10 @@ class MisfitPlace:
 
 
 def places(weighing: Weighing, kinds: Mapping[str, Array]) -> list[MisfitPlace]:
-    """All places, the most remarkable first. kinds: log BF (K,), in one channel alone, of patterns that are nobody's effect.
+    """All places, the most conspicuous first. kinds: log BF (K,), in one channel alone, of patterns outside the catalogue.
 
-    A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns that live
-    under it. A factor with many levels pays for them there. What else a factor shows, level by level, follows by its score.
+    A channel and a factor are ranked by the evidence that the channel's residual follows the factor: the mean over the patterns of the
+    factor, which penalises factors with many levels. The other levels of a factor follow in the order of their scores.
     """
     outside = _outside(weighing, kinds)
     evidence = _by_factor(outside[1], kinds)
@@ -90,7 +90,7 @@ def _by_factor(noisier: Array, kinds: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def factor_of(kind: str) -> str:
-    """The factor under which a pattern that is nobody's effect lives."""
+    """The factor of a pattern outside the catalogue."""
     for word, factor in _LIVES.items():
         if word in kind:
             return factor
@@ -106,7 +106,8 @@ def _outside(weighing: Weighing, kinds: Mapping[str, Array]) -> Array:
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """Noise, or a tone, outside the basis. Its p-value is Markov's bound: noise alone gives a Bayes factor of B once in B times at most."""
+    """Noise, or a tone, outside the basis. Its p-value is Markov's bound: for noise alone, a Bayes factor of B or more has at most the
+    probability 1/B."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
         channel
@@ -180,7 +181,7 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """Where up lies in the sensor's axes: all that is known of a pose."""
+    """The direction of up in the sensor's axes, the only known property of a pose."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Evidence: how much better the data are predicted with some amplitudes than without.
+"""Bayes factors: evidence for amplitudes against none.
 
 An effect's strength is its energy λ: that of its signature, free of the nominal parameters, in units of the noise. Directions of the
 amplitudes are those of N(0, D) and λ is log-uniform from `WEAKEST` to `STRONGEST`: weaker effects cannot be distinguished from none and
@@ -6,7 +6,7 @@ count as none. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same
 model, log BF = −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c with G the signatures' Gram matrix and c their product with the data,
 times the posterior probability that λ = θᵀGθ is `WEAKEST` or more, integrated over log s². λ is then a sum of scaled non-central χ²; its
 distribution is taken as that of a scaled χ² with the same mean and variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST` the density
-goes on: a stronger effect than was foreseen is still that effect.
+continues, because a stronger effect is still that effect.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ Array = NDArray[np.float64]
 WEAKEST, STRONGEST = 4.0, 1e4
 RANGE = float(np.log(STRONGEST / WEAKEST))
 _SWEEPS = 3
-ENERGIES = np.geomspace(0.5, 1e6, 25)  # of s², as the energy that it lets expect
+ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
     """log BF averaged over λ, for stacks: gram (…, p, p), score (…, p), in units of the prior magnitudes (D = I).
 
-    trace: the energy of a unit amplitude that the grid of s² is scaled by; tr(gram) of the first without it.
+    trace: energy of a unit amplitude, which scales the grid of s²; by default tr(gram) of the first.
     """
     return averaged(by_energy(gram, score, trace))
 
@@ -76,14 +76,14 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
     """Mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their magnitudes.
 
-    widths: columns of each effect in turn, where there are several; each has its own s².
+    widths: number of columns of each effect, if there are several; each effect has a separate s².
     """
     covariance: Array = np.asarray(np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths))))
     return covariance @ score, covariance
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """The most probable s² (p,) of every column's effect, found for one effect after the other with those of the others given."""
+    """The most probable s² (p,) of the effect of every column, found for one effect at a time with the others fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]

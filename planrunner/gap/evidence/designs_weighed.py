@@ -1,8 +1,8 @@
-"""Designs weighed: what a channel's whitened coefficients, free of the nominal parameters, say along the columns of a design.
+"""Evaluation of designs on the whitened coefficients of a channel, with the nominal parameters projected out.
 
-Evidence needs no more of a design than the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both come from the
-few rows that a design acts on: with Y its whitened rows and B an orthonormal basis of the nominal columns, the Gram matrix is
-YᵀY − (BᵀY)ᵀ(BᵀY), and the score Yᵀr, as the residual r has no part along B.
+The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both follow from the
+few rows on which a design acts: with Y its whitened rows and B an orthonormal basis of the nominal columns, the Gram matrix is YᵀY −
+(BᵀY)ᵀ(BᵀY), and the score is Yᵀr, because the residual r has no component along B.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from planrunner.gap.evidence.weighing import ChannelWeights
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 Eigen = tuple[Array, Array]  # eigenvalues (n,) and squared scores (n,)
-_NOTHING = 1e-6  # of a unit vector: less of a nominal direction is left by rounding alone
+_NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
 
 
 class Left:
-    """A channel under one setting of the noise, or what is left of it when some rows of its coefficients are open to anything.
+    """A channel under one setting of the noise, possibly without some rows of its coefficients.
 
-    rows: (M,), those left. basis: (M, q), orthonormal, of the whitened nominal columns on them; residual: (M,); both zero elsewhere.
+    rows: (M,), the remaining rows. basis: (M, q), orthonormal, of the whitened nominal columns on them; residual: (M,); both zero
+    elsewhere.
     """
 
     def __init__(self, weight: ChannelWeights, rows: Rows, basis: Array, residual: Array):
@@ -32,8 +33,8 @@ class Left:
         return cls(weight, np.ones(len(weight.residual), dtype=bool), weight.basis, weight.residual)
 
     def without(self, taken: Rows) -> Left:
-        """Without some rows: nominal parameters are then determined by the others. Those of order 0 are whitened jointly and go all
-        together."""
+        """The channel without some rows; the others then determine the nominal parameters. Rows of order 0 are whitened jointly and are
+        removed together."""
         rows = self.rows & ~taken
         basis, size, _ = np.linalg.svd(self.basis * rows[:, None], full_matrices=False)
         basis = basis[:, size > _NOTHING]
@@ -41,14 +42,16 @@ class Left:
         return Left(self.weight, rows, basis, residual - basis @ (basis.T @ residual))
 
     def whitened(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Columns (n, P) in some rows (n,), zero in all others: rows that they act on once they are whitened, and they there."""
+        """For columns (n, P) in some rows (n,), zero elsewhere: the rows on which they act after whitening, and their whitened values
+        there."""
         at, whitened = self.weight.whitened_rows(columns, rows)
         here = self.rows[at]
         return (at, whitened) if here.all() else (at[here], whitened[here])
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Of a design: columns (M, P), or rows (M,) each of which is a column by itself. Empty where nothing of it is seen."""
+    """Eigenvalues and squared scores of a design: columns (M, P), or rows (M,) that are each a separate column. Empty if the design has
+    no visible part."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)

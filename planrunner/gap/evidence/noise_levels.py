@@ -1,7 +1,7 @@
-"""White noise and resolution beside what is declared: the evidence for the effects that act on the noise alone.
+"""Evidence for the effects that act only on the noise: white noise and resolution, compared with their declarations.
 
-A declaration can be wrong: with four chances in five it holds within some per cent, with one in five it is off by up to a factor of two, in
-all channels alike or in each triad by its own. Only what goes beyond that, or stands in the gyros alone, speaks for excess noise.
+A declaration can be wrong: with probability 0.8 it is correct within a few per cent, and otherwise wrong by up to a factor of two, equally
+in all channels or differently in each triad. Only larger deviations, or deviations of the gyros alone, are evidence of excess noise.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_e
 from planrunner.observation.lattice import COARSER, coarsening, seen_levels
 
 Array = NDArray[np.float64]
-HOLDS = 0.02  # standard deviation of the logarithm of a declaration that holds
+HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
-CERTAIN = 60.0  # log of the odds that a lattice of counts is, or is not, there
+CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not seen
 
 
 def counts(observed: Observed) -> Array:
-    """The count (K,) that each channel's values are multiples of, the declared one where none is seen to be coarser."""
+    """The count (K,) of each channel, of which all values are multiples; the declared count unless a coarser one is found."""
     found = []
     for index, channel in enumerate(observed.channels):
         step = channel.resolution
@@ -38,7 +38,7 @@ def counts(observed: Observed) -> Array:
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[str, float]:
     """Log densities of the white levels under 'declared', 'white' (excess in the gyros) and 'resolution' (a coarser count explains it).
 
-    A count that the noise does not dither leaves no white level to compare: that of the gyros then counts as declared.
+    If the noise does not dither the count, there is no white level to compare; the level of the gyros then counts as declared.
     """
     gyro, counted = _excess(observed, white, degrees, None), _excess(observed, white, degrees, steps)
     if any(steps[c] > 2 * observed.channels[c].white * np.sqrt(observed.sample_rate) for c in observed.of_kind("gyro")):

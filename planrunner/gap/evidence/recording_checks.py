@@ -1,6 +1,6 @@
-"""What a recording must be like to be diagnosed: findings in words before anything is computed.
+"""Checks of a recording before its diagnosis, as findings.
 
-An error where a diagnosis would say nothing or something false; a warning where it can go on but the user should know.
+A finding is an error if a diagnosis would be empty or wrong; it is a warning if the diagnosis can continue but the user should know.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ Array = NDArray[np.float64]
 INTERVALS = 1.5
 """A step in time longer than this many sample intervals is a gap; shorter ones are jitter."""
 RATE_TOLERANCE = 0.1
-"""A segment sampled faster or slower than declared by more than this has another clock."""
+"""Relative deviation from the declared sample rate above which a segment has a wrong clock."""
 PRESENT = 0.9
-"""A segment with less of its planned dwell is short; with less of its rows usable, poor."""
+"""Fraction of the planned dwell below which a segment is short; fraction of usable rows below which it is poor."""
 STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
-"""A plan moves a channel when its stimulus scatters by more than this over the segments (rad/s, m/s²): only there can a misfit be seen."""
+"""Scatter of a channel's stimulus over the segments (rad/s, m/s²) above which a misfit can be seen."""
 MISFIT = 0.5
-"""The nominal model does not fit at all where it leaves more than this share of what the plan put in, or fits by a matrix that is farther
-than this from identity: no sensor's scale factors and misalignments are."""
+"""The nominal model does not fit if its residual exceeds this share of the planned input, or if its matrix differs from identity by more
+than this, which no scale factors and misalignments explain."""
 OTHER_NOISE = 5.0
-"""Noise so many times larger or smaller than declared is a wrong figure or a broken channel, and no matter of evidence."""
+"""Ratio of noise to its declaration, or the inverse, above which the figure is wrong or the channel is defective."""
 
 POSE_PARAMETERS = 9
 """Three biases, scale factors and non-orthogonalities: all that |f| = g can determine."""
@@ -59,7 +59,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Whether anything can be held out, and whether the nominal model fits at all, by segment means."""
+    """Checks, by segment means, if segments can be held out and if the nominal model fits."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)
@@ -206,7 +206,7 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
 
 
 def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
-    """Channels of the sensor that stand still, have no noise, or reach their full scale."""
+    """Channels of the sensor that are constant, have no noise, or reach their full scale."""
     for name, text in recording[0].units.items():
         known = [item for item in recording if name in item.statistics.channels and item.statistics.count > 1]
         output = sensor.output(name)

@@ -1,4 +1,4 @@
-"""Slow noise between segments: exact covariances of segment means, and spectra for what is left within a segment.
+"""Slow noise between segments: exact covariances of segment means, and spectra for the rest within a segment.
 
 Flicker is a sum of Ornstein–Uhlenbeck processes one octave apart (Keshner, "1/f noise", Proc. IEEE 70, 1982); a random walk has the
 covariance q²·min(t, t'). Both are averaged over the segments in closed form.

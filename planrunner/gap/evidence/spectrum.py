@@ -1,9 +1,10 @@
-"""The recording as a diagnosis weighs it: per segment and channel a few exact coefficients, and the energy of all the rest by band.
+"""The recording in the form used by a diagnosis: a few exact coefficients per segment and channel, and the energy of the rest by frequency
+band.
 
 The coefficients of a segment are those of an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean) and
-the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). Deterministic effects live in
-that span; what is outside is noise, or a tone, and is kept as energies of DCT-II bands. Samples that stand far outside the noise are
-replaced by the fit, and counted: one spike would spread over all coefficients.
+the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). Deterministic effects are in
+that span. The rest is noise, or a tone, and is kept as energies of DCT-II bands. Outliers far outside the noise are replaced by the fit and
+counted, because one spike would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from planrunner.plan.schedule import Rest, Rock, Spin
 Array = NDArray[np.float64]
 LOW_ORDERS = 5
 BANDS = 6
-_DEPENDENT = 0.05  # of its length that a harmonic must keep beside the lower orders
+_DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,10 @@ class SpectralBasis:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """M coefficients of all segments and what is left. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
+    """M coefficients of all segments, and the remainder. segment, frequency, harmonic: (M,). means: (S,), their index of order 0.
     values: (M, K), SI·√samples. energy: (S, B, K), SI², of the DCT-II of the remainder in bands, with `count` (S, B) coefficients.
-    remainder: (N, K), samples less what the basis holds. spikes: (K,), samples replaced. Means over bins of k samples count √k-fold in
-    all of these, so that their white noise is that of a sample."""
+    remainder: (N, K), samples minus their components in the basis. spikes: (K,), samples replaced. Means over bins of k samples count
+    √k-fold in all of these, so that their white noise is that of a sample."""
 
     bases: tuple[SpectralBasis, ...]
     segment: NDArray[np.int64]
@@ -55,7 +56,7 @@ class Spectrum:
     spikes: NDArray[np.int64]
 
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
-        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments in which they are asked for, all without it."""
+        """The coefficients (M, P) of columns of samples (N, P). acting: (S,), segments to compute; by default all."""
         made, roots = [], _roots(observed)
         if acting is None or acting.all():
             made = [
@@ -106,7 +107,7 @@ def basis_of(observed: Observed, index: int) -> SpectralBasis:
 
 
 def _shared(known: dict[tuple[int, int, object], SpectralBasis], observed: Observed, index: int) -> SpectralBasis:
-    """The basis of a segment, made once for all that last as long and stand still."""
+    """The basis of a segment, made once for all segments at rest with the same length."""
     motion = observed.motions[index]
     if not isinstance(motion, Rest):
         return basis_of(observed, index)
@@ -128,7 +129,7 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 
 def spectrum(observed: Observed, reference: Array) -> Spectrum:
-    """The spectrum of what is left of the samples after `reference`, (N, K), the nominal simulation."""
+    """The spectrum of the samples minus `reference`, (N, K), the nominal simulation."""
     from scipy.fft import dct
 
     known: dict[tuple[int, int, object], SpectralBasis] = {}
@@ -201,7 +202,7 @@ def _robust(vectors: Array, samples: Array, smallest: Array) -> tuple[Array, Arr
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
     """White standard deviation of a sample (K,) and the degrees of freedom (K,) behind it, from the upper bands of segments at rest.
 
-    Where no segment rests, from all. The upper two bands: from an eighth … of the sampling rate on, above every slow process.
+    If no segment is at rest, from all. Uses the upper two bands, which begin at an eighth of the sampling rate, above all slow processes.
     """
     still = np.array([not isinstance(motion, Spin | Rock) for motion in observed.motions])
     chosen = still if still.any() else np.ones(len(observed), dtype=bool)

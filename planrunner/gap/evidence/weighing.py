@@ -1,8 +1,8 @@
-"""Weighing: coefficients whitened by the noise and freed of the nominal parameters.
+"""Weighing: coefficients whitened by the noise, with the nominal parameters projected out.
 
 A setting of the noise is a level of flicker and of random walk for each triad. For every setting each channel's coefficients are whitened
-(order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. What is left
-is compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+(order 0 jointly over the segments, the others one by one) and the nominal parameters, with a flat prior, are projected out. The rest is
+compared by the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
 
 Nominal parameters that a recording cannot separate (gravity that never lies along an axis, one orientation only, poses in unknown
 orientations) have the same columns as others, or none. They are made independent first: what they absorb is their common span, and no
@@ -27,13 +27,13 @@ Array = NDArray[np.float64]
 FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
 WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
-"""Levels of an undeclared random walk, as the energy that they let expect in the segment means of the triad."""
+"""Levels of an undeclared random walk, as their expected energy in the segment means of the triad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Noise of one triad: flicker in declared levels, and a random walk, SI/√s, the same in all axes or the scale of their own. prior:
-    among settings with, or without, a walk."""
+    """Noise of one triad: flicker in units of the declared level, and a random walk, SI/√s: either its density in all axes, or the scale
+    of separate densities. prior: among settings with, or without, a random walk."""
 
     flicker: float
     walk: float
@@ -42,7 +42,7 @@ class Setting:
 
 
 def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
-    """The settings of a triad: walks for gyros only, factors of the flicker where one is declared."""
+    """The settings of a triad: random walks for gyros only, factors of the flicker if it is declared."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)
@@ -64,8 +64,8 @@ def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, ki
 
 
 def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
-    """Energy that a random walk of unit density lets expect in one channel's segment means, beside white noise, declared flicker and a
-    constant."""
+    """Expected energy of a random walk with unit density in the segment means of one channel, in addition to white noise, declared
+    flicker and a constant."""
     noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
     walk = inverse @ slow.random_walk @ inverse.T
@@ -91,7 +91,7 @@ def rounding_variance(count: float, sigma: float) -> float:
 
 
 def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]) -> tuple[list[ChannelWeights], Array]:
-    """A channel's weights and log likelihood (G,), also where the walks of a triad have one scale but each axis a density of its own.
+    """Weights and log likelihood (G,) of a channel, also for random walks of a triad with a common scale but separate densities per axis.
 
     Given the scale q an axis's density is |N(0, q²)|: the likelihood is the mean over the levels under that prior, and the weights are
     those of the likeliest level. That level is estimated from data with any effect that is present: beside a strong one walks of one
@@ -116,8 +116,8 @@ def _mates(one: Setting, other: Setting) -> bool:
 
 
 class ChannelWeights:
-    """One channel under one level of flicker, in declared ones, and of a random walk: `whiten` takes coefficients (M, …) to unit noise,
-    `project` also frees them of the nominal parameters.
+    """One channel under one level of flicker, relative to the declared level, and of a random walk. `whiten` scales coefficients (M, …) to
+    unit noise; `project` also projects out the nominal parameters.
 
     log_likelihood: REML of the data without any effect. basis: (M, q), orthonormal, of the whitened nominal columns. scale: (M,), of the
     coefficients that are whitened one by one: all of them where there is no slow noise, else those above order 0.
@@ -184,7 +184,7 @@ class ChannelWeights:
         return out
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """What takes some rows (M,) of coefficients, (n,) or (n, P), to unit noise: the means jointly, the others one by one."""
+        """The function that whitens some rows (M,) of coefficients, (n,) or (n, P): the means jointly, the others one by one."""
         chosen = np.flatnonzero(rows)
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
@@ -241,7 +241,7 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P) that columns are made of. places: index of a column, its channel, and which of the table it is; acting:
+    """A table of samples (N, P) that several columns share. places: index of a column, its channel, and its index in the table; acting:
     segments in which any of them acts."""
 
     table: Array
@@ -261,11 +261,11 @@ def _table(part: Array) -> tuple[Array, int]:
 
 
 DEPENDENT = 1e-8
-"""Singular value, of columns of unit length and relative to the largest, below which a direction is no direction of its own."""
+"""Singular value, of columns of unit length and relative to the largest, below which a direction counts as dependent."""
 
 
 def independent(columns: Array) -> Array:
-    """The columns (M, q) as they are where they are independent; else as many combinations (M, r) as span the same space."""
+    """The columns (M, q) unchanged if they are independent; otherwise combinations (M, r) that span the same space."""
     size = np.linalg.norm(columns, axis=0)
     used = columns[:, size > 0] / size[size > 0]
     left, values, _ = np.linalg.svd(used, full_matrices=False)

@@ -1,7 +1,7 @@
-"""Bursts: windows of some seconds in which a bias stands off or the noise is larger, here and there in a run.
+"""Bursts: windows of some seconds with a shifted bias or larger noise, at random times in a run.
 
-Every window holds a burst with the same small chance. Windows are cut from what lies outside the span of the coefficients, and that span
-takes a part of each. What most windows of segments that last alike show is no burst: slow noise, or more of it than declared.
+Every window has a burst with the same small probability. Windows are taken from the remainder outside the span of the coefficients, which
+removes a part of each. A deviation that appears in most windows of segments with equal length is not a burst but slow noise.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from planrunner.plan.schedule import Rest, Spin
 Array = NDArray[np.float64]
 BURSTS = "bursts"
 LENGTHS = (1.0, 2.0, 4.0)  # s
-CHANCES = (0.005, 0.02, 0.08)  # of a window to hold a burst
+CHANCES = (0.005, 0.02, 0.08)  # probability of a burst in a window
 ENERGIES = np.geomspace(4.0, 4000.0, 12)  # of a burst in one channel, in units of the noise
 FEWEST = 16  # windows of segments that last alike, and samples of one
-KEPT = 0.5  # share of a standing-off bias that the coefficients must leave
+KEPT = 0.5  # share of a shifted bias that must remain outside the coefficients
 _MEDIAN = 0.4549  # of the square of a normal variable
 
 

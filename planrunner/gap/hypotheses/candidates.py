@@ -1,4 +1,4 @@
-"""The candidates weighed: for every effect the evidence for each of its forms, and what the nominal parameters leave of it."""
+"""Evaluation of the candidates: the evidence for each form of every effect, and its share that the nominal parameters do not absorb."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from planrunner.gap.evidence.weighing import (
 from planrunner.plan.model import NOMINAL_TERMS
 
 Array = NDArray[np.float64]
-ABSORBED = 1e-4  # of a signature's energy: what nominal parameters leave of an effect that they hold but for rounding
+ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
 _FORMS = 5
 
@@ -81,7 +81,7 @@ class Candidate:
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def likely_forms(self) -> list[tuple[Weighed, float]]:
-        """The likeliest forms, at most `_FORMS`, and how the effect's probability is shared among them."""
+        """The likeliest forms, at most `_FORMS`, and their shares of the effect's probability."""
         best = sorted(self.variants, key=lambda weighed: -float(weighed.log_bayes.max()))[:_FORMS]
         evidence = np.array([float(weighed.log_bayes.max()) for weighed in best])
         share = np.exp(evidence - evidence.max())
@@ -94,7 +94,7 @@ class Candidate:
 
     @property
     def shape_cost(self) -> float:
-        """log of what averaging over the shape costs against the best shape at the first setting: never a gain."""
+        """log of the loss by averaging over the shape, relative to the best shape at the first setting; never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
@@ -103,7 +103,7 @@ class Candidate:
 
 
 class Weighing:
-    """The recording with its noise and its nominal model, ready to be asked about effects.
+    """The recording with its noise and its nominal model, prepared for the evaluation of effects.
 
     Settings of both triads are combined: index = gyro setting × accelerometer settings + accelerometer setting.
     """
@@ -237,7 +237,7 @@ class Weighing:
         first: Sequence[Array],
         raw: Sequence[Array],
     ) -> Weighed:
-        """One variant, its columns being a `part` of all: settings of both triads combined."""
+        """One evaluated variant, whose columns are the `part` of all columns, with the settings of both triads combined."""
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
         score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)
@@ -257,7 +257,7 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 
 
 def simulated(observed: Observed, nominal: Sequence[str]) -> Array:
-    """What the nominal simulation gives before any parameter is fitted, (N, K), SI."""
+    """Output of the nominal simulation before any parameter is fitted, (N, K), SI."""
     omega = observed.omega if "earth_rate" in nominal else observed.omega - observed.earth_rate
     return np.column_stack(
         [

@@ -1,4 +1,5 @@
-"""Effects as candidates: their forms on each effect's grid, refined where the data are sharp and bent where the effect is strong."""
+"""Effects as candidates: their forms on the grid of each effect, refined where the evidence has a sharp peak, and nonlinear where the
+effect is strong."""
 
 from __future__ import annotations
 
@@ -15,9 +16,9 @@ from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
 
 Array = NDArray[np.float64]
-_REFINE = 8.0  # log BF from which on a shape is worth refining
-_BENT = 30.0  # log BF from which on an effect may bend the fit of the nominal parameters
-_SETTLING, _GAINED = 8, 1.0  # times that these are fitted anew at most; nats that make another time worth it
+_REFINE = 8.0  # log BF at and above which a shape is refined
+_BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
+_SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justifies another one
 
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
@@ -44,7 +45,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """A strong effect that is not linear, by its secants at its most probable amplitudes, as long as those explain more."""
+    """A strong nonlinear effect, by its secants at the most probable amplitudes, repeated as long as they explain more."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -58,8 +59,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _settled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """A strong effect on the output looked for where the output was: the nominal parameters are fitted beside its best form, and it is
-    weighed anew on what they give, as long as that explains more."""
+    """A strong effect on the output, searched for at the fitted output: the nominal parameters are fitted together with its best form,
+    and the effect is evaluated again with the result, as long as that explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes.max()))
         seen = replace(weighing.observed, fitted=weighing.fitted([raw[:, 0] for raw in best.raw]))
@@ -81,8 +82,8 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
     """Shapes between those of the grid, around the best, and the evidence by the trapezoidal rule, every interval of the grid
     having the same prior.
 
-    Three rounds put four values between each neighbour and the best: the peak of an effect at a hundred standard deviations is
-    that sharp.
+    Three rounds add four values between the best shape and each neighbour, enough for the sharp peak of an effect at a hundred standard
+    deviations.
     """
     have = {float(item.variant.shape or 0.0): item for item in coarse}
     grid = np.array(sorted(have))

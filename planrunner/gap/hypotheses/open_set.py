@@ -1,9 +1,9 @@
-"""Competitors that are nobody's effect, so that a diagnosis can say "something that the catalogue does not hold".
+"""Competitors outside the catalogue, so that a diagnosis can report "something that the catalogue does not hold".
 
 Each is a pattern of the whitened residual: offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ
 at random from segment to segment, or change smoothly with rate, gravity, temperature or time, in one channel or in a triad; one odd
-segment; a bias that repeats itself; more noise in one band; bursts; and a tone that keeps its phase over the whole run. They are weighed
-like effects, one by one and several at once.
+segment; a periodic bias; more noise in one band; bursts; and a tone that keeps its phase over the whole run. They are evaluated like
+effects, individually and in combination.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from planrunner.gap.hypotheses.repeating import PERIODIC, Repeating
 from planrunner.plan.schedule import Rest, Spin
 
 Array = NDArray[np.float64]
-PLAIN = 8.0  # nats of one sort from which on the others are weighed on what it leaves
+PLAIN = 8.0  # nats of one sort at and above which the others are evaluated on the remainder
 SPANNING = (PERIODIC, CHANGING)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 
@@ -66,7 +66,7 @@ def competitors(weighing: Weighing) -> Kinds:
 
 
 def unknown(kinds: Kinds) -> Array:
-    """log BF (G,) of "something else": the mean over its kinds, and over several of them at once."""
+    """log BF (G,) of "something else": the mean over its kinds and over combinations of them."""
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
 
 
@@ -77,11 +77,11 @@ def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
 
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[str, Array]) -> float:
-    """log BF of patterns of several sorts at once, each sort there or not with even odds. One cause far from the catalogue often shows in
-    more than one.
+    """log BF of patterns of several sorts together, each sort present with probability ½. A cause outside the catalogue often appears in
+    more than one sort.
 
-    Sorts live in coefficients that have nothing in common but the nominal parameters: what a strong sort does to those is seen in all
-    others. So the strongest is weighed first and the others on what they say without its coefficients, until what is left is weak.
+    The coefficients of different sorts share only the nominal parameters, so a strong sort affects all others through these. Therefore the
+    strongest is evaluated first, and the others without its coefficients, until the rest is weak.
     """
     left, total = _by_sort(found), 0.0
     while True:
@@ -111,7 +111,7 @@ def _by_sort(found: dict[str, Array]) -> dict[str, float]:
 
 
 def _maybe(log_bayes: float) -> float:
-    """log BF of what is there with even odds."""
+    """log BF of a pattern that is present with probability ½."""
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
@@ -177,7 +177,7 @@ def _outside(weighing: Weighing) -> dict[str, Array]:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """One segment's means of all channels stand off, whichever it is."""
+    """The means of all channels deviate in one segment, whichever it is."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)

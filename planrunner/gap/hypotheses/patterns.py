@@ -1,4 +1,4 @@
-"""Patterns of the coefficients that are nobody's effect: what "something else" could look like, as designs.
+"""Patterns of the coefficients outside the catalogue: possible forms of "something else", as designs.
 
 Offsets, scale-like errors, transients and waveforms per turn or per rocking period that differ from segment to segment, or change smoothly
 with rate, gravity, temperature or time.
@@ -19,16 +19,16 @@ from planrunner.plan.schedule import Rest, Rock, Spin
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 PatternDesign = tuple[str, list[Array | Rows]]
-"""Name, and per channel raw columns (M, P), or rows (M,) each of which is a column by itself."""
+"""Name, and per channel raw columns (M, P), or rows (M,) that are each a separate column."""
 WHOLE = {
     "means": "offset per segment",
     "transient": "transient per segment",
     "rocking": "rocking waveform",
     **{f"{h}": f"{h} per turn, per segment" for h in (1, 2, 3)},
 }
-"""Sorts of patterns by the coefficients that they live in, each with the design that holds all of these."""
+"""Sorts of patterns by their coefficients, each with the design that contains all of these."""
 CHANGING = "offset and transient while the temperature changes"
-"""A pattern that lives in the means and within the segments alike."""
+"""A pattern that acts both on the means and within the segments."""
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
 
@@ -91,7 +91,8 @@ def sorts(weighing: Weighing) -> dict[str, Rows]:
 
 
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
-    """Designs, as `designs` gives them, of what effects of the catalogue do as well: they say where, and are not what is unknown.
+    """Designs, like those of `designs`, of patterns that effects of the catalogue also follow. They locate the gap and do not count as
+    unknown.
 
     A factor that explains a gap with few parameters is to be found beside one that needs many, so each has its plainest form here. For an
     accelerometer turning about up is the orientation that was set, whatever the angle; for a gyro the Earth's rate says otherwise.
@@ -175,7 +176,7 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 
 
 def _state(observed: Observed, segment: int, fast: bool = True) -> str:
-    """How the table moves, with how fast it turns where that is asked, and about which of the sensor's axes."""
+    """Kind of motion of the table, its rate if requested, and the sensor axis about which it turns."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
     axis = _coarse(observed.table_axis[first])
     if isinstance(motion, Spin):

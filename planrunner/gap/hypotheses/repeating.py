@@ -1,8 +1,8 @@
-"""A bias that repeats itself with a period of its own: a sine, a smooth waveform, or one with edges such as a saw-tooth.
+"""A bias with an unknown period: a sine, a smooth waveform, or a waveform with edges such as a saw-tooth.
 
-Periods reach from twice the run down to half a segment, as far as `MOST` of them go. A form is a sum of harmonics that fade as 1/order.
-A waveform with edges has many, and they hold together over the run only if its period is known well: it is weighed on a finer grid, about
-the periods that the plainer forms point at.
+Periods range from twice the run down to half a segment, at most `MOST` of them. A form is a sum of harmonics that decrease as 1/order. A
+waveform with edges has many harmonics, which stay coherent over the run only if the period is accurate. It is therefore evaluated on a
+finer grid near the likely periods of the simpler forms.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from planrunner.gap.hypotheses.candidates import Weighing
 Array = NDArray[np.float64]
 PERIODIC = "offset periodic in time"
 WAVEFORM = 4  # harmonics of a smooth one
-EDGED = 16  # harmonics of one with edges
+EDGED = 16  # harmonics of a waveform with edges
 MOST = 400  # periods that are tried at most
 CYCLES = 2  # of a segment, at the shortest period
 FINER = 8  # by which the grid about a likely period is finer
 PEAKS = 3  # likely periods of a scope
-NOTABLE = 4.0  # nats of the best period from which on edges are looked for
+NOTABLE = 4.0  # nats of the best period at and above which edges are searched for
 NODES = 24  # of a segment, at which waves are taken
 
 

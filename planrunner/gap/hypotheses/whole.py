@@ -1,8 +1,9 @@
-"""Effects that are there as a whole, at their shape alone: a lag, a delay, a dead zone, a limit.
+"""Effects that are fully determined by their shape: a lag, a delay, a dead zone, a limit.
 
-The evidence weighs them like others, with an amplitude beside the shape, which for a weak one says the same twice. Once one is named its
-shape is found exactly: amplitude 1 and, where it acts on the sensor's own output, the nominal parameters fitted beside it: fitted without,
-they take part of it, and it would be looked for where the output never was (Gauss–Newton in those parameters, a search in the shape).
+Their evidence is computed like that of others, with an amplitude in addition to the shape; for a weak effect the two are redundant. If such
+an effect is named, its shape is found exactly, with amplitude 1. If it acts on the output of the sensor, the nominal parameters are fitted
+together with it: fitted without the effect they would absorb part of it and give a wrong output (Gauss–Newton in those parameters, a search
+in the shape).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 Array = NDArray[np.float64]
 _STEPS = 20
 _ROUNDS = 15
-_DROP = 0.5  # nats beside the best: a standard deviation away
+_DROP = 0.5  # nats below the best: one standard deviation
 _TOLD = 1.0  # nats that an effect of any shape must explain beyond none
 _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
@@ -33,8 +34,8 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms about the most probable shape, in even steps of its logarithm, and how probable each is; none where the search does not
-    settle, or settles where there is nothing of the effect: what the data want is its opposite."""
+    """Forms about the most probable shape, in even steps of its logarithm, and their probabilities; none if the search does not
+    converge, or converges to no effect because the data require the opposite."""
     seen, found = weighing.observed, np.nan
     for _ in range(_STEPS):
         shape, sigma = _most_probable(weighing, effect, seen)
@@ -61,8 +62,8 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed) -> tuple[float, float]:
     """The most probable shape and the standard deviation of its logarithm: on the grid, beyond it where the best is at its edge, then
-    between the best and its neighbours until those are within a standard deviation. One that the data barely constrain is reported as far
-    as the grid goes."""
+    between the best and its neighbours until those are within a standard deviation. A shape that the data barely constrain is reported
+    up to the edge of the grid."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)
