@@ -32,6 +32,8 @@ atexit.register(shutil.rmtree, os.environ["PLANRUNNER_STATE"], ignore_errors=Tru
 settings.register_profile("planrunner", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("planrunner")
 sys.dont_write_bytecode = False
+# Hundreds of megabytes of modules and shared results are searched for circles less often.
+gc.set_threshold(20_000, 20, 20)
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
