@@ -9,6 +9,7 @@ import numpy as np
 from planrunner.archive.recording import BATCHES
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError, Remark, UnfitDataError
+from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, outliers, unchecked
 from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.observation.observations import SIGNIFICANCE
 from planrunner.plan.schedule import Segment
@@ -157,7 +158,25 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[li
             notes.append(f"{output}: the noise differs between segments, but the plan gives all the same weight.")
         elif noise.weighting == "individual":
             notes.append(f"{output}: the noise differs between segments, so each is weighted by its own.")
+    warnings += [_outlying(fit, one, basis) for one in outliers(fit, basis)]
+    if alone := unchecked(fit, basis):
+        notes.append(
+            f"The other segments hardly check {', '.join(alone)} (less than {100 * LEAST_REDUNDANCY:.0f} % of an error there "
+            "shows in the residuals): repeat these segments to be sure of them."
+        )
     return notes, warnings
+
+
+def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> str:
+    k, p = fit.outputs.index(found.output), fit.matrix.shape[1]
+    spreads = np.sqrt(np.diag(fit.covariance(basis))[k * p : (k + 1) * p])
+    moved = float(np.max(np.abs(found.changes) / spreads))
+    return (
+        f"Segment '{found.label}' does not fit the others: the mean of {found.output} lies {found.error:.3g} "
+        f"{fit.units[k]} from what they lead one to expect ({found.deviations:.3g} standard deviations; chance of that: "
+        f"{found.probability:.2g}). Without it a coefficient changes by {moved:.2g} standard uncertainties: check its "
+        "label, its planned state and its data."
+    )
 
 
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[str]:

@@ -32,7 +32,7 @@ BASES = ("residual", "within_segment")
 
 @dataclass(frozen=True, slots=True)
 class OutputsFit:
-    """m outputs fitted by p terms each from n segments.
+    """m outputs fitted by p terms each from n segments. units: of the outputs; labels: of the segments; matrix: (n, p), the terms' columns.
 
     noises: what is known from within the segments, for each output. spreads: (m, n), the standard uncertainties that the observations were
     weighted by beside the effects: the noises', or with a part between segments added (`between_segments`). between: (m,), that part.
@@ -43,6 +43,9 @@ class OutputsFit:
     """
 
     outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    matrix: Array
     fits: tuple[LinearFit, ...]
     noises: tuple[WithinSegmentNoise, ...]
     spreads: Array
@@ -153,6 +156,9 @@ def fit_outputs(
     pooled = pooled and all(noise.known for noise in noises) and not between.any()
     return OutputsFit(
         observations.channels,
+        observations.units,
+        observations.labels,
+        matrix,
         tuple(one.fit for one in found),
         tuple(noises),
         spreads,

@@ -1,0 +1,110 @@
+"""Segments that do not fit the others, and segments that nothing checks.
+
+The test is that of the mean-shift model: segment i of an output has an error δ that the others do not have, so that one column more, of a
+one at i, explains it. Its t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982,
+2.2.2; for correlated observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest of all is judged with
+Bonferroni's bound, and sought again among the others until none stands out, so that two wrong labels do not hide each other.
+
+The redundancy of a segment is the share of its error that shows in its own residual. Where it is small the segment decides a coefficient
+alone: an error of it goes into the result and leaves no trace (Baarda, ibid.).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.estimators.outputs_fit import OutputsFit
+from planrunner.observation.observations import SIGNIFICANCE
+
+Array = NDArray[np.float64]
+
+LEAST_REDUNDANCY = 0.1
+"""Below it an error must be more than three times as large as the others' to be seen (1/√0.1)."""
+_MOST = 5  # named of one output: more are no outliers but another model
+_ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are those of computing
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """error: how far the segment's mean lies from what the others lead one to expect, in the output's unit. deviations: the same in
+    standard deviations of that; probability: of one so large among all segments and outputs if nothing were wrong. changes: (p,), of the
+    output's coefficients by leaving the segment out."""
+
+    output: str
+    label: str
+    error: float
+    deviations: float
+    probability: float
+    changes: Array
+
+
+def outliers(fit: OutputsFit, basis: str) -> tuple[Outlier, ...]:
+    """Of all outputs, the most improbable first. None where the residuals have fewer than two degrees of freedom."""
+    found: list[Outlier] = []
+    for k in range(len(fit.outputs)):
+        found += _of_output(fit, k, basis)
+    return tuple(sorted(found, key=lambda one: one.probability))
+
+
+def unchecked(fit: OutputsFit, basis: str) -> tuple[str, ...]:
+    """Labels of the segments whose error would hardly show in any output's residuals; none where there are no residuals at all."""
+    if not fit.freedom:
+        return ()
+    redundancy = np.min([_Shifts.of(fit, k, basis, ()).redundancy for k in range(len(fit.outputs))], axis=0)
+    return tuple(label for label, share in zip(fit.labels, redundancy, strict=True) if share < LEAST_REDUNDANCY)
+
+
+def _of_output(fit: OutputsFit, k: int, basis: str) -> list[Outlier]:
+    from scipy.special import stdtr
+
+    found: list[Outlier] = []
+    taken: tuple[int, ...] = ()
+    least = _ROUNDING * float(np.max(np.abs(fit.matrix) @ np.abs(fit.coefficients[k])))
+    comparisons = fit.gains.shape[2] * len(fit.outputs)
+    while len(taken) < _MOST and fit.freedom - len(taken) > 1:
+        shifts = _Shifts.of(fit, k, basis, taken)
+        freedom = fit.freedom - len(taken) - 1
+        worst = int(np.argmax(shifts.drops))
+        left = (shifts.chi_squared - shifts.drops[worst]) / freedom
+        error = float(shifts.errors[worst])
+        if abs(error) <= least:
+            break
+        deviations = math.sqrt(shifts.drops[worst] / left) if left > 0 else math.inf
+        probability = min(1.0, comparisons * 2 * float(stdtr(freedom, -deviations)))
+        if probability >= SIGNIFICANCE:
+            break
+        changes = -fit.gains[k, :, worst] * error
+        found.append(Outlier(fit.outputs[k], fit.labels[worst], error, deviations, probability, changes))
+        taken = (*taken, worst)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Shifts:
+    """What one column more for each segment would do. errors, drops: (n,), its δ and by how much χ² falls, 0 for a segment that the model
+    follows whatever it reads; redundancy: (n,); chi_squared: without it."""
+
+    errors: Array
+    drops: Array
+    redundancy: Array
+    chi_squared: float
+
+    @classmethod
+    def of(cls, fit: OutputsFit, k: int, basis: str, taken: tuple[int, ...]) -> _Shifts:
+        """taken: segments that have their column already."""
+        observed = fit.observed(k, basis)
+        weights = np.linalg.inv(observed)
+        scale = np.sqrt(np.einsum("ij,ij->j", fit.matrix, fit.matrix))
+        columns = np.column_stack([fit.matrix / np.where(scale > 0, scale, 1.0), np.eye(len(observed))[:, list(taken)]])
+        weighted = weights @ columns
+        # What is left of the weights once the columns have taken theirs: χ² = yᵀ·left·y.
+        left = weights - weighted @ np.linalg.pinv(columns.T @ weighted) @ weighted.T
+        pulled, own = left @ fit.fits[k].residuals, np.diag(left)
+        redundancy = np.einsum("ij,ji->i", left, observed)
+        seen = redundancy > 1e-9
+        errors = np.where(seen, pulled / np.where(seen, own, 1.0), 0.0)
+        return cls(errors, errors * pulled * seen, redundancy, float(fit.fits[k].residuals @ pulled))
