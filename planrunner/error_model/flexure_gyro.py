@@ -48,8 +48,12 @@ def static_model(products: tuple[str, ...] = ()) -> ErrorModel:
 
 def physical_names(products: tuple[str, ...] = ()) -> tuple[str, ...]:
     """SF_X, SF_Y, epsilon, xi, D_X_F, D_X_X, …, D_Y_F, …: the twelve, and two more for each product term."""
-    drifts = (*_DRIFTS, *(PRODUCTS[name][1] for name in products))
-    return (*_GEOMETRY, *(f"D_{axis}_{drift}" for axis in "XY" for drift in drifts))
+    return (*_GEOMETRY, *(f"D_{axis}_{drift}" for axis in "XY" for drift in drifts(products)))
+
+
+def drifts(products: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """F, X, Y, Z, and one more for each product term: what each drift of an axis is proportional to."""
+    return (*_DRIFTS, *(PRODUCTS[name][1] for name in products))
 
 
 def output_names(products: tuple[str, ...] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -29,13 +29,14 @@ from recorded import from_means, segment, sensor
 from standing_unit import recorded, request, samples
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.error_model.flexure_gyro import PRODUCTS
 from planrunner.error_model.terms import error_model
 from planrunner.estimators.accelerometer import by_magnitude as accelerometer_by_magnitude
 from planrunner.estimators.accelerometer import gravity_magnitude
 from planrunner.estimators.accelerometer.accelerometer_multi_position import AccelerometerMultiPosition
 from planrunner.estimators.accelerometer.parameters import AccelerometerMultiPositionParameters
 from planrunner.estimators.allan import allan_deviation
-from planrunner.estimators.flexure_gyro.tables import describe
+from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.estimators.imu.coefficients import Response, calibration
 from planrunner.estimators.interface import Coefficient, Estimate, EstimateRequest, Setup
 from planrunner.estimators.lost_samples import lost_samples
@@ -52,7 +53,7 @@ def said_by_flexure_gyros() -> Iterator[Estimate | str]:
     zero, three = np.zeros((8, 2)), np.array([[0.1, -0.2], [0.05, 0.3], [-0.4, 0.15]])
     drift = compensation.calibrated("drift", compensation.OPTIMAL, zero)
     yield drift
-    yield from (describe(f"D_{axis}_{kind}") for axis in "XY" for kind in ("XZ", "YZ"))
+    yield from descriptions(tuple(PRODUCTS))
     other = compensation.calibrated("traditional", compensation.TRADITIONAL, zero)
     yield compensation.compare({"drift": drift, "traditional": other}, three)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from babel.messages.frontend import parse_mapping_cfg
 from babel.messages.pofile import read_po
 from test_report_page import read
 
-from planrunner.estimators.flexure_gyro.tables import describe
+from planrunner.error_model.flexure_gyro import output_names, physical_names
+from planrunner.estimators.flexure_gyro.tables import descriptions
 from planrunner.reporting import language as catalogues
 from planrunner.reporting import translated_words
 from planrunner.reporting.language import filled, languages, spoken, translations
@@ -82,9 +84,11 @@ def test_a_chinese_page_has_no_english_left() -> None:
         events=tuple((kind, "11", "12") for kind, _, _ in example.FACTS.events), simulated=False, replayed=True,
     )  # fmt: skip
     context = replace(example.context(), title="13", certificate=facts)
+    names_of_all = (*physical_names(), *chain.from_iterable(output_names()))
+    words = dict(zip(names_of_all, descriptions(), strict=True))
     estimates = []
     for item in context.estimates:
-        coefficients = [replace(one, description=describe(one.name), unit="1") for one in item.coefficients]
+        coefficients = [replace(one, description=words[one.name], unit="1") for one in item.coefficients]
         estimates.append(replace(item, name="14", estimator="15", warnings=(), coefficients=tuple(coefficients)))
     names = {
         part for item in context.estimates for one in item.coefficients for part in re.split(r"[^A-Za-z]+", one.name)

@@ -138,6 +138,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"
         )
     found: list[tuple[Reported, RowFormula]] = []
+    misalignments: list[tuple[Reported, RowFormula]] = []
     if "bias" in model.names:
         place = model.names.index("bias")
         found.append(
@@ -151,8 +152,8 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
             words = f"Component of the {letter} axis's input direction along {_AXES[direction]}"
             if axis not in seen:  # it was never along gravity: its response across, for a nominal scale factor of one
                 words += " times its scale factor"
-            found.append((Reported(f"misalignment_{letter}_{_AXES[direction]}", "mrad", words), part))
-    return sorted(found, key=lambda row: row[0].unit == "mrad")
+            misalignments.append((Reported(f"misalignment_{letter}_{_AXES[direction]}", "mrad", words), part))
+    return [*found, *misalignments]
 
 
 def _units(observations: Observations) -> list[Unit]:

@@ -223,7 +223,8 @@ def reported(
     names_u, names_v = flexure_gyro.output_names(products)
     names = (*flexure_gyro.physical_names(products), *names_u, *names_v)
     quantities = tuple(
-        Reported(name, text, tables.describe(name)) for name, (text, _) in zip(names, shown, strict=True)
+        Reported(name, text, words)
+        for name, (text, _), words in zip(names, shown, tables.descriptions(products), strict=True)
     )
     return quantities, np.array([factor for _, factor in shown])
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-_WORDS = {
-    "SF_X": "Torquer scale factor, x",
-    "SF_Y": "Torquer scale factor, y",
-    "epsilon": "Angle of the torquer's x axis to the case's x axis, ε",
-    "xi": "Angle of the torquer's y axis to the case's y axis, ξ",
-}
+from planrunner.error_model.flexure_gyro import drifts, output_names
+
+_GEOMETRY = (
+    "Torquer scale factor, x",
+    "Torquer scale factor, y",
+    "Angle of the torquer's x axis to the case's x axis, ε",
+    "Angle of the torquer's y axis to the case's y axis, ξ",
+)
 _DRIFT = {
     "F": "independent of acceleration",
     "X": "per acceleration along x",
@@ -18,15 +20,19 @@ _DRIFT = {
 }
 
 
-def describe(name: str) -> str:
-    """A coefficient's name in words."""
-    if name in _WORDS:
-        return _WORDS[name]
-    if name.startswith("D_"):
-        _, axis, kind = name.split("_")
-        sensed = "ω_Y" if axis == "X" else "ω_X"
-        return f"Drift D({axis}), {_DRIFT[kind]}; adds to {sensed}"
-    return f"Coefficient {name[1:]} of output i_{'x' if name[0] == 'U' else 'y'}"
+def descriptions(products: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """In words, in the order of `flexure_gyro.physical_names` and then of `flexure_gyro.output_names`."""
+    of_drifts = (
+        f"Drift D({axis}), {_DRIFT[kind]}; adds to {sensed}"
+        for axis, sensed in (("X", "ω_Y"), ("Y", "ω_X"))
+        for kind in drifts(products)
+    )
+    of_outputs = (
+        f"Coefficient {number} of output i_{axis}"
+        for axis, names in zip("xy", output_names(products), strict=True)
+        for number in range(len(names))
+    )
+    return (*_GEOMETRY, *of_drifts, *of_outputs)
 
 
 def determinant_note(determinant: float, condition: float, positions: int) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +14,13 @@ from planrunner.estimators.slope_units import slope_unit
 from planrunner.estimators.tilted.evaluation import ASYMMETRY, F0, NONLINEARITY, RESPONSE, Group, K
 from planrunner.estimators.tilted.influences import Situation
 from planrunner.estimators.tilted.mounting_comparison import comparison_table, scheduled_seconds, time_note
+from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.rate_lines import lowest_pair
 from planrunner.estimators.tilted.scatter import NoiseOfMeans, Scatter
 from planrunner.estimators.tilted.turning_rates import part_turns
 from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
 from planrunner.uncertainty.decision import coverage_factor
-from planrunner.uncertainty.influences import Influence
+from planrunner.uncertainty.influences import Aspect, Influence
 
 Array = NDArray[np.float64]
 Units = Sequence[tuple[Unit, Unit]]
@@ -35,7 +35,7 @@ def report(
     within: Scatter,
     noise: NoiseOfMeans,
     acting: Sequence[Influence],
-    parameters: Any,
+    parameters: ScaleFactorTiltedParameters,
 ) -> Words:
     """Tables, plots, notes and warnings."""
     spread = _spread(scatter, situation)
@@ -198,7 +198,9 @@ def _temperature_plot(situation: Situation, spread: Array) -> tuple[Plot, ...]:
 # -- words -----------------------------------------------------------------------------------------------------------
 
 
-def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], parameters: Any) -> list[str]:
+def _notes(
+    situation: Situation, scatter: Scatter, acting: Sequence[Influence], parameters: ScaleFactorTiltedParameters
+) -> list[str]:
     axes, segments = situation.conditions.axes, situation.segments
     seconds = scheduled_seconds(segments, situation.seconds)
     notes = [
@@ -221,8 +223,9 @@ def _notes(situation: Situation, scatter: Scatter, acting: Sequence[Influence], 
 
 
 def _basis_words(situation: Situation, scatter: Scatter, basis: str, acting: Sequence[Influence]) -> str:
-    word = "bias instability "
-    declared = [item.quantity.name.removeprefix(word) for item in acting if item.quantity.name.startswith(word)]
+    names_of_acting = {item.quantity.name for item in acting}
+    outputs = situation.conditions.axes.outputs
+    declared = [output for output in outputs if Aspect.BIAS_INSTABILITY.of(output) in names_of_acting]
     names = ", ".join(declared)
     if basis == "residual":
         text = "Uncertainties are based on the residuals of the rates about the line, of the means over the repeats"
