@@ -126,11 +126,16 @@ def _print_anything() -> None:
 
 
 def _imported(name: str) -> ModuleType:
-    """Import a module and its dependencies. Garbage collection is off meanwhile, because modules are permanent."""
+    """A module with all that it needs. What modules hold stays, so searching it for garbage, now and when the process ends, would only
+    take time."""
+    if name in sys.modules:
+        return sys.modules[name]
     collecting = gc.isenabled()
     gc.disable()
     try:
-        return import_module(name)
+        module = import_module(name)
+        gc.freeze()
+        return module
     finally:
         if collecting:
             gc.enable()

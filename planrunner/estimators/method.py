@@ -183,7 +183,7 @@ def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresi
     for k, item in enumerate(made[0].coefficients):
         alike = isinstance(estimator, Method) and all(_alike(item, one.coefficients[k : k + 1]) for one in made[1:])
         if alike and math.isfinite(item.value) and math.isfinite(item.standard_uncertainty):
-            predicted.append(replace(item, degrees_of_freedom=math.inf))
+            predicted.append(item)
         else:
             reason = "the planned segments do not show it" if alike else why
             unpredicted.append(Unpredicted(item.name, item.unit, reason, item.description, item.role))
@@ -242,14 +242,15 @@ def _evaluated(estimator: Estimator[P], request: DesignRequest[P], expected: Exp
 
 
 def _whole(made: Estimate) -> Estimate:
-    """With the influences added to what the data show."""
+    """With the influences added to what the data show, of which the declared noise is known without limit."""
     covariance = np.array(made.covariance, dtype=float)
     for item in merged(made.influences):
         if not item.in_scatter:
             covariance = covariance + item.covariance
     spreads = np.sqrt(np.diag(covariance).clip(min=0.0))
     coefficients = tuple(
-        replace(item, standard_uncertainty=float(u)) for item, u in zip(made.coefficients, spreads, strict=True)
+        replace(item, standard_uncertainty=float(u), degrees_of_freedom=math.inf)
+        for item, u in zip(made.coefficients, spreads, strict=True)
     )
     return replace(
         made, coefficients=coefficients, covariance=covariance, data_covariance=made.covariance, expected=True
