@@ -1,4 +1,4 @@
-"""Continuous designs: shares of the observations on each candidate, and the bound that no set of observations can pass.
+"""Continuous designs: shares of the observations on each candidate, and the bound that no set of observations can exceed.
 
 By the equivalence theorem (Kiefer & Wolfowitz, Canad. J. Math. 12, 1960) a design is D-optimal exactly when the variance
 d(x) = xᵀM⁻¹x is nowhere above p. The multiplicative algorithm (Titterington 1976; Yu, Ann. Statist. 38, 2010) raises |M| with every

@@ -1,4 +1,4 @@
-"""Searches for rotation cycles that leave nothing of a constant horizontal error, over their stops and over their turns.
+"""Searches for rotation cycles whose stops and turns each have zero residual for a constant horizontal error.
 
 `same_order` keeps the planned order of the stops and chooses which way round every turn goes, repeating the cycle with other choices where
 one round does not suffice. `free_order` chooses the order as well, with every position held as often as every other. Both return to
@@ -29,7 +29,7 @@ _ANGLE = 1e-9  # rad, or rad of mean angle: closer counts as equal
 
 
 class CycleError(ValueError):
-    """There is no cycle to be found. The message says why, for a quality engineer."""
+    """No cycle can be found. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)

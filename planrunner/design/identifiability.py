@@ -1,4 +1,4 @@
-"""Whether the planned segments can give what is to be estimated: rank, condition, and the terms that cannot be separated."""
+"""Identifiability of coefficients from the planned segments: rank, condition, and the terms that cannot be separated."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The positions of a plan that a design may move: which segments rest there, and what an estimate would see at any other attitude.
+"""The positions of a plan that a design may move: the segments at rest there, and the response of an estimate at any other attitude.
 
-A place is one orientation as the plan writes it; segments that share it (repeats, temperatures) move together. What a position adds to
-the information is asked of the estimator itself, at rest, so that nothing here knows any sensor.
+A place is one orientation as the plan writes it; segments that share it (repeats, temperatures) move together. The estimator itself gives
+the information of a position at rest, so this module does not depend on any sensor.
 """
 
 from __future__ import annotations

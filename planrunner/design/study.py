@@ -1,4 +1,4 @@
-"""A design study: what is asked of it, what its search finds, and what it shows.
+"""A design study: its options, the result of its search, and its output.
 
 Positions, rates and cycles are three sorts of study. Each has a search (`planrunner.tasks.design_positions` and so on), which gives a
 `Found…`, and its facts, tables and pictures (`planrunner.reporting.positions_study` and so on), which make it a `Study`. From there on
@@ -29,8 +29,8 @@ SearchProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What a study is asked for; each sort looks at its options alone. estimate: by default the first that can be designed. criterion: D,
-    A, G or I, of rates D or A. time: s, the whole plan's; dwells are allotted within it.
+    """Options of a study; each kind uses only its own options. estimate: by default the first that can be designed. criterion: D, A, G or
+    I, of rates D or A. time: s, the whole plan's; dwells are allotted within it.
 
     Of positions, output: which to design for, where outputs differ; orientations: which set goes into the plan, free, cardinal or planned;
     restarts, seed: of the free search. Of rates, rates: design them, whatever else could be; line_only: the estimator's own terms alone;

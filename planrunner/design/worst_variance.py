@@ -1,4 +1,4 @@
-"""G-optimal sets: the worst variance of a predicted output over a region as small as can be.
+"""G-optimal sets: sets with the smallest worst variance of a predicted output over a region.
 
 The worst variance has no slope where two places are equally bad, so a local search takes the k-norm of the variances instead, for rising
 k: its weighting of the region is that of a linear criterion tr(W·M⁻¹), and W moves to the worst places as k grows. For lists of

@@ -1,3 +1,3 @@
-"""Estimators: one file an estimator, with a folder around it where it has parts; each turns a recording into coefficients with covariance.
+"""Estimators: one file per estimator, or a folder if it has several parts. Each turns a recording into coefficients with covariance.
 
-What several share lies here; a folder is named for what it estimates and holds one or two estimators and their parts."""
+Common parts are in this folder. A subfolder is named after its subject and contains one or two estimators with their parts."""

@@ -1,4 +1,4 @@
-"""Which basis of uncertainty the data can give, and what either says about the other: notes and warnings for the report."""
+"""Checks of the two bases of uncertainty and of their consistency: notes and warnings for the report."""
 
 from __future__ import annotations
 

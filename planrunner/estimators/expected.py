@@ -1,4 +1,4 @@
-"""The recording that a schedule leads one to expect: segments with the means of a nominal sensor and the noise that is declared.
+"""The recording expected from a schedule: segments with the means of a nominal sensor and the declared noise.
 
 An estimator's own formula on it gives every coefficient that a run will give, at its nominal value (`planrunner.estimators.method`). What
 neither plan nor bench says is assumed, in one of two ways: a coefficient that both ways give alike does not rest on it.

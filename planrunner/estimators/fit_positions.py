@@ -1,4 +1,4 @@
-"""The fit that estimators from positions share, weighted by the noise within them, declared flicker and what the table has wrong."""
+"""The fit for estimators from positions, weighted by the noise within positions, declared flicker and declared errors of the table."""
 
 from __future__ import annotations
 

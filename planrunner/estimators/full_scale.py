@@ -1,7 +1,7 @@
-"""Whether planned rates reach the outputs that are fitted, and whether they go beyond what these can show.
+"""Checks if planned rates act on the fitted outputs and stay within their full scale.
 
-A saturated output bends the line that its scale factor comes from; one whose input axis stands across the rotation axis shows its
-misalignment alone.
+A saturated output bends the line from which its scale factor is computed; an output with its input axis perpendicular to the rotation axis
+shows only its misalignment.
 """
 
 from __future__ import annotations

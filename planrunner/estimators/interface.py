@@ -1,4 +1,4 @@
-"""What an estimator is given and what it returns.
+"""Input and output of estimators.
 
 An estimator is a class found through the entry-point group `planrunner.estimators`:
 
@@ -8,8 +8,8 @@ An estimator is a class found through the entry-point group `planrunner.estimato
         def design(self, request: DesignRequest[MyParameters]) -> Design | None      # before anything moves
         def estimate(self, request: EstimateRequest[MyParameters]) -> Estimate       # from the recording
 
-Which coefficients `estimate` will give, and how well they will be known, `planrunner.estimators.method` finds out by the estimator's own
-formula. Values in an `Estimate` are in the field's units, each named.
+`planrunner.estimators.method` predicts the coefficients of `estimate` and their uncertainties with the estimator's own formula. Values in
+an `Estimate` are in the field's units, each named.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Coefficient:
 
 
 class Role(StrEnum):
-    """What the cells of a table's column are. Reports round, align and word cells by it, never by a title.
+    """Kind of the cells of a column. Reports round, align and word cells by it, never by a title.
 
     A `VALUE` is rounded by the first uncertainty column to its right, and shown in five digits where there is none; a `NUMBER` is set or
     stated and has no uncertainty. A number of the role `SHARE` is a fraction of 1, shown in percent. `LABEL` is text.
@@ -85,7 +85,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Unpredicted:
-    """A coefficient that a run will give, or may give, of which no uncertainty can be predicted: `why`, for a quality engineer."""
+    """A coefficient that a run will give, or may give, whose uncertainty cannot be predicted. why: the reason."""
 
     name: str
     unit: str
@@ -142,7 +142,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients, their covariance (m, m) in the products of their units, and what a reader needs to judge them.
+    """Coefficients, their covariance (m, m) in the products of their units, and the information needed to judge them.
 
     An estimator gives the covariance that its data show (type A) and the `influences` that they do not; the analysis adds these up, so
     that coefficients and covariance hold both, and writes the `budgets`.
@@ -184,8 +184,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """How the sensor is tested, beside site and sensor: the table, the fixture that it is mounted in, what is stated of uncertainties,
-    the information on this run (name → text), and whether the bench plays back a recording."""
+    """The test set-up except site and sensor: the table, the fixture that it is mounted in, what is stated of uncertainties, the
+    information on this run (name → text), and whether the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)
@@ -242,7 +242,7 @@ class DesignBlock:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """What an estimator finds wrong or doubtful in planned segments; `check` prints it as a finding at `key` of the estimate.
+    """An error or doubt of an estimator about planned segments; `check` prints it as a finding at `key` of the estimate.
 
     code: such as `physics-release`, listed in docs/findings.md. error: the plan must not run so. conditions: it says why the fit is
     ill-conditioned, which is then not said again.

@@ -1,4 +1,4 @@
-"""The picture that every linear fit shows: residuals with the uncertainty that the noise within the segments gives them."""
+"""The plot of every linear fit: residuals with the uncertainty that the noise within the segments gives them."""
 
 from __future__ import annotations
 

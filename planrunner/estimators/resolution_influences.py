@@ -1,4 +1,4 @@
-"""How coefficients follow the resolution of the outputs that they come from.
+"""Influence of the resolution of outputs on coefficients.
 
 Listed in budgets and never added: rounding that noise does not dither is in the standard errors of the means (see `observations`), and
 rounding that it does dither is in the scatter of the samples.

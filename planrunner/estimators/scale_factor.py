@@ -87,7 +87,7 @@ class ScaleFactorParameters(Record):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineQuantities(Quantities):
-    """rates: (n,), rad/s. common: whether the plan states what all rates have wrong alike."""
+    """rates: (n,), rad/s. common: whether the plan states an error common to all rates."""
 
     observations: Observations
     rates: Array

@@ -1,4 +1,4 @@
-"""What a table does to each observation in its own way: positions, azimuth, right angles between its axes, and rates.
+"""Errors of a table that differ between observations: positions, azimuth, right angles between its axes, and rates.
 
 All of it makes segments scatter about a model, so that it belongs to the weights of a fit (`correlated_errors`). How far it moves an
 output depends on that output's coefficients. Signs are those of a stated value that is too large; of positions, those of the turn.

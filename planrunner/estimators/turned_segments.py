@@ -1,4 +1,4 @@
-"""Segments of a sensor that stands turned against what was planned: how observations follow errors of azimuth and of position."""
+"""Segments of a sensor that is rotated relative to the plan: sensitivity of observations to errors of azimuth and position."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Instruments: what they can do (`interfaces`), what the planner knows of them (`models`), and one file an instrument."""
+"""Instruments: their capabilities (`interfaces`), their models for planning (`models`), and one file per instrument."""

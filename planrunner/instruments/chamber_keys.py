@@ -10,7 +10,7 @@ from planrunner.plan.units import ZERO_CELSIUS
 
 
 class ChamberKeys(Record):
-    """What a chamber is, for whoever plans for it."""
+    """Keys common to all chambers, used for planning."""
 
     lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature of the chamber.", "-55 degC")
     highest: Quantity = key(QuantityOf("temperature"), "Highest temperature of the chamber.", "85 degC")

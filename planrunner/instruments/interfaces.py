@@ -1,4 +1,4 @@
-"""What an instrument can do: small protocols; a driver fills those that it can.
+"""Capabilities of instruments as small protocols; a driver implements those that apply.
 
 A driver is a class found through the entry-point group `planrunner.instruments`:
 
@@ -11,9 +11,9 @@ A driver is a class found through the entry-point group `planrunner.instruments`
         @classmethod
         def connect(cls, parameters, surroundings) -> MyTable
 
-Commands return at once with the seconds they are expected to take; the executor waits on its clock and asks `holding()`.
-To connect is not to command: an instrument that is only connected is closed again as it was found. Every failure is an `InstrumentError`;
-whatever happens, the executor then calls `make_safe` on every instrument that it commanded.
+Commands return at once with the seconds they are expected to take; the executor waits on its clock and asks `holding()`. Connecting is not
+commanding: an instrument that is only connected is closed unchanged. Every failure is an `InstrumentError`; the executor then calls
+`make_safe` on every instrument that it commanded.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ Array = NDArray[np.float64]
 
 
 class InstrumentError(Exception):
-    """An instrument did not do what was asked. The message says which, what and what to look at."""
+    """An instrument did not execute a request. The message names the instrument, the problem and what to check."""
 
 
 class UnservedError(InstrumentError):
-    """A schedule cannot be served. findings: everything that stands against it."""
+    """A schedule cannot be served. findings: all reasons."""
 
     def __init__(self, findings: Sequence[Finding]):
         self.findings = tuple(findings)
@@ -49,7 +49,7 @@ class UnservedError(InstrumentError):
 
 
 class Clock(Protocol):
-    """Time for whoever must not know whether it is simulated."""
+    """Time for code that must not depend on whether it is simulated."""
 
     def now(self) -> float:
         """Seconds since the run began."""
@@ -59,7 +59,7 @@ class Clock(Protocol):
 
 @runtime_checkable
 class Attends(Protocol):
-    """A clock that looks after something else while it sleeps."""
+    """A clock that calls back while it sleeps."""
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
         """Call `callback` during sleeps; it returns whether to end the sleep. None: call nothing."""
@@ -67,23 +67,23 @@ class Attends(Protocol):
 
 @runtime_checkable
 class Hastens(Protocol):
-    """A clock that runs `speed` times as fast as real time, for a bench whose simulated instruments do so."""
+    """A clock that runs `speed` times as fast as real time, for a bench of simulated instruments at that speed."""
 
     speed: float
 
 
 @runtime_checkable
 class Closes(Protocol):
-    """Something that holds resources, such as a stream of samples that is left before its end."""
+    """An object that holds resources, such as a stream of samples that is abandoned before its end."""
 
     def close(self) -> None: ...
 
 
 @dataclass(slots=True)
 class Surroundings:
-    """What a driver is given to connect: clock, site, the root that data paths must stay beneath, the run's seed, and the other
-    instruments by role. `world` is shared by the drivers of a virtual bench; real drivers leave it alone. `real_time`: the clock is
-    the wall's, so that simulated and played-back samples come in pieces of about a second."""
+    """Context for connecting a driver: clock, site, the folder that must contain data files, the seed of the run, and the other
+    instruments by role. world: shared by the drivers of a virtual bench; real drivers ignore it. real_time: the clock is a real-time
+    clock, so simulated and played-back samples come in blocks of about a second."""
 
     clock: Clock
     site: Site
@@ -123,7 +123,7 @@ class Addressed(Protocol):
 
 @runtime_checkable
 class Instrument(Protocol):
-    """What every instrument can do."""
+    """Methods of every instrument."""
 
     def identify(self) -> Mapping[str, str]:
         """Manufacturer, model, serial …, as it says itself."""
@@ -203,11 +203,11 @@ class StreamsSamples(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What an instrument sees of itself now.
+    """The current state of an instrument, as measured by it.
 
-    values: live quantities in SI units by name; where one fits, `position_error` [rad] (following error, the largest of its axes),
-    `rate_error` [rad/s], `temperature` [K]. faults: why it cannot go on, in words (interlock open, over-temperature, axis fault): they
-    end the run. doubts: why its samples may be no good (status bits): the plan says what follows.
+    values: live quantities in SI units by name; standard names are `position_error` [rad] (following error, the largest of its axes),
+    `rate_error` [rad/s], `temperature` [K]. faults: why it cannot continue, in words (interlock open, over-temperature, axis fault); they
+    end the run. doubts: why its samples may be invalid (status bits); the plan defines the consequence.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -217,7 +217,7 @@ class Condition:
 
 @runtime_checkable
 class Watched(Protocol):
-    """Has live readings: settling is judged by them, and they are held against limits while a segment dwells."""
+    """An instrument with live readings, which determine settling and are compared with limits during a dwell."""
 
     def watch(self) -> Condition:
         """Its condition now, in one short exchange or from what the last frame said; asked about once a second, between the blocks of
@@ -226,7 +226,7 @@ class Watched(Protocol):
 
 @runtime_checkable
 class Alive(Protocol):
-    """Can verify its link. An instrument that is `Watched` verifies it by its readings and does not need this."""
+    """An instrument that can verify its link. A `Watched` instrument verifies it by its readings and does not need this."""
 
     def heartbeat(self) -> None:
         """The shortest exchange there is, every few seconds while nothing else is asked. Raises `InstrumentError` when no answer comes."""
@@ -234,10 +234,9 @@ class Alive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """What an instrument shall keep to by itself, whatever becomes of the computer. None: what its driver knows from its own parameters,
-    as it does of travel.
+    """Limits that an instrument must enforce itself, independent of the computer. None: the driver uses its own parameters, as for travel.
 
-    rate [rad/s], acceleration [rad/s²], position_error [rad]: of every axis. coldest, hottest: K. silence: s without a word from the
+    rate [rad/s], acceleration [rad/s²], position_error [rad]: of every axis. coldest, hottest: K. silence: s without communication from the
     computer after which it makes itself safe.
     """
 
@@ -259,8 +258,8 @@ class SelfLimiting(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Frames of one segment's stream. lost: missing by counter; corrupt: wrong checksum; overflowed: dropped by the computer because
-    nobody took them in time; skipped_bytes: between frames. details: what else is worth keeping (latency_s, clock_skew_ppm …)."""
+    """Frames of one segment's stream. lost: missing by counter; corrupt: wrong checksum; overflowed: dropped because the computer did
+    not read them in time; skipped_bytes: between frames. details: further values (latency_s, clock_skew_ppm …)."""
 
     received: int = 0
     lost: int = 0
@@ -285,7 +284,7 @@ class Remarking(Protocol):
 
 @runtime_checkable
 class Resumable(Protocol):
-    """A simulated instrument whose state must come back after a crash. Real instruments have nothing to restore."""
+    """A simulated instrument whose state is restored after a crash. Real instruments have nothing to restore."""
 
     def checkpoint(self) -> Mapping[str, Any]:
         """The state as JSON data."""

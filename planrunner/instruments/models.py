@@ -1,6 +1,6 @@
-"""What is known of an instrument without connecting to it: the frozen models that checker, schedule, design and estimators use.
+"""Models of instruments that are known without connecting, used by check, schedule, design and estimators.
 
-SI units with radians throughout, except a sensor's outputs, which have a unit of their own, always named.
+SI units with radians throughout, except the outputs of a sensor, whose units are always named.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class TableModel:
 
 @dataclass(frozen=True, slots=True)
 class ChamberModel:
-    """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, where it is left.
+    """A temperature chamber. lowest, highest: K; ramp: K/s; ambient: K, the temperature of the safe state.
 
     lag: time constant [s] with which the air follows the ramp; tolerance: K, within which a temperature counts as reached;
     temperature_uncertainty: standard, K, of the chamber's own thermometer.
@@ -88,9 +88,9 @@ class ChamberModel:
 class NoiseModel:
     """Noise of one output, in output units.
 
-    white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T.
-    bias_instability: flicker floor [unit]; resolution: one count [unit]. counted: what a sample leaves of a count goes into the next, so
-    that only the two ends of a mean are rounded.
+    white: random-walk coefficient N [unit·√s]: the mean over T seconds has variance N²/T. bias_instability: flicker floor [unit];
+    resolution: one count [unit]. counted: the remainder of a count is carried to the next sample, so only the two ends of a mean are
+    rounded.
     """
 
     white: float = 0.0
@@ -134,9 +134,9 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class OutputModel:
-    """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise. constant: whether it does
-    not change at all while the table stands, as a simulated encoder of the table does. senses: what it responds to, where the unit alone
-    does not say so."""
+    """One output channel: its name, the unit it is recorded in, full scale (either sign) in that unit, and noise. constant: whether it
+    is exactly constant while the table is at rest, as a simulated table encoder is. senses: the sensed quantity, if the unit does not
+    determine it."""
 
     name: str
     unit: str
@@ -151,8 +151,8 @@ class SensorModel:
     """The sensor under test. `nominal` holds declared coefficients (name → SI value) that predictions are linearised at.
 
     modes: operating modes that the driver can set (such as caged, navigation); empty for a sensor that only has one. one_rate: whether it
-    gives samples at `sample_rate` [Hz] only, else at any lower rate too. thermal_lag: time constant [s] of its temperature behind the air,
-    0 where none is declared. records_angle: whether it records the table's angle about one axis, so that motion about several cannot be.
+    samples only at `sample_rate` [Hz], or also at lower rates. thermal_lag: time constant [s] of its temperature relative to the air, 0 if
+    not declared. records_angle: whether it records the table's angle about one axis, so that motion about several cannot be.
     """
 
     kind: str
@@ -173,8 +173,8 @@ class SensorModel:
 
 
 def rate_refused(asked: float | None, own: float, one_rate: bool) -> str:
-    """Why a sensor that gives `own` Hz, and no other rate if `one_rate`, cannot be sampled at `asked` Hz; empty where it can, or where
-    nothing is asked."""
+    """Why a sensor with the sample rate `own` Hz (and no other if `one_rate`) cannot be sampled at `asked` Hz; empty if it can, or if no
+    rate is requested."""
     if asked is None or abs(asked / own - 1) <= 1e-9:
         return ""
     if one_rate:

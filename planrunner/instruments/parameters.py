@@ -1,4 +1,4 @@
-"""Kinds of parameter that instruments have beside the language's own: quantities of a sensor's compound dimensions, and polynomials
+"""Kinds of parameter for instruments in addition to those of the language: quantities of a sensor's compound dimensions, and polynomials
 of temperature."""
 
 from __future__ import annotations

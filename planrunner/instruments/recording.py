@@ -1,8 +1,8 @@
 """The recording player: a sensor that plays back a CSV or Parquet file as if it were measured now.
 
-Columns are mapped to channels with units. A table of segments says which stretch of the recording belongs to which
-label, or pauses in its time part it; without either the whole recording is one stretch. Files lie beneath the data root,
-never outside it, unless they are named on the command line. Rows stream; a long recording is never held as a whole.
+Columns are mapped to channels with units. A table of segments assigns intervals of the recording to labels, or pauses in its time separate
+them; without either the whole recording is one interval. Files must be inside the data root unless they are named on the command line. Rows
+are streamed; a long recording is never in memory as a whole.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class RecordingPlayer(PlaysBack):
         parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value)
         return cls(parameters, file, spans, clock, piece, parted)
 
-    # -- what it does ----------------------------------------------------------------------------------------------
+    # -- what it does --------------------------------------------------------------------------------------------------
 
     def channels(self) -> Mapping[str, str]:
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
@@ -184,7 +184,7 @@ class RecordingPlayer(PlaysBack):
     def restore(self, state: Mapping[str, Any]) -> None:
         self._served = state["served"]
 
-    # -- how it does it --------------------------------------------------------------------------------------------
+    # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
         """Blocks as long as the clock likes: about a second each in real time."""

@@ -1,8 +1,8 @@
-"""Recorded samples in a file: CSV or Parquet, read in batches, beneath a data root and never outside it.
+"""Recorded samples in a file: CSV or Parquet, read in batches, inside a data root.
 
-What the file may ask of this computer is looked at before a sample is read: samples come in batches, so that a recording may be as long as
-it likes, and what is held at once is bounded: the header and the columns of a CSV file; the directory, the columns and the row groups of a
-Parquet file. Only columns of numbers are read.
+Before a sample is read, the resources that the file requires are checked. Samples come in batches, so a recording may have any length. The
+data in memory at one time are limited: the header and the columns of a CSV file; the directory, the columns and the row groups of a Parquet
+file. Only columns of numbers are read.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ ReadRows = Iterator[tuple[Array, dict[str, Array]]]
 
 
 def beneath(root: Path | None, name: str) -> Path:
-    """The file `name` beneath the data root. Raises `InstrumentError` for whatever lies, or leads, outside it."""
+    """The file `name` in the data root. Raises `InstrumentError` for a file or link outside it."""
     if root is None:
         raise InstrumentError(f"'{name}' is relative to a data folder, but no data folder is given; add --data FOLDER")
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -191,7 +191,7 @@ def open_recording(path: Path, name: str, time: str, scale: float, channels: Map
 
 @dataclass(frozen=True, slots=True)
 class HeldRecording:
-    """A recording in memory: many stretches of one file without reading it as often. time: (n,), s; columns: each (n,)."""
+    """A recording in memory, so that many intervals need only one read. time: (n,), s; columns: each (n,)."""
 
     origin: float
     interval: float

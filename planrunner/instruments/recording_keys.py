@@ -1,4 +1,4 @@
-"""What a bench file says of a recording that is played back: file, time, channels with their noise, and where its segments lie."""
+"""Bench keys of a recording that is played back: file, time, channels with their noise, and segments."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A recording looked over before it is played back: one pass, bounded memory, and everything that is wrong with it at once.
+"""Check of a recording before it is played back: one pass with limited memory that reports all faults.
 
-Time that is missing or goes back, segments that reach beyond the data, that hold no samples or too few, that overlap; gaps in time and
-missing numbers. What stands against playing back is an error; what an estimate must do without is a warning.
+It finds missing or decreasing times; segments that extend beyond the data, contain no or too few samples, or overlap; gaps in time and
+missing numbers. Faults that prevent playback are errors; faults that only reduce the data of an estimate are warnings.
 """
 
 from __future__ import annotations

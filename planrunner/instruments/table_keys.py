@@ -77,7 +77,7 @@ class AxesKind:
 
 
 class TableKeys(Record):
-    """What a table is, for whoever plans for it."""
+    """Keys common to all tables, used for planning."""
 
     axes: tuple[AxisSpec, ...] = key(
         AxesKind(),

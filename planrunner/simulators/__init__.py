@@ -1,1 +1,1 @@
-"""Simulated instruments as a process of their own, on loopback TCP and pseudo-terminals; they share no code with the drivers."""
+"""Simulated instruments in a separate process, on loopback TCP and pseudo-terminals. They share no code with the drivers."""

@@ -1,7 +1,7 @@
 """An ACUTROL 3000 / ACT2000 motion controller: ACL messages, modes and demands axis by axis, status byte, interlock.
 
-A message is `:Main:Sub axis,argument`, more commands after `;`, every word abbreviable. Only what a table on a bench is asked for is
-here; anything else raises the remote interface's bit in the status byte, and is not answered.
+A message is `:Main:Sub axis,argument`, more commands after `;`, every word abbreviable. Only the commands used on a bench are implemented;
+any other sets the remote-interface bit in the status byte and has no reply.
 """
 
 from __future__ import annotations

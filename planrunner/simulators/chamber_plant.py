@@ -1,4 +1,4 @@
-"""What a chamber's controller drives: air that follows a ramped setpoint, or drifts to the room's temperature when it is off.
+"""The air in a simulated chamber: it follows a ramped setpoint, or drifts to the room's temperature when the chamber is off.
 
 Temperatures in K, ramps in K/s. It can stick, overshoot and alarm; an alarm stops it until it is cleared.
 """
@@ -16,7 +16,7 @@ FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
 
 
 class ChamberPlant:
-    """The air of a live world's virtual chamber. alarms: numbers of those that stand. lowest, highest: of the measured temperature,
+    """The air of a live world's virtual chamber. alarms: numbers of the active alarms. lowest, highest: of the measured temperature,
     beyond which it switches itself off with alarm `OVER`."""
 
     OVER, UNDER = 5, 4
@@ -62,7 +62,7 @@ class ChamberPlant:
         self._drive()
 
     def alarm(self, number: int) -> None:
-        """It switches itself off."""
+        """Raise an alarm; the chamber switches itself off."""
         self.alarms = (*self.alarms, number)
         self.stop()
 

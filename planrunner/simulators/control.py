@@ -1,8 +1,7 @@
-"""The control channel of a simulated bench: requests as lines of JSON on loopback, one answer each.
+"""The control channel of a simulated bench: requests as lines of JSON on loopback, each with one reply.
 
-Every program of the computer reaches a port on loopback, the pages that its browser shows included: a page can have its browser send
-lines of its choice there. So a request that changes something carries the token that the readiness file holds, and a connection is
-closed at the first line that is refused, before anything behind it is read.
+Every program on the computer can connect to a port on loopback, even a web page in a browser. Therefore a request that changes something
+must contain the token from the readiness file, and the first refused line closes the connection before further data are read.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a simulated instrument that is spoken to has: an answer to each message, words that it says later, and things that happen to it."""
+"""Parts of a message-based simulated instrument: a reply to each message, delayed replies, and faults."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class NotUnderstoodError(ValueError):
-    """A message that the instrument has no meaning for, or a value that it refuses."""
+    """A message that the instrument does not understand, or a value that it refuses."""
 
 
 class Controller(Protocol):

@@ -1,6 +1,6 @@
-"""Faults as data: what goes wrong with which simulated instrument, when, for how long and how much of it.
+"""Faults as data: the fault, the simulated instrument, its time, duration and extent.
 
-A fault script is a YAML file of them; the control channel takes them one by one while the bench runs.
+A fault script is a YAML file of faults; the control channel accepts single faults while the bench runs.
 
 Frames between a sensor and the computer can be corrupted, lost, doubled, out of order, read at another baud rate, or those of another
 instrument.

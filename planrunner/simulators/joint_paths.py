@@ -1,4 +1,4 @@
-"""How each joint of a simulated table moves: pieces of constant acceleration and sines, joint by joint, as a controller commands them.
+"""Motion of each joint of a simulated table: pieces of constant acceleration and sines, as commanded by a controller.
 
 The virtual table moves all its joints by one command; a table behind a controller is commanded axis by axis, and a command may come while
 the axis moves. A path keeps the pieces of the last seconds, so that a sensor that is asked a little later still feels what was before.

@@ -1,9 +1,9 @@
-"""The virtual bench as it lives: its table, chamber and sensor in running time, at a stated multiple of the wall's.
+"""The virtual bench in running time: table, chamber and sensor, at a given multiple of real time.
 
-Everything that is simulated here happens in one thread; whoever changes the world first lets those who record it catch up, so that what
-was felt before a command is felt as it was.
+All simulation runs in one thread. Before the world is changed, the recorders are brought up to date, so that samples before a command are
+not affected by it.
 
-The sensor runs freely: samples in running time, each made when its time is over, whether anybody listens or not.
+The sensor runs freely: each sample is made at the end of its interval, even if nothing reads it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""An instrument that is spoken to, on a port: messages cut at their terminators, replies with theirs, in a framing where it has one, and
-faulty where a fault says so."""
+"""A message-based instrument on a port: messages are split at their terminators, replies get terminators and framing, and faults are
+applied."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Where the line of a simulated instrument ends: addresses as bench files write them, pseudo-terminals and sockets on loopback, and a
-serial line with its rate and its buffer.
+"""Connections of simulated instruments: addresses as in bench files, pseudo-terminals and sockets on loopback, and a serial line with rate
+and buffer.
 
 Addresses differ by what a simulator has to open for them; only this computer is served. A sensor's serial line carries so many bytes a
 second, has a buffer that holds a little, and drops frames when it is full.
@@ -80,7 +80,7 @@ class PseudoTerminal:
         self.watch.register(self.master, select.POLLIN)
 
     def attend(self) -> None:
-        """Look whether somebody is there, and take what has come in."""
+        """Check for connections and read incoming data."""
         if self.master < 0:
             return
         seen = dict(self.watch.poll(0)).get(self.master, 0)

@@ -1,4 +1,4 @@
-"""Sensors as units on a line: what their frames carry of the virtual sensor's outputs, and what they answer to the words they know.
+"""Sensors as units on a line: the outputs of the virtual sensor in their frames, and their replies to commands.
 
 STIM300 and KVH stand here, Xsens and VectorNav in `navigation_units.py`, declared frames in `declared_frame.py`.
 """

@@ -1,6 +1,6 @@
-"""What a table's controller drives: axes that turn, go and swing within limits, an interlock, and faults that end a motion.
+"""The mechanics of a simulated table: axes that turn, move and swing within limits, an interlock, and faults that end a motion.
 
-Nothing here knows a protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
+This module does not depend on any protocol. Angles in rad, rates in rad/s, accelerations in rad/s^2.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class TablePlant:
     def arrived(self, index: int) -> bool:
         return self.live.now() >= self.paths.paths[index].arrival
 
-    # -- commands -----------------------------------------------------------------------------------------------
+    # -- commands ------------------------------------------------------------------------------------------------------
 
     def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
         """Towards an angle; a continuous axis takes the shorter way."""

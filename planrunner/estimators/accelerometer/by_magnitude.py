@@ -1,8 +1,8 @@
-"""An accelerometer triad held against the magnitude of gravity: nine parameters from still spans or segments in unknown attitudes.
+"""Calibration of an accelerometer triad with the magnitude of gravity: nine parameters from still spans or segments in unknown attitudes.
 
 Where Gauss–Newton with equal weights ends, one step more is taken: the linear fit of |f| − g that estimators from positions share, weighted
 by the noise within the poses and the declared flicker of each channel, which reaches |f| along the direction in which the channel felt it.
-How a table stands does not matter: |f| is g in any attitude.
+The attitude of a table does not matter, because |f| is g in any attitude.
 """
 
 from __future__ import annotations
@@ -286,7 +286,7 @@ def _same_channels(channels: Sequence[str], outputs: Sequence[str]) -> None:
 
 
 def _gives_pose(segment: Segment, detection: Detection | None, sample_rate: float) -> bool:
-    """Whether a segment at rest is long enough for a pose; one in which spans are to be found may hold any number of them if it moves."""
+    """Whether a segment at rest is long enough for a pose. A moving segment in which spans are detected may contain any number of poses."""
     if detection is None or segment.dwell is None or segment.attitude is None:
         return True
     # Windows hold whole samples, and a span ends at samples: one interval may be lost at either end.

@@ -1,4 +1,4 @@
-"""An accelerometer triad held against gravity in known attitudes: a linear fit for each axis.
+"""Calibration of an accelerometer triad with gravity in known attitudes: a linear fit for each axis.
 
 From F_i = b_i + Σ_j S_ij·f_j come the bias, the scale factor as the length of the row S_i (the sensitivity along the axis's own input
 direction, whatever the attitude's constant offset from the one that was planned) and the misalignments S_ij/|S_i|, to first order

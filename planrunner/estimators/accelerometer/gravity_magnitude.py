@@ -1,7 +1,7 @@
 """Calibration of an accelerometer triad from the magnitude of gravity alone: nine parameters from still poses in unknown attitudes.
 
-Readings a = b + A·f with |f| = g. Only A·Aᵀ can be told, so the model is that of three input axes with scale factors s_i, biases
-b_i and the non-orthogonalities γ_ij by which the angle between axes i and j falls short of 90°:
+Readings a = b + A·f with |f| = g. Only A·Aᵀ can be determined, so the model has three input axes with scale factors s_i, biases b_i and the
+non-orthogonalities γ_ij by which the angle between axes i and j falls short of 90°:
 
     (a − b)ᵀ·G⁻¹·(a − b) = g²,    G_ij = s_i·s_j·sin γ_ij (i ≠ j),   G_ii = s_i²
 

@@ -1,13 +1,13 @@
-"""How well a deviation is known: the power-law noise at each averaging time and the equivalent degrees of freedom (EDF) that follow.
+"""Confidence of deviations: the power-law noise at each averaging time and the resulting equivalent degrees of freedom (EDF).
 
 Noise types are exponents α of the frequency spectrum S_y ∝ f^α: 2 white phase (in this field: quantisation), 1 flicker phase, 0 white
 frequency (random walk of the angle), −1 flicker frequency (bias instability), −2 random walk of the frequency (rate random walk).
 
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST SP
 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003 (SP 1065,
-5.4.1). Phase made of rate samples is an exact integral, not an average over a sample, so that for α ≤ 0 the filter factor is F = ∞; for
-white noise this is SP 1065's own empirical formula also at the shortest averaging times. Where the sums grow with the averaging factor
-they are taken over a coarser grid with the same number of averaging times.
+5.4.1). Phase computed from rate samples is an exact integral, not an average over a sample, so the filter factor is F = ∞ for α ≤ 0; for
+white noise this is SP 1065's own empirical formula also at the shortest averaging times. Where the sums grow with the averaging factor they
+are taken over a coarser grid with the same number of averaging times.
 """
 
 from __future__ import annotations

@@ -227,7 +227,7 @@ def expected_covariance(factors: Integers, squares: Array, lengths: Integers, te
 
 
 def _sound(covariance: Array) -> Array:
-    """The covariance with the small negative eigenvalues that integration can leave lifted, so that it has a root."""
+    """The covariance with small negative eigenvalues, which numerical integration can cause, set to zero, so that it has a square root."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     lifted = (vectors * np.maximum(values, 1e-6)) @ vectors.T

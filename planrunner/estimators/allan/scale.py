@@ -1,4 +1,4 @@
-"""Noise coefficients of what is sensed: an output in pulses or volts seen through its scale factor.
+"""Noise coefficients of the sensed quantity, for an output in pulses or volts with a scale factor.
 
 The scale factor is a quantity in the plan, such as `0.2012 (deg/h)/(pulse/s)`, or a coefficient of an estimate that is used, such as
 `drift.SF_Y`; sensed per output or output per sensed, whichever its unit says.

@@ -1,1 +1,1 @@
-"""Static coefficients of a flexure gyro, and what is left after compensating with them."""
+"""Static coefficients of a flexure gyro, and the residuals after compensation."""

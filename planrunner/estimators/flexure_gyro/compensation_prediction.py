@@ -1,4 +1,4 @@
-"""What residuals to expect after compensation, from the positions, their noise and what is stated of the bench.
+"""Expected residuals after compensation, from the positions, their noise and the uncertainties declared in the bench.
 
 To first order the residual of a set on a verification position is M⁻¹·(e − x·δ), with e the noise of that position, x its row of the
 design and δ the error of the coefficients. All sets share the verification noise, which is why single ratios scatter less than

@@ -1,4 +1,4 @@
-"""What an IMU's calibration reports, from the fitted responses of its triads: names, units and one formula.
+"""Results of an IMU calibration from the fitted responses of its triads: names, units and one formula.
 
     measured = S·M·true + b + G·f
 

@@ -1,6 +1,7 @@
-"""What can be said of a rocking test before it runs: windows, timing, pattern, caging, resolution and axes that cannot be seen.
+"""Checks of a rocking test before it runs: windows, timing, pattern, caging, resolution and axes that cannot be measured.
 
-An error is what leaves no rocking drift or a wrong one; a warning what makes it worse than the method promises.
+A fault is an error if it gives no rocking drift or a wrong one; it is a warning if it makes the result less accurate than the method
+promises.
 """
 
 from __future__ import annotations

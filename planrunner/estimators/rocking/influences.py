@@ -1,4 +1,4 @@
-"""What rocking drifts depend on beside the data, as influences on the coefficients.
+"""Influences on rocking drifts other than the data.
 
 Whatever differs from run to run (accelerometer stability, azimuth after caging, counts) shows in the scatter of the repeats: it is listed
 in the budget, so that it can be compared with what is expected, and not added again. What all runs share (site, installation angles) is

@@ -166,7 +166,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> str:
-    """How much of a drift about the vertical axis reads as one about a level axis."""
+    """The share of a drift about the vertical axis that appears as a drift about a level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return (
         f"By the second window the element has tilted by {math.degrees(tilt):.2f} deg against the site, so that up to "

@@ -1,8 +1,8 @@
 """A recorded run reduced to its two windows: accelerometers and encoders after a zero-phase low-pass filter.
 
-Only what lies within some filter lengths of a window is read into memory, so that long runs cost no more than short ones. The filter is a
-Butterworth low-pass of fourth order, run forwards and backwards; before it, a parabola is taken from each piece, and after it given back,
-so that the slow turn of the element against gravity does not press on the ends of the piece.
+Only samples within a few filter lengths of a window are read into memory, so that long runs need no more memory than short ones. The filter
+is a Butterworth low-pass of fourth order, run forwards and backwards; before it, a parabola is taken from each piece, and after it given
+back, so that the slow turn of the element against gravity does not press on the ends of the piece.
 """
 
 from __future__ import annotations

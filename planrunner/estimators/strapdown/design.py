@@ -1,4 +1,4 @@
-"""What can be said of a strapdown navigation before it is recorded: whether its segments can serve, and which errors to expect.
+"""Checks and predictions of a strapdown navigation before it is recorded: suitability of its segments, and expected errors.
 
 Expected errors follow from the declared white noise and the constant errors that the plan states as uncertainties: the filter of the
 alignment predicts the remaining errors, then both drive the linear error equations, turned as the table turns.

@@ -1,4 +1,4 @@
-"""Errors of a navigation against where it really was, gathered knot by knot, and the figures that the field states.
+"""Errors of a navigation relative to the true position, collected knot by knot, and the usual figures.
 
 Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope of the
 straight line through the origin that fits radial error over time by least squares; the CEP rate that one run gives is √(ln 2) = 0.8326 of

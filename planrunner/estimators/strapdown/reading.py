@@ -2,7 +2,7 @@
 
 A sample is the mean over the interval that ends at its time stamp, so that sample times interval is the increment; outputs that are
 increments already (angle, velocity) are taken as they are. What is missing for at most `bridge` seconds is filled on straight lines; a
-longer gap ends the matter, because where the unit turned meanwhile nobody knows.
+longer gap is an error, because the attitude after it is unknown.
 """
 
 from __future__ import annotations

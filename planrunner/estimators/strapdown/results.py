@@ -1,6 +1,6 @@
-"""Results of a strapdown navigation: coefficients, tables, courses and what must be said beside them.
+"""Results of a strapdown navigation: coefficients, tables, plots and notes.
 
-What leaves the figures uncertain is in `uncertainty`.
+Their uncertainties are in `uncertainty`.
 """
 
 from __future__ import annotations

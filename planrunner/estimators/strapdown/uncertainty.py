@@ -1,4 +1,4 @@
-"""What leaves the figures of a strapdown navigation uncertain.
+"""Uncertainties of the results of a strapdown navigation.
 
 Uncertainties say how well one run determines what the constant errors of the sensors make of a navigation: white noise, as the alignment
 shows it, and the alignment that it leaves uncertain, carried through the linear error equations. Constant errors themselves are part of

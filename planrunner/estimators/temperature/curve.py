@@ -4,13 +4,13 @@
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
-The order is chosen by leaving out whole temperatures, never single values, because values at one temperature share what went wrong
-there. The one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same
-book, 7.10.1). No more coefficients are tried than half of the temperatures: among few, one of many curves fits by chance.
+The order is chosen by leaving out whole temperatures, never single values, because values at one temperature have common errors. The
+one-standard-error rule takes the simplest curve whose held-out error is within one standard error of the smallest (the same book, 7.10.1).
+No more coefficients are tried than half of the temperatures: among few, one of many curves fits by chance.
 
-Data that choose an order cannot also say how well as if it had been known: such an interval misses terms of about one standard deviation
-that were not chosen. So a chosen curve's uncertainty is that of the fullest curve tried, which the choice does not touch, and its distance
-from that one is taken for a systematic error that is not corrected (JCGM 100:2008, F.2.4.5).
+If the data select the order, the usual interval is too narrow, because terms of about one standard deviation that were not selected are
+missing. The uncertainty of a selected curve is therefore that of the highest order tried, which does not depend on the selection; its
+distance from that curve is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 """
 
 from __future__ import annotations

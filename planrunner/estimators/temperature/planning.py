@@ -1,4 +1,4 @@
-"""Whether a plan gives enough temperatures for a curve, and the coefficients that it is asked for; before anything is recorded."""
+"""Checks before a recording if a plan gives enough temperatures for a curve, and the requested coefficients."""
 
 from __future__ import annotations
 

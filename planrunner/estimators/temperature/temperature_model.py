@@ -1,4 +1,4 @@
-"""How coefficients or outputs follow temperature: a polynomial or a spline whose order is chosen by held-out error.
+"""Coefficients or outputs over temperature: a polynomial or a spline whose order is chosen by held-out error.
 
 Values come from `points`, curves and the choice of their order from `curve`.
 """

@@ -1,4 +1,4 @@
-"""From means to scale factors of tilted axes: F_j − F_r over what each axis felt, per repeat, then over repeats and temperatures.
+"""From means to scale factors of tilted axes: F_j − F_r over the input of each axis, per repeat, then over repeats and temperatures.
 
 One function of the recorded means and of the conditions under which they were recorded. Uncertainties follow from it by changing the
 means or the conditions a little (JCGM 100:2008, 5.1.3, note 2), so that a formula stands here once.

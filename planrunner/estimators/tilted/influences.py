@@ -1,4 +1,4 @@
-"""What scale factors of tilted axes depend on beside the data (type B): fixture, table, site, temperature, resolution, drift of the zero.
+"""Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, drift of the zero.
 
 Sensitivities are taken by computing everything again with the input changed by its standard uncertainty, up and down (JCGM 100:2008,
 5.1.3, note 2).

@@ -1,4 +1,4 @@
-"""Predictions for tilted axes from planned rates, before anything moves: uncertainties to expect, and what the plan lacks."""
+"""Predictions for tilted axes from planned rates, before anything moves: expected uncertainties, and missing elements of the plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people are shown of tilted scale factors: tables, pictures, and notes on how far to trust them."""
+"""Report of tilted scale factors: tables, plots, and notes on their reliability."""
 
 from __future__ import annotations
 

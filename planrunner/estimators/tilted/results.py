@@ -1,6 +1,6 @@
-"""Names, units and descriptions of what is learnt of tilted axes, and how it leads to an `Estimate` or to predictions.
+"""Names, units and descriptions of the results for tilted axes, and their conversion to an `Estimate` or to predictions.
 
-At the reference temperature a coefficient is called `K_x`; at the others the temperature stands behind it, `K_x_-40degC`.
+At the reference temperature a coefficient is called `K_x`; at others the name includes the temperature, `K_x_-40degC`.
 """
 
 from __future__ import annotations

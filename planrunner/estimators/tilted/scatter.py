@@ -1,4 +1,4 @@
-"""What the data show of the uncertainty of tilted scale factors (type A), on the basis that the plan chooses.
+"""Type A uncertainty of tilted scale factors on the basis selected in the plan.
 
 repeats          scatter of each quantity from repeat to repeat: sees all that is not the same in every repeat
 residual         scatter of the rates about the line, of the means over the repeats; where flicker is declared, with what it ties together

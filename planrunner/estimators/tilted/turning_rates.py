@@ -1,4 +1,4 @@
-"""What the axes of a fixture felt on average over each segment, the Earth's rotation included, in the fixture's frame.
+"""Mean input of the axes of a fixture over each segment, including the Earth's rotation, in the fixture's frame.
 
 Recording begins where spin-up and settling have carried the table: half of rate × spin-up time, as it speeds up evenly, and rate × settling
 time after it. Over whole turns where it began makes no difference.

@@ -1,4 +1,4 @@
-"""How far the zero moved from before the rates to after them, where that is more than what is accounted for otherwise.
+"""Drift of the zero between the readings before and after the rates, as far as it exceeds the effects that are already included.
 
 The zeros have noise, which the data's part of an uncertainty holds; so have zeros with declared flicker, whose drift is that flicker, seen
 once in each series. A drift counts by itself only where it is larger than these make it, or every interval would be widened by noise

@@ -32,9 +32,7 @@ FAINT = 0.05
 LONGEST = 12 * 3600.0  # s of test time
 FEWEST = 4
 """Smallest number of segments of a proposal: fewer might be outliers."""
-_BUNDLE = (
-    4  # segments at another temperature that are evaluated together: one alone rarely justifies the temperature change
-)
+_BUNDLE = 4  # segments at another temperature evaluated together: one rarely justifies the change
 _KEPT = 60  # options kept after the first round
 _REPEATS = (1, 2, 3, 5, 10, 20, 50)
 _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segment

@@ -1,1 +1,1 @@
-"""Drivers of real chambers: what every chamber does (`wired_chamber`), and one file a controller that says how it is told."""
+"""Drivers of real chambers: the common functions (`wired_chamber`), and one file per controller with its commands."""

@@ -1,6 +1,6 @@
 """Chambers with a Thermotron 8800 controller, over TCP (port 8888).
 
-Operations are answered 0. The stop code says whether it runs, else why it stopped. Limits of its own are set at its panel. Source:
+The reply to an operation is 0. The stop code shows whether the chamber runs, or why it stopped. Its limits are set at its panel. Source:
 Thermotron, 8800 interface command descriptions.
 """
 

@@ -1,6 +1,6 @@
 """Chambers with a Watlow F4T controller, over its SCPI port (TCP 5025).
 
-Writes are not answered, so a set point is read back. Limits of its own are set at its panel; SCPI has none. Source: F4T setup and
+Writes have no reply, so set points are read back. Limits are set at the panel; SCPI has no command for them. Source: F4T setup and
 operation manual, SCPI commands.
 """
 

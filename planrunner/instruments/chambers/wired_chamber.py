@@ -1,7 +1,7 @@
-"""What every real chamber does, whoever made it: temperatures within its range, whether the air is there, the safe state.
+"""Functions common to all real chambers: temperature within the range, arrival of the air at the set point, the safe state.
 
 The commands of a controller are in a separate file, as `AirCommands`; this file does not depend on a vendor. The safe state is ambient
-temperature, held: a chamber that is switched off at −40 degC would wet what is in it.
+temperature, held, because a chamber that is switched off at −40 degC would cause condensation on the sensor.
 """
 
 from __future__ import annotations

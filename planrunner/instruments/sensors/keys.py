@@ -1,4 +1,4 @@
-"""What the bench file says of any sensor on a serial line: its port, its rate, and what is known of its noise and full scale."""
+"""Bench keys common to sensors on serial lines: port, rate, and declared noise and full scale."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RATES, ACCELERATIONS = ("deg/s", "rad/s"), ("g", "m/s^2")
 
 
 class GyroKnowledge(Record):
-    """What is known of the gyros before they are tested: of each alike."""
+    """Declared properties of the gyros, equal for all axes."""
 
     full_scale: Quantity | None = key(
         QuantityOf("angular rate", "positive"),
@@ -38,7 +38,7 @@ class GyroKnowledge(Record):
 
 
 class AccelerometerKnowledge(Record):
-    """What is known of the accelerometers before they are tested: of each alike."""
+    """Declared properties of the accelerometers, equal for all axes."""
 
     full_scale: Quantity | None = key(
         QuantityOf("acceleration", "positive"), "Largest specific force, for both signs.", "10 g", default=None

@@ -97,7 +97,7 @@ class Kvh1775(SerialSensor):
 
 
 def layout(parameters: Kvh1775Parameters) -> FrameLayout:
-    """Where everything stands in a frame."""
+    """Positions of the fields in a frame."""
     rate, name = parameters.sample_rate.value, parameters.format
     scale = 1.0 if parameters.rotation == "rate" else rate
     fields = {f"gyro_{axis}": Field(4 + 4 * place, 4, FLOAT, scale) for place, axis in enumerate(AXES)}

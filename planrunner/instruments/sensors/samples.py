@@ -1,4 +1,4 @@
-"""What the decoder of a sensor makes of frames: columns of samples with their counter, the sensor's own latency and its doubts."""
+"""Decoded frames of a sensor: columns of samples with counter, latency reported by the sensor, and doubts."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ Whole = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """One row a frame. received: s; counter: as sent; latency: s, by the sensor's own word; channels: name → (n,); doubtful: whether a
-    status bit speaks against the frame; doubts: what those bits say; refused: frames that cannot be read although their checksum fits."""
+    """One row per frame. received: s; counter: as sent; latency: s, as reported by the sensor; channels: name → (n,); doubtful: whether
+    a status bit marks the frame as doubtful; doubts: meaning of those bits; refused: frames that cannot be decoded although their
+    checksum is correct."""
 
     received: Array
     counter: Whole
@@ -52,7 +53,7 @@ class Samples:
 
 
 class Decoder(Protocol):
-    """How one sensor's stream is read."""
+    """Decoder of the stream of one sensor."""
 
     @property
     def framing(self) -> Framing: ...
@@ -77,7 +78,7 @@ class Status:
 
 @dataclass(frozen=True)
 class FrameLayout:
-    """The decoder of frames that are all alike: each field in its place.
+    """The decoder of frames with a fixed layout.
 
     fields: channel → where it stands; units: channel → unit; counts: where the counter stands (None: there is none); latency: in what
     `scale` makes seconds; means: channel → those it is the mean of; zeros: channel → what is added to it.

@@ -1,4 +1,4 @@
-"""One segment's samples, from bytes to stamped blocks, with the count of what was lost on the way."""
+"""The samples of one segment, from bytes to time-stamped blocks, with the count of losses."""
 
 from __future__ import annotations
 

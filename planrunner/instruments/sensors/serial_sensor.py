@@ -1,9 +1,9 @@
-"""What all sensors on a serial line do alike: listen, stream a segment, count lost frames, report doubts.
+"""Functions common to sensors on serial lines: reading, streaming a segment, counting lost frames, reporting doubts.
 
-Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); frames that were lost leave gaps in time. A
-driver adds its keys, its decoder and, where it configures the sensor, its commands.
+Samples are stamped with the bench's clock through the sensor's counter (`host_clock`); lost frames appear as gaps in time. A driver adds
+its keys, its decoder and, where it configures the sensor, its commands.
 
-After connecting, the first frames show whether any are good and whether they come as often as the bench file says.
+After connecting, the first frames are checked for validity and for the rate declared in the bench file.
 """
 
 from __future__ import annotations

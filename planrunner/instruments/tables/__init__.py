@@ -1,1 +1,1 @@
-"""Drivers of real tables: what every table does (`axis_table`), and one file a controller that says how it is told."""
+"""Drivers of real tables: the common functions (`axis_table`), and one file per controller with its commands."""

@@ -1,12 +1,12 @@
 """Tables with an ACUTROL 3000 or ACT2000 controller, in its command language ACL, over GPIB or raw TCP (port 9878).
 
-Commands are `:Main:Sub axis,argument;Sub axis,argument` and are not answered; whether one was taken is seen in the status byte, which
-`:status:stb?` reads without clearing it. GPIB is as its manual describes; the framing over TCP is not confirmed on hardware.
-Sources: ACUTROL 3000 manual; open drivers of a BD125 table.
+Commands are `:Main:Sub axis,argument;Sub axis,argument` and have no reply. The status byte, which `:status:stb?` reads without clearing it,
+shows whether a command was accepted. GPIB is as its manual describes; the framing over TCP is not confirmed on hardware. Sources: ACUTROL
+3000 manual; open drivers of a BD125 table.
 
 Public sources agree that eight bytes come before each reply over TCP, an error code and a length, and disagree on what the bytes are: two
-32-bit words, or eight characters. Which it is shows in the first reply, whose length must equal what follows; from then on exactly
-so many bytes are read. A controller behind a gateway that sends bare lines is understood too.
+32-bit words, or eight characters. The first reply shows which form applies, because its length must match the data that follow; after that
+exactly the stated number of bytes is read. Plain lines from a gateway are also accepted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Single-axis tables of Ideal Aerosmith in their table language ATL, over a serial line. Experimental.
 
-Written from open drivers alone: a command is a mnemonic and its number, answered by a line and a prompt; jogging and rocking are
-answered only when they end, which this driver does not wait for. No limit trips by itself that these sources know of.
+Written from open-source drivers only. A command is a mnemonic with a number; the reply is a line and a prompt. Jogging and rocking reply
+only when they end, and this driver does not wait for that. These sources mention no limit that stops the table.
 """
 
 from __future__ import annotations

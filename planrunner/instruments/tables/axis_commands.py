@@ -1,4 +1,4 @@
-"""How the controller of a real table is told: what a driver of one must be able to say, whoever made it."""
+"""Interface of the commands of a real table's controller, which each driver implements."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """What an axis shall keep to by itself, as the controller counts: deg/s, deg/s², deg; lowest and highest None without stops."""
+    """Limits that an axis must enforce itself, in the controller's units: deg/s, deg/s², deg; lowest and highest None without stops."""
 
     rate: float
     acceleration: float
@@ -36,7 +36,7 @@ class Sine:
 
 
 class AxisCommands(Protocol):
-    """How a controller is told. Axes go by the controller's numbers, angles are its degrees. Every failure is an `InstrumentError`."""
+    """Commands of a controller. Axes have the controller's numbers, angles are in its degrees. Every failure is an `InstrumentError`."""
 
     rocks: bool
     """Whether it has a sine motion of its own."""

@@ -1,8 +1,7 @@
-"""What every real table does, whoever made it: attitudes to axis positions, spins, rocking, cycles, whether a state is held, the safe
-state.
+"""Functions common to all real tables: attitudes to axis positions, spins, rocking, cycles, detection of a held state, the safe state.
 
-The commands of a controller are in a separate file, as an `AxisCommands`; this file does not depend on a vendor. States are judged by what
-the controller measures, never by the time that went by.
+The commands of a controller are in a separate file, as an `AxisCommands`; this file does not depend on a vendor. States are judged by the
+measurements of the controller, never by elapsed time.
 """
 
 from __future__ import annotations

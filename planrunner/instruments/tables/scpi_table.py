@@ -1,6 +1,6 @@
-"""Tables with commands in the manner of SCPI, which the bench file names, because no standard says what they are called.
+"""Tables with SCPI-like commands, which the bench file declares because no standard defines their names.
 
-Whatever is not answered is followed by the error query, so that a command which is not taken is noticed at once.
+Every command without a reply is followed by the error query, so that a rejected command is detected at once.
 
 In the bench file a command is text with named places, such as `AXIS{axis}:POS {position}`.
 """

@@ -1,9 +1,9 @@
-"""Motions that a table does not make by itself: the computer gives their commands when it is time to, on a thread beside the run.
+"""Motions that a table cannot execute itself: a separate thread gives the commands at the planned times.
 
-Times are the bench's clock's. What goes wrong on the thread is kept until somebody asks, and the motion ends there. It ends, too, when
-the run has not read the table for long: whoever makes the bench safe in its place shall find nobody who moves it again.
+Times refer to the bench's clock. An error on the thread ends the motion and is reported at the next query. The motion also ends if the run
+has not read the table for too long, so that nothing moves the table again after the watchdog has made it safe.
 
-A cycle is worked out beforehand: when each turn of the axis begins, brakes and ends.
+A cycle is computed in advance: the times at which each turn of the axis begins, brakes and ends.
 """
 
 from __future__ import annotations

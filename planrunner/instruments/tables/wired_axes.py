@@ -1,4 +1,4 @@
-"""Keys of a real table: how its controller counts each axis, and when a state counts as reached."""
+"""Keys of a real table: numbering and sense of each axis at the controller, and tolerances for reaching a state."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What a simulation adds to a virtual sensor beyond its declared errors: the door through which effects come in.
+"""Interface for effects that a simulation adds to a virtual sensor beyond its declared errors.
 
-The virtual sensor says what is happening at its samples and what it would give without noise; whoever stands in `World.added` changes
-that, and its noise. The sensor knows nothing of effects, and an effect nothing of the sensor's error model.
+The virtual sensor provides the conditions at its samples and its outputs without noise; the object in `World.added` changes these and the
+noise. The sensor does not depend on effects, and an effect does not depend on the error model of the sensor.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """What is happening at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, of the
-    same clock. angle: (n,), rad, by which the table has turned since the orientation was taken; rate: rad/s; kelvin: of the sensor."""
+    """Conditions at some samples. time: (n,), s since the run began, of the middle of each sampling interval; power_on: s, of the same
+    clock. angle: (n,), rad, by which the table has turned since the orientation was taken; rate: rad/s; kelvin: of the sensor."""
 
     segment: Segment
     time: Array

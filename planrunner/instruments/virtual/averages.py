@@ -1,9 +1,9 @@
-"""What an integrating sensor feels: inertial rate and specific force averaged over every sampling interval.
+"""Input of an integrating sensor: inertial rate and specific force averaged over every sampling interval.
 
-A mean over an interval in which the table turns is an integral over products of sines of the joint angles. It is worked by
-Gauss-Legendre quadrature with as many points as the fastest phase needs, on stretches of time within which the motion is smooth, so
-that an interval in which a ramp begins or ends is as good as any other. A joint's rate is linear in time while it ramps, for which the
-quadrature is exact: turned about one axis, the mean rates add up to the joint's angle.
+A mean over an interval in which the table turns is an integral over products of sines of the joint angles. It is computed by Gauss-Legendre
+quadrature with as many points as the fastest phase needs, on stretches of time within which the motion is smooth, so that an interval in
+which a ramp begins or ends is as good as any other. A joint's rate is linear in time while it ramps, for which the quadrature is exact:
+turned about one axis, the mean rates add up to the joint's angle.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The virtual carrier: moves the whole bench over the Earth, as a ship or vehicle does, while everything on it goes on as it stands."""
+"""The virtual carrier: moves the whole bench over the Earth, like a ship or vehicle, without changing anything on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Courses: the joint angles and rates of a virtual table over time, one small class a kind of motion.
+"""Courses: the joint angles and rates of a virtual table over time, one small class per kind of motion.
 
 A course answers for any time after it began, for arrays of times, and can be written down as JSON data and read back,
 so that a run that is resumed finds the table where it was. Joints that stand still are plain floats, so that whoever

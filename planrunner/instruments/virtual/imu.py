@@ -1,4 +1,4 @@
-"""The virtual inertial sensor: gyros and accelerometers that integrate what they feel, on the table of the virtual world.
+"""The virtual inertial sensor: gyros and accelerometers that integrate their input, on the table of the virtual world.
 
 A sample is the mean over its sampling interval, and its time is the interval's end. The error model is that of `inertial_axis.py`, and
 shares no formula with the estimators.
@@ -97,7 +97,7 @@ class VirtualImu(TakesEffects):
     def connect(cls, parameters: VirtualImuParameters, surroundings: Surroundings) -> VirtualImu:
         return cls(parameters, World.of(surroundings))
 
-    # -- what it does ----------------------------------------------------------------------------------------------
+    # -- what it does --------------------------------------------------------------------------------------------------
 
     def channels(self) -> Mapping[str, str]:
         reference = REFERENCE if self.parameters.reference else {}
@@ -172,7 +172,7 @@ class VirtualImu(TakesEffects):
         for name, walk in self.walk.items():
             walk.restore(**state["walk"][name])
 
-    # -- how it does it --------------------------------------------------------------------------------------------
+    # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, dwell: _Dwell, first: int, length: int) -> Block:
         """Samples first … first + length − 1. Temperature and slow noise are those of the middle of each second."""

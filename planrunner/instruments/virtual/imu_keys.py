@@ -1,7 +1,7 @@
 """The keys of a virtual inertial sensor in a bench file: its axes and their errors.
 
-What is said of all gyros (accelerometers) stands once beside `axes`; what an axis says of itself comes before it; what neither says is
-zero. `docs/virtual-sensors.md` has the error model that these are the coefficients of.
+Keys for all gyros (accelerometers) are next to `axes`; keys of an axis take precedence; a value given by neither is zero.
+`docs/virtual-sensors.md` describes the error model with these coefficients.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One input axis of a virtual inertial sensor, as numbers: where it points and how it errs.
+"""One input axis of a virtual inertial sensor, as numbers: its direction and its errors.
 
 With u the mean inertial rate (specific force) along the axis over a sampling interval, ΔT the distance from the reference temperature
 and f the mean specific force along the sensor's axes, an output is

@@ -1,11 +1,11 @@
 """The virtual gimballed platform: three accelerometers on a stabilised element within gimbals, rigidly on the virtual table.
 
-Modes: caged, the element is held to the base with an error that is drawn anew each time; navigation, it is released and stays fixed in
-inertial space apart from its drift, whatever the base does. What is simulated is the element's attitude; accelerometers
-and gimbal encoders follow from it, and the estimators share no formula with it.
+Modes: when caged, the element is fixed to the base with a random error for each caging; in navigation it is released and stays fixed in
+inertial space except for its drift. The attitude of the element is simulated; accelerometers and gimbal encoders follow from it. The
+estimators share no formula with this code.
 
-A ring of a rocking table that comes to rest stands off by a return error, a new one each time; while it moves, its reading lags; and over
-minutes its servo wanders. A gimbal's multi-speed resolver errs with a period of a fraction of a turn.
+A ring of a rocking table has a random return error each time it comes to rest; its reading lags while it moves; and its servo drifts over
+minutes. The error of a multi-speed gimbal resolver has a period of a fraction of a turn.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class VirtualPlatform:
     def connect(cls, parameters: VirtualPlatformParameters, surroundings: Surroundings) -> VirtualPlatform:
         return cls(parameters, World.of(surroundings))
 
-    # -- what it does ----------------------------------------------------------------------------------------------
+    # -- what it does --------------------------------------------------------------------------------------------------
 
     def set_mode(self, mode: str) -> float:
         if mode == "caged":
@@ -196,7 +196,7 @@ class VirtualPlatform:
         self.bias_walk = np.array(state["bias_walk"], dtype=float)
         self.walked_until = float(state["walked_until"])
 
-    # -- how it does it --------------------------------------------------------------------------------------------
+    # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
         """The generator of one caging (0: of the platform as built), apart from those of the segments."""

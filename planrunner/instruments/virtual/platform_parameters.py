@@ -35,7 +35,7 @@ class DriftByRocking(Record):
 
 
 class Caging(Record):
-    """What caging and release leave."""
+    """Errors after caging and release."""
 
     dead_region: Quantity = _each(
         QuantityOf("angle", "not negative"),

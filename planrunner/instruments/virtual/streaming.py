@@ -1,4 +1,4 @@
-"""How a simulated sensor's samples come: in blocks of bounded size, in time with the clock of its bench."""
+"""Output of a simulated sensor's samples in blocks of limited size, synchronous with the clock of its bench."""
 
 from __future__ import annotations
 

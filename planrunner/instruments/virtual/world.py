@@ -1,7 +1,7 @@
-"""The virtual world: where the table points, how warm it is, and what a sensor on it feels at any time.
+"""The virtual world: attitude of the table, temperatures, and the input of a sensor at any time.
 
-It is a function of time since the last command, never of how often it was asked, so that a resumed run repeats an
-uninterrupted one bit for bit. The drivers change it; the sensor reads it.
+It depends only on the time since the last command, not on the number of queries, so that a resumed run equals an uninterrupted one bit for
+bit. The drivers change it; the sensor reads it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class World:
     def now(self) -> float:
         return self.clock.now()
 
-    # -- motion ----------------------------------------------------------------------------------------------------
+    # -- motion --------------------------------------------------------------------------------------------------------
 
     def joints(self, time: float) -> tuple[Array, Array]:
         """Joint angles [rad] and rates [rad/s] at one time, each (n,)."""
@@ -103,7 +103,7 @@ class World:
         x, y, z = (e[i, 0] * v[0] + e[i, 1] * v[1] + e[i, 2] * v[2] for i in range(3))
         return x, y, z
 
-    # -- position --------------------------------------------------------------------------------------------------
+    # -- position ------------------------------------------------------------------------------------------------------
 
     def position(self, times: Array) -> tuple[Value, Value, Value, Value, Value]:
         """Geodetic latitude, longitude [rad], height [m], velocity east and north [m/s] at `times`; floats where the bench stands."""
@@ -112,7 +112,7 @@ class World:
         place = self.track.place(times)
         return place.latitude, place.longitude, self.track.height, *self.track.velocity(place)
 
-    # -- temperature -----------------------------------------------------------------------------------------------
+    # -- temperature ---------------------------------------------------------------------------------------------------
 
     def air(self, times: Array) -> Array:
         """Temperature of the chamber's air [K]."""
@@ -128,7 +128,7 @@ class World:
         setpoint, air, sensor = (float(v[0]) for v in thermal.temperatures(self.command, self.lags, np.array([now])))
         self.command = thermal.Command(now, setpoint, air, sensor, kelvin)
 
-    # -- resuming --------------------------------------------------------------------------------------------------
+    # -- resuming ------------------------------------------------------------------------------------------------------
 
     def motion_state(self) -> dict[str, Any]:
         return {"course": courses.to_json(self.course), "steady_at": self.steady_at, "skew": self.skew.tolist()}

@@ -1,1 +1,2 @@
-"""What drivers of real instruments share: links, serial streams, framing, checksums and clocks. Nothing here knows a vendor."""
+"""Common parts of drivers of real instruments: links, serial streams, framing, checksums and clocks. Nothing here is specific to a
+vendor."""

@@ -1,8 +1,8 @@
 """Finding frames in a stream of bytes: sync, length, checksum; resynchronising; counting what is not a frame.
 
-A frame counts when its checksum fits. Where one is expected and is not there, or its checksum is wrong, a corrupt frame is counted and
-the search goes on one byte later, so that a frame hidden behind a false sync is never jumped over. What is held between two calls is
-shorter than the longest frame.
+A frame is valid if its checksum is correct. If an expected frame is missing or its checksum is wrong, a corrupt frame is counted and the
+search continues one byte later, so that a frame behind a false sync is never skipped. The data kept between two calls are shorter than the
+longest frame.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 
 @dataclass(frozen=True)
 class Framing:
-    """What frames look like.
+    """Format of frames.
 
     sync: their first bytes. rule: FIXED (`longest` bytes), XBUS (a length byte at 3, or FF and two more; never over `longest`), LINE (up
     to a line feed, never over `longest`). trailer: bytes that may follow a frame. The checksum covers the frame from byte `covered_from`

@@ -1,10 +1,9 @@
-"""When samples were taken: a sensor's counter laid against the times at which the computer read its frames.
+"""Times of samples, from a sensor's counter and the times at which the computer read its frames.
 
-A reading is never early, only late, by as much as buffers and the operating system please. So the counter's line on the computer's clock
-is the one that lies under all readings and closest to them, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and
-removal of clock skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network
-measurements, INFOCOM 2002). What is constant in the delay cannot be seen: transmission and the latency that the sensor reports are
-taken off before."""
+A reading is never early, only late, because of buffers and the operating system. The line of the counter on the computer's clock is
+therefore the highest line below all readings, an edge of their lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock
+skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM
+2002). A constant delay cannot be determined in this way; transmission time and the latency reported by the sensor are subtracted before."""
 
 from __future__ import annotations
 
@@ -39,8 +38,8 @@ FORESTALLED = 1.0
 
 @dataclass(frozen=True, slots=True)
 class FrameCounter:
-    """How a sensor counts: `tick` s a count, `step` counts a frame, starting anew at `modulus`. A sensor without a counter is one with
-    the modulus 1, of which only whole silences can be seen."""
+    """The counter of a sensor: `tick` s per count, `step` counts per frame, restarting at `modulus`. A sensor without a counter has the
+    modulus 1; then only interruptions of the stream can be detected."""
 
     tick: float
     step: float = 1.0
@@ -54,7 +53,7 @@ class FrameCounter:
 
 @dataclass
 class Unwrapping:
-    """Counts frames on beyond the counter's modulus, however many whole turns of it were lost in a silence.
+    """Extends the counter beyond its modulus, regardless of how many complete periods were lost during a silence.
 
     A silence with as few new counts as a turn more would also explain is either the computer's sleep, after which the readings catch up,
     or a loss, after which they stay behind. It is decided when `PATIENCE` seconds of readings after it are there.

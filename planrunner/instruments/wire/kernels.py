@@ -1,4 +1,4 @@
-"""What is done to every byte of a stream, compiled: checksums, the search for frames, fields to columns.
+"""Compiled operations on every byte of a stream: checksums, the search for frames, conversion of fields to columns.
 
 Shapes and meanings stand with the functions of `checksums`, `framing` and `columns` that call these. Imports numba, and so is imported
 only where bytes are at hand.

@@ -1,10 +1,10 @@
-"""Requests and replies with an instrument that speaks in messages: GPIB, USB, TCP or a serial line, through PyVISA.
+"""Requests and replies of a message-based instrument: GPIB, USB, TCP or a serial line, through PyVISA.
 
-One exchange at a time for each resource, whoever asks. A link that failed is closed before it is used again, and whatever lies unread
-before a request is dropped, so that a late answer is never taken for the next one. Nothing waits longer than its time-out. PyVISA is
-imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+Each resource has only one exchange at a time. A failed link is closed before it is used again, and unread data are discarded before a
+request, so that a late reply is never taken for the next one. Nothing waits longer than its time-out. PyVISA is imported when the first
+link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
 
-The keys by which a bench file says how such an instrument is reached and known again are declared here too.
+The bench keys for the connection and identification of such an instrument are declared here too.
 """
 
 from __future__ import annotations

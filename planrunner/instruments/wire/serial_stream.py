@@ -1,7 +1,7 @@
-"""A serial port that streams: one thread reads in bulk into a bounded ring, whoever wants the bytes takes them from there.
+"""A serial port that streams: one thread reads in bulk into a limited ring buffer, from which consumers take the bytes.
 
-pyserial reads a thousand times faster in bulk than byte by byte. While nobody follows the stream, the ring keeps the newest bytes only;
-while somebody does, it keeps all until it is full, and counts what it then has to drop.
+pyserial reads a thousand times faster in bulk than byte by byte. Without a consumer the ring keeps only the newest bytes. With a consumer
+it keeps all bytes until it is full, and counts those that it must then drop.
 """
 
 from __future__ import annotations
