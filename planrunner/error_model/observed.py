@@ -6,6 +6,7 @@ each. The nominal stimulus at every sample follows from attitude, table angle an
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,8 +15,11 @@ from numpy.typing import NDArray
 
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rock, Spin
+from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
+KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
+"""Kinds of channel by the dimension of their unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,77 @@ class Channel:
     white: float
     flicker: float = 0.0
     resolution: float = 0.0
+
+
+def axis_of(name: str) -> int | None:
+    """The sensor axis that a channel measures along: the first x, y or z among the words of its name, such as gyro_x, x_rate or
+    accel_z_filtered, in capitals too. None if there is none. Recordings, schedules and simulations all use this rule."""
+    return next(("xyz".index(word) for word in name.lower().split("_") if word in ("x", "y", "z")), None)
+
+
+def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
+    """The channel of an output of angular rate (a gyro) or acceleration whose name gives an axis; None for other outputs. text: unit of the
+    output and of its noise."""
+    kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
+    if kind is None or axis is None:
+        return None
+    factor = unit(text).factor
+    return Channel(name, kind, axis, text, factor, white * factor, flicker * factor, resolution * factor)
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedSegment:
+    """One segment of an `Observed`, with n samples. motion, attitude (3, 3), last_change: of the segment; time, angle, rate, acceleration,
+    temperature, temperature_rate: (n,); values: (n, K)."""
+
+    label: str
+    motion: Motion
+    attitude: Array
+    time: Array
+    angle: Array
+    rate: Array
+    acceleration: Array
+    temperature: Array
+    temperature_rate: Array
+    values: Array
+    last_change: float = 0.0
+
+
+def joined(
+    site: Site,
+    channels: Sequence[Channel],
+    segments: Sequence[ObservedSegment],
+    *,
+    magnetic: Sequence[float] | None = None,
+    rejected: int = 0,
+    along: Array | None = None,
+    bins: Bins | None = None,
+) -> Observed:
+    """Segments one after the other. rejected, along, bins: as in `Observed`."""
+
+    def stacked(parts: Iterable[Array]) -> Array:
+        return np.concatenate([np.zeros(0), *parts])
+
+    return Observed(
+        site,
+        tuple(channels),
+        tuple(one.label for one in segments),
+        tuple(one.motion for one in segments),
+        np.array([one.attitude for one in segments], dtype=float).reshape(-1, 3, 3),
+        np.concatenate(([0], np.cumsum([len(one.time) for one in segments]))).astype(np.int64),
+        stacked(one.time for one in segments),
+        stacked(one.angle for one in segments),
+        stacked(one.rate for one in segments),
+        stacked(one.acceleration for one in segments),
+        stacked(one.temperature for one in segments),
+        stacked(one.temperature_rate for one in segments),
+        np.array([one.last_change for one in segments], dtype=float),
+        np.concatenate([np.zeros((0, len(channels))), *(one.values for one in segments)]),
+        None if magnetic is None else np.asarray(magnetic, dtype=float),
+        rejected,
+        along=along,
+        bins=bins,
+    )
 
 
 @dataclass(frozen=True)

@@ -6,32 +6,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planrunner.error_model.observed import REFERENCE_TEMPERATURE, Channel, Observed
+from planrunner.error_model.observed import (
+    REFERENCE_TEMPERATURE,
+    Channel,
+    Observed,
+    ObservedSegment,
+    channel_of,
+    joined,
+)
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
 from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
-from planrunner.plan.units import ZERO_CELSIUS, unit
+from planrunner.plan.units import ZERO_CELSIUS
 
 _SAMPLES = 8  # of each segment
-_KINDS = {unit("rad/s").dimension: "gyro", unit("m/s^2").dimension: "accel"}
-
-
-def channel(name: str, text: str, white: float, flicker: float, step: float) -> Channel | None:
-    """The channel of an output of angular rate or acceleration whose name gives an axis, such as gyro_x; None for other outputs. text:
-    unit of noise and count."""
-    kind = _KINDS.get(unit(text).dimension)
-    axis = name.rpartition("_")[2]
-    if kind is None or axis not in ("x", "y", "z"):
-        return None
-    factor = unit(text).factor
-    return Channel(name, kind, "xyz".index(axis), text, factor, white * factor, flicker * factor, step * factor)
 
 
 def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:
     """The outputs that effects can act on."""
     listed = ((o.name, o.unit, o.noise.white, o.noise.bias_instability, o.noise.resolution) for o in sensor.outputs)
-    return tuple(made for one in listed if (made := channel(*one)) is not None)
+    return tuple(made for one in listed if (made := channel_of(*one)) is not None)
 
 
 def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed:
@@ -51,32 +46,26 @@ def scheduled(segments: Sequence[Segment], site: Site, channels: Sequence[Channe
     """A few samples of every segment that turns about one axis or rests; such segments only. rate: Hz."""
     usable = [s for s in segments if s.attitude is not None and isinstance(s.motion, Rest | Spin | Rock)]
     since = np.arange(_SAMPLES) / rate
-    parts = [motion_at(segment.motion, since, None) for segment in usable]
     warm = [_celsius(segment.temperature) for segment in usable]
     end = [w if s.ramp_to is None else _celsius(s.ramp_to) for w, s in zip(warm, usable, strict=True)]
-    slope = [(e - w) / (s.dwell or 1.0) for w, e, s in zip(warm, end, usable, strict=True)]
-    samples = _SAMPLES * len(usable)
-    turning = {
-        name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0)
-        for name in ("angle", "rate", "acceleration")
-    }
-    return Observed(
-        site,
-        tuple(channels),
-        tuple(segment.label for segment in usable),
-        tuple(segment.motion for segment in usable),
-        np.array([segment.attitude for segment in usable], dtype=float).reshape(-1, 3, 3),
-        _SAMPLES * np.arange(len(usable) + 1),
-        time=np.concatenate([segment.start + since for segment in usable]) if usable else np.zeros(0),
-        angle=turning["angle"],
-        rate=turning["rate"],
-        acceleration=turning["acceleration"],
-        temperature=np.repeat(warm, _SAMPLES) + np.tile(since, len(usable)) * np.repeat(slope, _SAMPLES),
-        temperature_rate=np.repeat(slope, _SAMPLES),
-        last_change=np.sign(np.diff([*warm[:1], *end])) if usable else np.zeros(0),
-        values=np.zeros((samples, len(channels))),
-        magnetic=None if site.magnetic_field is None else np.array(site.magnetic_field),
-    )
+    changes = np.sign(np.diff([*warm[:1], *end]))
+    parts = []
+    for segment, begin, last, change in zip(usable, warm, end, changes, strict=True):
+        slope = (last - begin) / (segment.dwell or 1.0)
+        parts.append(
+            ObservedSegment(
+                segment.label,
+                segment.motion,
+                np.array(segment.attitude),
+                segment.start + since,
+                **motion_at(segment.motion, since, None),
+                temperature=begin + since * slope,
+                temperature_rate=np.full(_SAMPLES, slope),
+                values=np.zeros((_SAMPLES, len(channels))),
+                last_change=float(change),
+            )
+        )
+    return joined(site, channels, parts, magnetic=site.magnetic_field)
 
 
 def _celsius(kelvin: float | None) -> float:

@@ -146,35 +146,31 @@ class AddedEffects:
 
     def _observed(self, moments: Moments, gives: Mapping[str, Gives]) -> Observed:
         """The samples as a recording of one segment."""
-        from planrunner.error_model.observed import Observed
-        from planrunner.error_model.scheduled import channel
+        from planrunner.error_model.observed import ObservedSegment, channel_of, joined
 
         segment = moments.segment
         if segment.attitude is None:
             raise InstrumentError(f"'{segment.label}' has no orientation, without which no effect can be added")
         warm = moments.kelvin - ZERO_CELSIUS
         self._note_temperature(segment.index, warm)
-        listed = (channel(name, one.unit, one.white, 0.0, one.step) for name, one in gives.items())
+        listed = (channel_of(name, one.unit, one.white, 0.0, one.step) for name, one in gives.items())
         channels = tuple(made for made in listed if made is not None)
         step = 1 / moments.sample_rate
         steady = len(warm) < 2
-        return Observed(
-            self.world.site,
-            channels,
-            (segment.label,),
-            (segment.motion,),
-            np.array([segment.attitude]),
-            np.array([0, len(warm)]),
+        part = ObservedSegment(
+            segment.label,
+            segment.motion,
+            segment.attitude,
             moments.time - moments.power_on,
             moments.angle,
             moments.rate,
             np.zeros(len(warm)) if steady else np.gradient(moments.rate, step),
             warm,
             np.zeros(len(warm)) if steady else np.gradient(warm, step),
-            np.array([self.change]),
             np.zeros((len(warm), len(channels))),
-            None if self.world.site.magnetic_field is None else np.array(self.world.site.magnetic_field),
+            self.change,
         )
+        return joined(self.world.site, channels, [part], magnetic=self.world.site.magnetic_field)
 
     def _note_temperature(self, index: int, warm: Array) -> None:
         """Follows the sign of the last change of temperature from segment to segment."""

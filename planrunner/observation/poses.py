@@ -12,13 +12,13 @@ steps. An effect of size δ beyond the nominal model rotates u by at most δ and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
-from planrunner.error_model.observed import Channel, Observed
+from planrunner.error_model.observed import Channel, Observed, ObservedSegment, joined
 from planrunner.instruments.models import SensorModel
 from planrunner.observation.bins import bins_of, seen_along, sizes
 from planrunner.observation.refusals import ObservationError
@@ -56,7 +56,7 @@ def poses(
     sensor: SensorModel,
     nominal: Sequence[str],
     *,
-    axes: Mapping[str, str] | None = None,
+    only: Collection[str] | None = None,
     power_on: float = 0.0,
 ) -> Observed:
     """Recorded poses for a diagnosis: one channel `accel`, the accelerometer reading along gravity.
@@ -65,7 +65,7 @@ def poses(
     show only a bias. Raises `ObservationError` without a complete triad of accelerometers, and if the readings are not near a sphere.
     """
     recording = in_time_order(recording)
-    found = [channel for channel in channels_of(recording[0], sensor, axes) if channel.kind == "accel"]
+    found = [channel for channel in channels_of(recording[0], sensor, only) if channel.kind == "accel"]
     triad = {channel.axis: channel for channel in found}
     if len(found) != 3 or len(triad) != 3:
         message = f"orientations are unknown, and of the accelerometers {len(found)} are recorded"
@@ -88,22 +88,21 @@ def poses(
     level = float(noise.mean())
     # Noise differs between axes and hence between poses: each pose is scaled to the mean level.
     along = directions * (level / noise if level > 0 else np.ones(len(noise)))[:, None]
-    count = sum(map(len, time))
-    return Observed(
+    segments = []
+    for item, now, taken, felt, direction, weight in zip(
+        recording, time, samples, warm, directions, along, strict=True
+    ):
+        still = np.zeros(len(now))
+        segments.append(
+            ObservedSegment(
+                item.label, item.segment.motion, _attitude(direction), now, still, still, still, felt.celsius, felt.rate,
+                (taken @ weight)[:, None],
+            )
+        )  # fmt: skip
+    return joined(
         site,
         (Channel("accel", "accel", 0, triad[0].unit, triad[0].factor, level),),
-        tuple(item.label for item in recording),
-        tuple(item.segment.motion for item in recording),
-        np.array([_attitude(direction) for direction in directions]),
-        np.concatenate(([0], np.cumsum([len(part) for part in time]))).astype(np.int64),
-        np.concatenate(time),
-        np.zeros(count),
-        np.zeros(count),
-        np.zeros(count),
-        np.concatenate([part.celsius for part in warm]),
-        np.concatenate([part.rate for part in warm]),
-        np.zeros(len(recording)),
-        np.concatenate([part @ weight for part, weight in zip(samples, along, strict=True)])[:, None],
+        segments,
         rejected=sum(part.rejected for part in rows),
         along=along,
         bins=None if size is None else seen_along(bins_of(size, rows), along),

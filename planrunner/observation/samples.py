@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.base.findings import closest
-from planrunner.error_model.observed import Channel, Observed
+from planrunner.error_model.observed import KINDS, Channel, Observed, ObservedSegment, channel_of, joined
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.bins import SQUARED, Averaged, averaged, bins_of, sizes
 from planrunner.observation.refusals import ObservationError
@@ -27,7 +27,7 @@ def observed(
     site: Site,
     sensor: SensorModel,
     *,
-    axes: Mapping[str, str] | None = None,
+    only: Collection[str] | None = None,
     angle_channel: str | None = None,
     temperature_channel: str | None = None,
     magnetic: Sequence[float] | None = None,
@@ -35,15 +35,14 @@ def observed(
 ) -> Observed:
     """The recorded segments of a run for a diagnosis, in order of time, as slow noise and hysteresis require.
 
-    axes: channel → sensor axis x, y or z; by default the last letter of names such as gyro_x and accel_z, or a part of the name between
-    underscores. Angular-rate channels are gyros and acceleration channels accelerometers, whatever their names. angle_channel: the table's
-    encoder; temperature_channel: thermometer; by default the plan's values are used. power_on: recording time of power-on, s. Raises
-    `ObservationError` if the recording cannot be diagnosed.
+    only: the channels to use, by default all. Names give their axes (`axis_of`); angular-rate channels are gyros and acceleration channels
+    accelerometers, whatever their names. angle_channel: the table's encoder; temperature_channel: thermometer; by default the plan's values
+    are used. power_on: recording time of power-on, s. Raises `ObservationError` if the recording cannot be diagnosed.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
     recording = in_time_order(recording)
-    channels = channels_of(recording[0], sensor, axes)
+    channels = channels_of(recording[0], sensor, only)
     if not channels:
         raise ObservationError("the recording has no channel of angular rate or acceleration with an axis x, y or z")
     size = sizes(recording)
@@ -54,55 +53,36 @@ def observed(
     parts = [part for part, *_ in made]
     settled(recording, parts, [uncertainty for *_, uncertainty in made])
     means = [float(np.mean(part["temperature"])) for part in parts]
-    stacked = {name: np.concatenate([part[name] for part in parts]) for name in _PER_SAMPLE}
-    return Observed(
+    return joined(
         site,
         channels,
-        tuple(item.label for item in recording),
-        tuple(item.segment.motion for item in recording),
-        np.array([item.segment.attitude for item in recording]),
-        np.concatenate(([0], np.cumsum([len(part["time"]) for part in parts]))).astype(np.int64),
-        last_change=changes(recording, means),
-        magnetic=None if magnetic is None else np.asarray(magnetic, dtype=float),
+        [
+            ObservedSegment(
+                item.label, item.segment.motion, np.array(item.segment.attitude), **part, last_change=float(change)
+            )
+            for item, part, change in zip(recording, parts, changes(recording, means), strict=True)
+        ],
+        magnetic=magnetic,
         rejected=sum(rows.rejected for _, rows, _ in made),
         bins=None if size is None else bins_of(size, [rows for _, rows, _ in made]),
-        **stacked,
     )
 
 
-_PER_SAMPLE = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
-
-
-def channels_of(first: RecordedSegment, sensor: SensorModel, axes: Mapping[str, str] | None) -> tuple[Channel, ...]:
+def channels_of(first: RecordedSegment, sensor: SensorModel, only: Collection[str] | None) -> tuple[Channel, ...]:
+    """The recorded channels of angular rate and acceleration that have an axis."""
     found = []
     for name, text in first.units.items():
-        kind = {"angular rate": "gyro", "acceleration": "accel"}.get(_quantity(text))
-        words = name.lower().split("_")
-        letter = axes.get(name) if axes is not None else next((w for w in words if w in ("x", "y", "z")), None)
-        if kind is None or letter is None:
-            continue
-        factor = unit(text).factor
         output = sensor.output(name)
         noise = output.noise if output else NoiseModel()
-        found.append(
-            Channel(
-                name, kind, "xyz".index(letter), text, factor,
-                noise.white * factor, noise.bias_instability * factor, noise.resolution * factor,
-            )
-        )  # fmt: skip
+        made = channel_of(name, text, noise.white, noise.bias_instability, noise.resolution)
+        if made is not None and (only is None or name in only):
+            found.append(made)
     return tuple(found)
 
 
 def measures_motion(text: str) -> bool:
-    """Whether a channel in this unit is diagnosed."""
-    return bool(_quantity(text))
-
-
-def _quantity(text: str) -> str:
-    dimension = unit(text).dimension
-    if dimension == unit("rad/s").dimension:
-        return "angular rate"
-    return "acceleration" if dimension == unit("m/s^2").dimension else ""
+    """Whether a channel in this unit is one that is diagnosed."""
+    return unit(text).dimension in KINDS
 
 
 def _part(

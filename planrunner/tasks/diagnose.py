@@ -142,13 +142,13 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
     units = segments[0].units
     try:
         if unknown_orientations(segments):
-            seen = poses(segments, sound.models.site, sensor, nominal, axes=_axes(used))
+            seen = poses(segments, sound.models.site, sensor, nominal, only=_with_axis(used))
         else:
             seen = observed(
                 segments,
                 sound.models.site,
                 sensor,
-                axes=_axes(used),
+                only=_with_axis(used),
                 angle_channel=_only(units, "angle"),
                 temperature_channel=_only(units, "temperature"),
                 magnetic=sound.models.site.magnetic_field,
@@ -286,10 +286,11 @@ def _parameters(bench: Bench, plan: str) -> RecordingParameters:
     raise InputError.at(Mark(plan), "recording-no-mapping", message, hint)
 
 
-def _axes(outputs: Sequence[str]) -> dict[str, str] | None:
-    """The sensor axis of each output that the plan uses, by the letter in its name; None where it names no outputs."""
-    letters = {name: [word for word in name.lower().split("_") if word in ("x", "y", "z")] for name in outputs}
-    return {name: found[0] for name, found in letters.items() if found} or None
+def _with_axis(outputs: Sequence[str]) -> tuple[str, ...] | None:
+    """The outputs that the plan uses whose names give an axis; None where there are none."""
+    from planrunner.error_model.observed import axis_of
+
+    return tuple(name for name in outputs if axis_of(name) is not None) or None
 
 
 def _only(units: dict[str, str], dimension: str) -> str | None:

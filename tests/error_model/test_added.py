@@ -9,8 +9,8 @@ import pytest
 
 from planrunner.base.findings import InputError, Mark
 from planrunner.error_model.added import Addition, added, addition
-from planrunner.error_model.observed import Observed
-from planrunner.error_model.scheduled import channel, everything, scheduled
+from planrunner.error_model.observed import Observed, channel_of
+from planrunner.error_model.scheduled import everything, scheduled
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Rest, Segment, Spin
 
@@ -18,8 +18,8 @@ HERE = Mark("here")
 SITE = Site(math.radians(40.0), 9.8, magnetic_field=(0.0, 0.55, -0.83))
 DEG = math.pi / 180
 RATE = 50.0
-CHANNELS = [channel(f"gyro_{a}", "deg/s", 1e-3, 0.0, 1e-3) for a in "xyz"]
-CHANNELS += [channel(f"accel_{a}", "m/s^2", 5e-4, 0.0, 2e-4) for a in "xyz"]
+CHANNELS = [channel_of(f"gyro_{a}", "deg/s", 1e-3, 0.0, 1e-3) for a in "xyz"]
+CHANNELS += [channel_of(f"accel_{a}", "m/s^2", 5e-4, 0.0, 2e-4) for a in "xyz"]
 
 
 def _seen(attitude: np.ndarray, rate: float = 0.0, kelvin: float = 298.15) -> Observed:

@@ -7,16 +7,13 @@ noise. The sensor does not depend on effects, and an effect does not depend on t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.plan.schedule import Segment
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 
