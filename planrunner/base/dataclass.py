@@ -108,6 +108,8 @@ def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: b
     for item in found:
         name, value, parameter = item.name, item.name, item.name
         if item.default is not dataclasses.MISSING:
+            if not item.init and name not in slots:
+                continue  # the class has it
             names[f"_default_{name}"] = item.default
             parameter = f"{name}=_default_{name}"
             value = name if item.init else f"_default_{name}"

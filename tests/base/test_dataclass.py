@@ -55,6 +55,17 @@ def shapes(make: Callable[..., Any], **options: bool) -> dict[str, type]:
         d: int = 5
 
     @make(**options)
+    class Again(Derived):
+        """Two levels, a default that is changed, a name given alone, and work after the parents' own."""
+
+        b: str = "again"
+        named: int = dataclasses.field(default=1, kw_only=True)
+        total: int = dataclasses.field(default=0, init=False, compare=False)
+
+        def __post_init__(self) -> None:
+            object.__setattr__(self, "total", self.d + self.named)
+
+    @make(**options)
     class Empty:
         """Nothing."""
 
@@ -73,7 +84,7 @@ def shapes(make: Callable[..., Any], **options: bool) -> dict[str, type]:
         def __hash__(self) -> int:
             return 7
 
-    return {cls.__name__: cls for cls in (Plain, Made, Checked, Derived, Empty, One, Compared)}
+    return {cls.__name__: cls for cls in (Plain, Made, Checked, Derived, Again, Empty, One, Compared)}
 
 
 CALLS: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
@@ -92,6 +103,10 @@ CALLS: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("Checked", (1, 2), {}),
     ("Derived", (1,), {"d": 2}),
     ("Derived", (1, "b", (), 7), {}),
+    ("Again", (1,), {"named": 4}),
+    ("Again", (1, "x", (2,), 3), {}),
+    ("Again", (1, "x", (2,), 3, 4), {}),
+    ("Again", (), {"a": 1, "total": 2}),
     ("Empty", (), {}),
     ("One", (float("nan"),), {}),
     ("One", ([1],), {}),
@@ -117,6 +132,12 @@ def result(work: Callable[[], Any]) -> Any:
         return type(error)
 
 
+def signature(cls: type) -> list[tuple[str, object, object, bool]]:
+    """Names, kinds and annotations of what makes one, and whether each may be left out."""
+    given = inspect.signature(cls).parameters.values()
+    return [(one.name, one.kind, one.annotation, one.default is inspect.Parameter.empty) for one in given]
+
+
 def used(cls: type, arguments: tuple[Any, ...], names: dict[str, Any], options: dict[str, bool]) -> list[Any]:
     """All that can be done with a record, told without addresses."""
     record: Any = result(lambda: cls(*arguments, **names))
@@ -134,6 +155,24 @@ def used(cls: type, arguments: tuple[Any, ...], names: dict[str, Any], options: 
     def delete() -> None:
         del twin.a
 
+    class Below(cls):
+        """Derived without a decorator."""
+
+    below = Below(*arguments, **names)
+
+    def add() -> Any:
+        below.strange = 9
+        return below.strange
+
+    def matched() -> Any:
+        kind: Any = cls
+        match record:
+            case kind(first):
+                return first
+        return "no match"
+
+    # Of a frozen class with slots, the standard library's own refusal fails where what is set is no field.
+    sound = not (options.get("frozen") and options.get("slots"))
     by_identity: object = object.__hash__
     shown = repr(record).replace(cls.__qualname__, cls.__name__)
     return [
@@ -141,7 +180,14 @@ def used(cls: type, arguments: tuple[Any, ...], names: dict[str, Any], options: 
         record == twin,
         record == cls(*(7, *arguments[1:])) if arguments and "kw_only" not in options else None,
         record != 3,
-        result(lambda: hash(record) == hash(twin)) if cls.__hash__ is not by_identity else None,
+        result(lambda: (hash(record), hash(twin))) if cls.__hash__ is not by_identity else None,
+        record == below,
+        below == record,
+        result(lambda: record < twin),
+        result(add) if sound else None,
+        result(lambda: setattr(below, "a", 9)) if sound or "a" in cls.__dataclass_fields__ else None,  # type: ignore[attr-defined]
+        repr(result(matched)),
+        repr(result(lambda: record.__reduce_ex__(2)[2:])),
         [(item.name, item.init, item.compare, item.kw_only) for item in dataclasses.fields(record)],
         result(lambda: dataclasses.asdict(record)).__repr__(),
         repr(result(lambda: dataclasses.replace(record, a=8))).replace(cls.__qualname__, cls.__name__),
@@ -151,7 +197,9 @@ def used(cls: type, arguments: tuple[Any, ...], names: dict[str, Any], options: 
         result(delete),
         cls.__match_args__,  # type: ignore[attr-defined]
         hasattr(record, "__dict__"),
-        str(inspect.signature(cls).parameters.keys()),
+        signature(cls),
+        cls.__doc__ if cls.__doc__ and "(" not in cls.__doc__ else None,
+        sorted(cls.__dict__.get("__slots__", ())),
         dataclasses.is_dataclass(cls),
         cls.__dataclass_params__.frozen,  # type: ignore[attr-defined]
     ]
