@@ -27,8 +27,9 @@ demo: $(READY)
 	$(BIN)/planrunner check plans/flexure_gyro_eight_position.yaml
 	$(BIN)/planrunner run plans/flexure_gyro_eight_position.yaml --set device_serial=DEMO-1 --set operator=demo --runs runs
 
+# Three workers for two cores: some tests wait for a process that they started.
 test: $(READY)
-	$(BIN)/pytest -n 2 -m 'not slow'
+	$(BIN)/pytest -n 3 -m 'not slow'
 
 test-slow: $(READY)
 	$(BIN)/pytest -n 2 -m slow

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from planrunner.design import optimal
 from planrunner.design.study import Asked
 from planrunner.estimators.interface import EstimationError
 from planrunner.tasks.check import check_plan
@@ -72,7 +74,10 @@ def test_one_axis_cannot_tell_the_drifts_apart(tmp_path: Path) -> None:
         design_positions(check_plan(write(tmp_path, ONLY, ONE)), Asked(restarts=1))
 
 
-def test_the_worst_variance_is_lowered(tmp_path: Path) -> None:
+def test_the_worst_variance_is_lowered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        optimal, "bound", partial(optimal.bound, tolerance=0.05)
+    )  # the sets are compared, not their bounds
     plan = write(tmp_path, f"{OUTER}, {INNER}", TWO)
     by_d, by_g = (design_positions(check_plan(plan), Asked(restarts=2, criterion=criterion)) for criterion in "DG")
     assert by_g.sets["free"].merit.worst < by_d.sets["free"].merit.worst
