@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
-from planrunner.estimators.interface import EstimateRequest
+from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimateRequest
 from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs
-from planrunner.estimators.table_errors import table_errors
-from planrunner.observation.correlated_errors import Array
+from planrunner.estimators.planned import planned_blocks
+from planrunner.estimators.stated_errors import site_errors, table_errors
+from planrunner.observation.correlated_errors import Array, functionals_of
 from planrunner.observation.flicker import flicker_errors
 from planrunner.observation.observations import Observations
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.influences import Influence
 
 
 class FittedFromPositions(Protocol):
@@ -26,23 +29,45 @@ class FittedFromPositions(Protocol):
     def drift_span(self) -> Quantity: ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionsDesign:
+    """A linear model at n segments, planned or recorded: what `check` judges is what is then fitted. matrix: (n, p), SI; magnitudes: (p,),
+    declared sizes of its columns."""
+
+    model: ErrorModel
+    segments: tuple[Segment, ...]
+    matrix: Array
+    magnitudes: Array
+
+    def blocks(self, request: DesignRequest[FittedFromPositions], outputs: Sequence[str]) -> tuple[DesignBlock, ...]:
+        """For `check`, of each output. Raises `EstimationError` for one that the sensor does not have."""
+        return planned_blocks(request, outputs, self.model.names, self.matrix, self.magnitudes)
+
+
 def fit_positions(
     request: EstimateRequest[FittedFromPositions],
-    model: ErrorModel,
-    segments: Sequence[Segment],
+    design: PositionsDesign,
     observations: Observations,
-    matrix: Array,
-    magnitudes: Array,
     pooled: bool = False,
 ) -> OutputsFit:
-    """Outputs against a linear model. matrix: (n, p), SI; magnitudes: (p,).
+    """Outputs against a linear model.
 
     How far the table's errors move an output depends on its coefficients, which a first fit without them gives. Raises `EstimationError`.
     """
     parameters = request.parameters
+    model, matrix, magnitudes = design.model, design.matrix, design.magnitudes
     about = coefficients_by_noise(matrix, observations, magnitudes, model.names)
     effects = (
         *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
-        *table_errors(model, segments, request.site, request.setup, about),
+        *table_errors(model, design.segments, request.site, request.setup, about),
     )
     return fit_outputs(matrix, observations, magnitudes, model.names, parameters.uncertainty, pooled, effects=effects)
+
+
+def site_influences(
+    request: EstimateRequest[FittedFromPositions], design: PositionsDesign, fit: OutputsFit
+) -> tuple[Influence, ...]:
+    """Of latitude and gravity on the coefficients, output after output, in SI columns and the outputs' units."""
+    errors = site_errors(design.model, design.segments, request.site, request.setup.inputs, fit.coefficients)
+    functionals = functionals_of(fit.gains)
+    return tuple(error.through(functionals) for error in errors)

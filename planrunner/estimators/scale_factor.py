@@ -34,8 +34,8 @@ from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
-from planrunner.estimators.table_errors import rate_errors
-from planrunner.estimators.tilted.rate_lines import asymmetry
+from planrunner.estimators.stated_errors import rate_errors
+from planrunner.estimators.tilted.rate_lines import asymmetry, line_through
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.flicker import drift_span, flicker_errors
 from planrunner.observation.observations import Observations, observe
@@ -105,8 +105,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
     def design(self, request: DesignRequest[ScaleFactorParameters]) -> Design:
         """A line through the planned rates, for each output. Raises `EstimationError`."""
         rates = _rates(request.segments)
-        matrix = np.column_stack([np.ones(len(rates)), rates])
-        magnitudes = np.array([1.0, max(float(np.abs(rates).max(initial=0.0)), 1e-12)])
+        matrix, magnitudes = line_through(rates)
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         blocks = planned_blocks(request, names, TERMS, matrix, magnitudes)
         named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
@@ -130,8 +129,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
             raise EstimationError(
                 f"{request.name}: all segments have the same rate, so a line cannot be distinguished from a constant"
             )
-        matrix = np.column_stack([np.ones(len(rates)), rates])
-        magnitudes = np.array([1.0, np.abs(rates).max()])
+        matrix, magnitudes = line_through(rates)
         slopes = coefficients_by_noise(matrix, observations, magnitudes, TERMS)[:, 1]
         effects = (
             *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
@@ -258,7 +256,7 @@ def _metrics(
 
     Nonlinearity: largest residual over the largest output [ppm]. Asymmetry: 2·(K₊ − K₋)/(K₊ + K₋) [ppm] of two half-lines that meet
     at zero rate; it needs both signs and three different rates."""
-    one, matrix = fit.fits[k], np.column_stack([np.ones(len(rates)), rates])
+    one, (matrix, _) = fit.fits[k], line_through(rates)
     observed = fit.observed(k, basis)
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))

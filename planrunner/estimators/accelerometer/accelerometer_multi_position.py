@@ -24,7 +24,6 @@ from planrunner.estimators.interface import (
     EstimationError,
 )
 from planrunner.estimators.method import Foresight, Method, Words, by_expectation
-from planrunner.estimators.planned import planned_blocks
 from planrunner.plan.selection import Detection
 
 Array = NDArray[np.float64]
@@ -47,9 +46,8 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
         if parameters.reference == "gravity_magnitude":
             return by_magnitude.design(request)
         _no_spans(request.detection)
-        model = by_orientation.model_of(parameters.terms)
-        matrix = by_orientation.matrix_of(model, request.segments, request.site)
-        blocks = planned_blocks(request, parameters.outputs, model.names, matrix, model.magnitudes)
+        design = by_orientation.design_of(parameters.terms, request.segments, request.site)
+        blocks = design.blocks(request, parameters.outputs)
         return Design(blocks, remarks=planned_basis(request, blocks, parameters.uncertainty))
 
     def known(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Known:

@@ -17,7 +17,7 @@ from planrunner.error_model.terms import ErrorModel, error_model
 from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.derived import Reported, derived
-from planrunner.estimators.fit_positions import fit_positions
+from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.interface import (
     Cell,
     EstimateRequest,
@@ -32,7 +32,6 @@ from planrunner.estimators.outputs_fit import OutputsFit
 from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
-from planrunner.estimators.stated_influences import stated_influences
 from planrunner.estimators.triad import RowFormula, scale_and_misalignments
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.observations import Observations, observe
@@ -45,15 +44,11 @@ Array = NDArray[np.float64]
 _AXES = ("x", "y", "z")
 
 
-def model_of(terms: Sequence[str]) -> ErrorModel:
-    """The error model of one axis."""
-    return error_model(terms)
-
-
-def matrix_of(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
-    """The design matrix of positions at rest, SI. Raises `EstimationError`."""
-    needed = "an accelerometer is compared with gravity at rest"
-    return matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
+def design_of(terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
+    """Of each axis at positions at rest. Raises `EstimationError`."""
+    model, needed = error_model(terms), "an accelerometer is compared with gravity at rest"
+    matrix = matrix_at_rest(model, segments, site, needed, " (for example `reference: gravity_magnitude`)")
+    return PositionsDesign(model, tuple(segments), matrix, model.magnitudes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,12 +67,10 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     basis = parameters.uncertainty
     observations = observe(request.segments, parameters.outputs, request.sensor)
     units = _units(observations)
-    model = model_of(parameters.terms)
-    segments = [recorded.segment for recorded in request.segments]
-    matrix = matrix_of(model, segments, request.site)
-    fit = fit_positions(request, model, segments, observations, matrix, model.magnitudes)
+    design = design_of(parameters.terms, [recorded.segment for recorded in request.segments], request.site)
+    fit = fit_positions(request, design, observations)
     require_basis(fit, basis, request.name)
-    rows = [(axis, *row) for axis in range(3) for row in _axis(axis, fit, model)]
+    rows = [(axis, *row) for axis in range(3) for row in _axis(axis, fit, design.model)]
     factors = np.array([own.factor for own in units])[:, None, None]
 
     def formula(flat: Array) -> Array:
@@ -86,7 +79,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
 
     found = derived([one for _, one, _ in rows], formula, fit)
     stated = (
-        *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
+        *site_influences(request, design, fit),
         *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
         *fit.influences(basis),
     )
@@ -98,7 +91,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
         extra={"root_mean_square": scatter},
         observations=observations,
         units=tuple(units),
-        model=model,
+        model=design.model,
         fit=fit,
     )
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from planrunner.error_model import flexure_gyro
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import reported
 from planrunner.estimators.interface import Estimate, EstimateRequest
-from planrunner.estimators.stated_influences import stated_influences
-from planrunner.estimators.table_errors import table_errors
+from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Aspect, Influence
@@ -62,9 +61,9 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
     """On i − X·c through the verification positions: what a fit of one coefficient a position would show."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
+    site = site_errors(model, segments, request.site, request.setup.inputs, coefficients)
     table = table_errors(model, segments, request.site, request.setup, coefficients)
-    stated = stated_influences(model, segments, request.site, request.setup.inputs, coefficients, each)
-    return [*stated, *(one.through(functionals_of(each)) for one in table)]
+    return [one.through(functionals_of(each)) for one in (*site, *table)]
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:

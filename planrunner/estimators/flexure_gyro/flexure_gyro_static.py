@@ -14,7 +14,7 @@ from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.expected import Known
-from planrunner.estimators.fit_positions import fit_positions
+from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import bases_table, residual_table
 from planrunner.estimators.flexure_gyro import tables
 from planrunner.estimators.interface import (
@@ -26,10 +26,9 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.planned import matrix_at_rest, planned_blocks
+from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
-from planrunner.estimators.stated_influences import stated_influences
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe
@@ -80,8 +79,7 @@ class StaticQuantities(Quantities):
     """stated: influences on SI [U; V], output after output."""
 
     observations: Observations
-    model: ErrorModel
-    matrix: Array
+    design: PositionsDesign
     fit: OutputsFit
     found: Derived
     stated: tuple[Influence, ...]
@@ -97,20 +95,13 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
     def design(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Design:
         """The design of both outputs at the planned positions. Raises `EstimationError`."""
         parameters = request.parameters
-        model = flexure_gyro.static_model(parameters.terms)
-        matrix = static_matrix(model, request.segments, request.site)
-        magnitudes = local_magnitudes(model, request.site)
-        blocks = planned_blocks(request, _two(parameters.outputs), model.names, matrix, magnitudes)
-        scaled = matrix / magnitudes
-        sight = rank.look(scaled)
-        if sight.rank < scaled.shape[1]:
+        design = static_design(parameters.terms, request.segments, request.site)
+        blocks = design.blocks(request, _two(parameters.outputs))
+        if rank.look(design.matrix / design.magnitudes).rank < len(design.magnitudes):
             return Design(blocks)
         remarks = planned_basis(request, blocks, parameters.uncertainty)
-        determinant = float(np.linalg.det(scaled.T @ scaled))
-        note = tables.determinant_note(determinant, sight.condition, len(matrix))
-        return Design(
-            blocks, notes=(note,), extra={"determinant": determinant, "condition": sight.condition}, remarks=remarks
-        )
+        information, note = tables.information(design)
+        return Design(blocks, notes=(note,), extra=information, remarks=remarks)
 
     def known(self, request: DesignRequest[FlexureGyroStaticParameters]) -> Known:
         """U and V of the physical coefficients that the sensor declares; without them, of a gyro without drift."""
@@ -127,18 +118,15 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         parameters = request.parameters
         basis = parameters.uncertainty
         observations = observe(request.segments, _two(parameters.outputs), request.sensor)
-        model = flexure_gyro.static_model(parameters.terms)
-        segments = [recorded.segment for recorded in request.segments]
-        matrix = static_matrix(model, segments, request.site)
-        magnitudes = local_magnitudes(model, request.site)
-        fit = fit_positions(request, model, segments, observations, matrix, magnitudes, parameters.pool_outputs)
+        design = static_design(parameters.terms, [one.segment for one in request.segments], request.site)
+        fit = fit_positions(request, design, observations, parameters.pool_outputs)
         require_basis(fit, basis, request.name)
         try:
-            found = static_coefficients(fit, observations.units, model, parameters.terms)
+            found = static_coefficients(fit, observations.units, design.model, parameters.terms)
         except ValueError as error:
             raise EstimationError(f"{request.name}: {error}") from None
         stated = (
-            *stated_influences(model, segments, request.site, request.setup.inputs, fit.coefficients, fit.gains),
+            *site_influences(request, design, fit),
             *resolution_influences(request, parameters.outputs, functionals_of(fit.gains)),
             *fit.influences(basis),
         )
@@ -146,10 +134,9 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
             coefficients=found.coefficients(basis),
             covariance=found.covariance(basis),
             influences=found.influences([stated]),
-            extra=_extra(observations, model, matrix, fit, parameters),
+            extra=_extra(observations, design, fit, parameters),
             observations=observations,
-            model=model,
-            matrix=matrix,
+            design=design,
             fit=fit,
             found=found,
             stated=stated,
@@ -159,15 +146,13 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         """Residuals, both bases of uncertainty, and the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         notes, warnings = judge(fit, basis)
-        scaled = found.matrix / local_magnitudes(found.model, request.site)
-        condition = float(np.linalg.cond(scaled))
-        notes.append(tables.determinant_note(float(np.linalg.det(scaled.T @ scaled)), condition, len(found.matrix)))
+        notes.append(tables.information(found.design)[1])
         return Words(
             headline=flexure_gyro.physical_names(request.parameters.terms),
             settings={
                 "uncertainty": basis,
                 "pool_outputs": fit.pooled,
-                "terms": list(found.model.names),
+                "terms": list(found.design.model.names),
                 "weights": [noise.weighting for noise in fit.noises],
             },
             tables=(
@@ -184,6 +169,12 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         """Draws of [U; V] from the fit and the stated inputs, through the closed-form inverse."""
         made = self.quantities(request)
         return made.found.draws(request.parameters.uncertainty, [made.stated])
+
+
+def static_design(products: tuple[str, ...], segments: Sequence[Segment], site: Site) -> PositionsDesign:
+    """Of either output at positions at rest. Raises `EstimationError`."""
+    model = flexure_gyro.static_model(products)
+    return PositionsDesign(model, tuple(segments), static_matrix(model, segments, site), local_magnitudes(model, site))
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
@@ -248,8 +239,7 @@ def _two(outputs: tuple[str, ...]) -> tuple[str, ...]:
 
 def _extra(
     observations: Observations,
-    model: ErrorModel,
-    matrix: Array,
+    design: PositionsDesign,
     fit: OutputsFit,
     parameters: FlexureGyroStaticParameters,
 ) -> dict[str, object]:
@@ -258,10 +248,10 @@ def _extra(
     flicker = {effect.quantity.name: effect.quantity.standard_uncertainty for effect in fit.effects}
     return {
         "outputs": list(parameters.outputs),
-        "terms": list(model.names),
+        "terms": list(design.model.names),
         "coefficients": fit.coefficients.tolist(),
         "covariance": {basis: fit.covariance(basis).tolist() for basis in BASES if fit.available(basis)},
-        "matrix": matrix.tolist(),
+        "matrix": design.matrix.tolist(),
         "gains": fit.gains.tolist(),
         "sigma": [noise.sigma.tolist() for noise in fit.noises],
         "start": observations.start.tolist(),

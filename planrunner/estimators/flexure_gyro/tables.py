@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from planrunner.error_model.flexure_gyro import drifts, output_names
+from planrunner.estimators import rank
+from planrunner.estimators.fit_positions import PositionsDesign
 
 _GEOMETRY = (
     "Torquer scale factor, x",
@@ -35,9 +39,13 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[str, ...]:
     return (*_GEOMETRY, *of_drifts, *of_outputs)
 
 
-def determinant_note(determinant: float, condition: float, positions: int) -> str:
-    """The determinant by which sets of positions are compared, with rates in Earth-rate units and accelerations in g."""
-    return (
-        f"Information matrix of the {positions} positions (rates in Earth-rate units, accelerations in g): "
+def information(design: PositionsDesign) -> tuple[dict[str, object], str]:
+    """`determinant` and `condition` by which sets of positions are compared, with rates in Earth-rate units and accelerations in g, and
+    the same in words."""
+    scaled = design.matrix / design.magnitudes
+    determinant, condition = float(np.linalg.det(scaled.T @ scaled)), rank.look(scaled).condition
+    note = (
+        f"Information matrix of the {len(scaled)} positions (rates in Earth-rate units, accelerations in g): "
         f"determinant {determinant:.6g}, condition of the design {condition:.3g}."
     )
+    return {"determinant": determinant, "condition": condition}, note

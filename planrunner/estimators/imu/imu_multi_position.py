@@ -18,7 +18,7 @@ from planrunner.error_model.terms import ErrorModel, error_model, term_names
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.derived import Derived, derived
 from planrunner.estimators.expected import Known
-from planrunner.estimators.fit_positions import fit_positions
+from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import bases_table, residual_table
 from planrunner.estimators.imu import tables
 from planrunner.estimators.imu.coefficients import PLURAL, Framed, Response, calibration
@@ -33,9 +33,8 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
-from planrunner.estimators.stated_influences import mean_stimulus, stated_influences
+from planrunner.estimators.stated_errors import mean_stimulus
 from planrunner.observation.flicker import drift_span
 from planrunner.observation.observations import Observations, observe
 from planrunner.physics.earth import Site
@@ -100,8 +99,7 @@ class Triad:
     """One triad's data. kind: gyro or accel."""
 
     kind: str
-    model: ErrorModel
-    segments: tuple[Segment, ...]
+    design: PositionsDesign
     observations: Observations
     fit: OutputsFit
 
@@ -128,10 +126,9 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         blocks: list[DesignBlock] = []
         remarks: list[Remark] = []
         for kind, channels, terms in _triads(parameters):
-            model, chosen = error_model(terms), _usable(kind, request.segments)
-            matrix = _matrix(model, chosen, request.site)
-            its_own = replace(request, segments=tuple(chosen))
-            made = planned_blocks(its_own, channels, model.names, matrix, _magnitudes(model, matrix))
+            design = _design(kind, terms, request.segments, request.site)
+            its_own = replace(request, segments=design.segments)
+            made = design.blocks(its_own, channels)
             blocks += made
             remarks += planned_basis(its_own, made, parameters.uncertainty)
             if kind == "gyro":
@@ -176,14 +173,14 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
                 text if text.startswith(channels) else f"{PLURAL[one.kind].capitalize()}: {text}" for text in said
             ]
             warnings += doubted
-        if len(triads) == 2 and len(triads[0].segments) > len(triads[1].segments):
+        if len(triads) == 2 and len(triads[0].design.segments) > len(triads[1].design.segments):
             notes.append("The accelerometers are fitted from the segments at rest alone.")
         return Words(
             headline=tuple(one.name for one in found.quantities),
             settings={
                 "uncertainty": basis,
                 "misalignment": parameters.misalignment,
-                "terms": {one.kind: list(one.model.names) for one in triads},
+                "terms": {one.kind: list(one.design.model.names) for one in triads},
                 "weights": {one.kind: [noise.weighting for noise in one.fit.noises] for one in triads},
             },
             tables=(
@@ -234,11 +231,14 @@ def _usable(kind: str, segments: Sequence[Segment]) -> list[Segment]:
     return usable
 
 
-def _matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
+def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: Site) -> PositionsDesign:
+    """Of each output of a triad, at the segments that it can use. Raises `EstimationError`."""
+    model, usable = error_model(terms), _usable(kind, segments)
     try:
-        return model.columns(mean_stimulus(segments, site))
+        matrix = model.columns(mean_stimulus(usable, site))
     except StimulusError as error:
         raise EstimationError(str(error)) from None
+    return PositionsDesign(model, tuple(usable), matrix, _magnitudes(model, matrix))
 
 
 def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
@@ -253,16 +253,13 @@ def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
 def _fit(
     request: EstimateRequest[ImuMultiPositionParameters], kind: str, channels: Sequence[str], terms: Sequence[str]
 ) -> Triad:
-    model, basis = error_model(terms), request.parameters.uncertainty
-    usable = {id(one) for one in _usable(kind, [recorded.segment for recorded in request.segments])}
+    design = _design(kind, terms, [recorded.segment for recorded in request.segments], request.site)
+    usable = {id(segment) for segment in design.segments}
     recorded = [one for one in request.segments if id(one.segment) in usable]
     observations = observe(recorded, channels, request.sensor)
-    segments = tuple(one.segment for one in recorded)
-    matrix = _matrix(model, segments, request.site)
-    magnitudes = _magnitudes(model, matrix)
-    fit = fit_positions(request, model, segments, observations, matrix, magnitudes)
-    require_basis(fit, basis, f"{request.name}, {kind} triad")
-    return Triad(kind, model, segments, observations, fit)
+    fit = fit_positions(request, design, observations)
+    require_basis(fit, request.parameters.uncertainty, f"{request.name}, {kind} triad")
+    return Triad(kind, design, observations, fit)
 
 
 def _response(one: Triad) -> Response:
@@ -276,14 +273,12 @@ def _response(one: Triad) -> Response:
             raise EstimationError(
                 f"channel '{name}' is recorded in {own.text}, which is not what {A_SENSOR[one.kind]} gives"
             )
-    return Response(one.kind, units, one.model, one.fit.coefficients)
+    return Response(one.kind, units, one.design.model, one.fit.coefficients)
 
 
 def _stated(request: EstimateRequest[ImuMultiPositionParameters], one: Triad) -> tuple[Influence, ...]:
     """On one triad's coefficients."""
-    fit = one.fit
-    site = stated_influences(one.model, one.segments, request.site, request.setup.inputs, fit.coefficients, fit.gains)
-    return (*site, *fit.influences(request.parameters.uncertainty))
+    return (*site_influences(request, one.design, one.fit), *one.fit.influences(request.parameters.uncertainty))
 
 
 def _earth_rate_alone(

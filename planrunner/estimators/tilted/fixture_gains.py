@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
-from planrunner.estimators.table_errors import orthogonality_tilts, rate_errors
+from planrunner.estimators.stated_errors import orthogonality_tilts, rate_errors
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, rotation_axis
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates
 from planrunner.observation.correlated_errors import CorrelatedError

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.table_errors import rate_part
+from planrunner.estimators.stated_errors import rate_part
 from planrunner.estimators.tilted.evaluation import (
     QUANTITIES,
     Group,

@@ -16,6 +16,7 @@ from planrunner.estimators.tilted.fixture_calibration import require_calibration
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.tilted.mounting_comparison import scheduled_seconds, time_note
 from planrunner.estimators.tilted.parameters import ScaleFactorTiltedParameters
+from planrunner.estimators.tilted.rate_lines import line_through
 from planrunner.estimators.tilted.rate_series import (
     RateSeries,
     by_temperature,
@@ -54,8 +55,7 @@ def _blocks(request: DesignRequest[ScaleFactorTiltedParameters], axes: MountedAx
     """A line through all planned rates, for each output; the rate of the table stands for that of the axis."""
     spins = tuple(segment for segment in request.segments if segment.rate)
     rates = np.array([segment.rate for segment in spins])
-    matrix = np.column_stack([np.ones(len(rates)), rates])
-    magnitudes = np.array([1.0, float(np.abs(rates).max(initial=1e-12))])
+    matrix, magnitudes = line_through(rates)
     return planned_blocks(replace(request, segments=spins), axes.outputs, ("offset", "rate"), matrix, magnitudes)
 
 

@@ -28,6 +28,11 @@ class RateLines:
     response: Array
 
 
+def line_through(rates: Array) -> tuple[Array, Array]:
+    """Design of a line through rates (n,), rad/s: its columns, offset and rate, (n, 2), and their sizes, (2,)."""
+    return np.column_stack([np.ones(len(rates)), rates]), np.array([1.0, np.abs(rates).max(initial=1e-12)])
+
+
 def fit_lines(x: Array, f: Array) -> RateLines:
     """x: what each axis felt, (q, n, m), rad/s; f: outputs less the rest value, (q, n, m). The rates must differ."""
     centre = x.mean(axis=1, keepdims=True)

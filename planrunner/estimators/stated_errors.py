@@ -1,29 +1,30 @@
-"""Errors of a table that differ between observations: positions, azimuth, right angles between its axes, and rates.
+"""How declared inputs of site and table change the observations of a linear model: an input is moved, and the model is evaluated again.
 
-All of it makes segments scatter about a model, so that it belongs to the weights of a fit (`correlated_errors`). How far it moves an
-output depends on that output's coefficients. Signs are those of a stated value that is too large; of positions, those of the turn.
+Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of the
+data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong to the
+weights of a fit (`correlated_errors`). The size of each change depends on the coefficients of the output. Signs are those of a stated value that is too large; of positions, those of the turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import Setup
-from planrunner.estimators.stated_influences import mean_poses, mean_stimulus
 from planrunner.estimators.turned_segments import DIRECTIONS, UP
 from planrunner.instruments.models import TableModel
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
-from planrunner.physics.stimulus import Poses
+from planrunner.physics.stimulus import Poses, Stimulus
 from planrunner.plan.schedule import Rest, Segment, Spin
-from planrunner.uncertainty.influences import InputQuantity
+from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 Array = NDArray[np.float64]
 
@@ -31,24 +32,61 @@ _STEP = 1e-5  # rad, or relative: of central differences, whose error is of the 
 _LEAN = 1e-3  # rad; central differences of terms up to the second degree are exact for any step
 
 
+def mean_poses(segments: Sequence[Segment]) -> Poses:
+    """How the segments stand, spins over whole turns: at which angle recording begins in a spin is not known."""
+    return Poses.of(segments, [None if isinstance(one.motion, Spin) else one.dwell for one in segments])
+
+
+def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
+    """What was felt on average, spins over whole turns."""
+    return mean_poses(segments).felt(site)
+
+
+@dataclass(frozen=True, slots=True)
+class _Outputs:
+    """m outputs of known coefficients (m, p), SI columns and the outputs' units."""
+
+    model: ErrorModel
+    coefficients: Array
+
+    def follow(self, felt: Callable[[float], Stimulus], step: float = _STEP) -> Array:
+        """Change of the observations, (m, n), per unit of an input. felt: what was felt with the input moved by so much."""
+        low, high = self.model.columns(felt(-step)), self.model.columns(felt(step))
+        return np.asarray(self.coefficients @ ((high - low) / (2 * step)).T)
+
+
+def site_errors(
+    model: ErrorModel, segments: Sequence[Segment], site: Site, inputs: Inputs, coefficients: Array
+) -> tuple[CorrelatedError, ...]:
+    """Of latitude and gravity, where they are stated with an uncertainty. The outputs are as they are: a model that expects more of them
+    is answered as if they had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
+    outputs, poses = _Outputs(model, coefficients), mean_poses(segments)
+    found = []
+    if latitude := inputs.get("latitude"):
+        moved = outputs.follow(lambda by: poses.felt(replace(site, latitude=site.latitude + by)))
+        found.append(_of_one(latitude, [-moved]))
+    if gravity := inputs.get("gravity"):
+        moved = outputs.follow(lambda by: poses.felt(replace(site, gravity=site.gravity * (1 + by))))
+        found.append(_of_one(gravity, [-moved / site.gravity]))
+    return tuple(found)
+
+
 def table_errors(
     model: ErrorModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
     """Those for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
-    inputs = setup.inputs
+    inputs, outputs, poses = setup.inputs, _Outputs(model, coefficients), mean_poses(segments)
     found: list[CorrelatedError] = []
-    poses = mean_poses(segments)
     if position := inputs.get("table position"):
-        found.append(_positions(position, model, segments, poses, site, coefficients))
+        found.append(_positions(position, outputs, segments, poses, site))
     if azimuth := inputs.get("azimuth"):
-        ends = [model.columns(poses.felt(site, rotation_about(UP, step))) for step in (-_STEP, _STEP)]
-        found.append(_of_one(azimuth, [_slope(ends, _STEP, coefficients)]))
+        found.append(_of_one(azimuth, [outputs.follow(lambda by: poses.felt(site, rotation_about(UP, by)))]))
     if (orthogonality := inputs.get("table orthogonality")) and setup.table is not None:
-        found += _right_angles(orthogonality, setup.table, model, segments, poses, site, coefficients)
+        found += _right_angles(orthogonality, setup.table, outputs, segments, poses.felt(site), site)
     if rate := inputs.get("table rate"):
         rates = np.array([one.motion.rate if isinstance(one.motion, Spin) else 0.0 for one in segments])
-        ends = [model.columns(mean_stimulus(_hastened(segments, 1 + step), site)) for step in (-_STEP, _STEP)]
-        found += rate_errors(rate, _slope(ends, _STEP, coefficients), rates)
+        moved = outputs.follow(lambda by: mean_stimulus(_hastened(segments, 1 + by), site))
+        found += rate_errors(rate, moved, rates)
     return tuple(found)
 
 
@@ -109,24 +147,16 @@ def _orthogonality_tilts(
 
 
 def _positions(
-    position: InputQuantity,
-    model: ErrorModel,
-    segments: Sequence[Segment],
-    poses: Poses,
-    site: Site,
-    coefficients: Array,
+    position: InputQuantity, outputs: _Outputs, segments: Sequence[Segment], poses: Poses, site: Site
 ) -> CorrelatedError:
     """About each direction at each orientation, the same whenever that orientation is taken. It acts across a vector and not along it: an
     accelerometer that points up feels nothing of it, one that lies level all."""
-    m, n = len(coefficients), len(segments)
+    m, n = len(outputs.coefficients), len(segments)
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
     changes = np.zeros((m, n, len(DIRECTIONS), len(names)))
     for k, about in enumerate(DIRECTIONS.values()):
-        ends = [
-            model.columns(poses.felt(site, rotation_about(about, step), axis_too=False)) for step in (-_STEP, _STEP)
-        ]
-        changes[:, np.arange(n), k, place] = _slope(ends, _STEP, coefficients)
+        changes[:, np.arange(n), k, place] = outputs.follow(partial(_turned, poses, site, about))
     parts = tuple(f"{name} about {word}" for word in DIRECTIONS for name in names)
     return CorrelatedError(position, dict(enumerate(changes.reshape(m, n, -1))), parts)
 
@@ -134,11 +164,10 @@ def _positions(
 def _right_angles(
     quantity: InputQuantity,
     table: TableModel,
-    model: ErrorModel,
+    outputs: _Outputs,
     segments: Sequence[Segment],
-    poses: Poses,
+    felt: Stimulus,
     site: Site,
-    coefficients: Array,
 ) -> tuple[CorrelatedError, ...]:
     """One input for each pair of neighbouring axes; nothing where the table cannot be at the orientations, or turns."""
     if len(table.axes) < 2 or not all(isinstance(segment.motion, Rest) for segment in segments):
@@ -147,34 +176,25 @@ def _right_angles(
         tilts = orthogonality_tilts(table.axes, [segment.attitude for segment in segments], site.azimuth)
     except Unreachable:
         return ()
-    felt = poses.felt(site)
     moved = []
     for tilt in tilts:
         turning, tipping = np.cross(tilt, felt.omega), np.cross(tilt, felt.specific_force)
-        ends = [
-            model.columns(
-                replace(
-                    felt,
-                    omega=felt.omega + step * turning,
-                    specific_force=felt.specific_force + step * tipping,
-                )
-            )
-            for step in (-_LEAN, _LEAN)
-        ]
-        moved.append(-_slope(ends, _LEAN, coefficients))
+        moved.append(-outputs.follow(partial(_leaning, felt, turning, tipping), _LEAN))
     parts = tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
     return (_of_one(quantity, moved, parts),)
+
+
+def _turned(poses: Poses, site: Site, about: Sequence[float], by: float) -> Stimulus:
+    return poses.felt(site, rotation_about(about, by), axis_too=False)
+
+
+def _leaning(felt: Stimulus, turning: Array, tipping: Array, by: float) -> Stimulus:
+    return replace(felt, omega=felt.omega + by * turning, specific_force=felt.specific_force + by * tipping)
 
 
 def _of_one(quantity: InputQuantity, moved: Sequence[Array], parts: tuple[str, ...] = ()) -> CorrelatedError:
     """moved: for each input, (m, n)."""
     return CorrelatedError(quantity, dict(enumerate(np.stack(moved, axis=2))), parts)
-
-
-def _slope(ends: Sequence[Array], step: float, coefficients: Array) -> Array:
-    """Change of the observations, (m, n), per unit of an input, from the columns (n, p) at both ends of a step either way."""
-    low, high = ends
-    return np.asarray(coefficients @ ((high - low) / (2 * step)).T)
 
 
 def _hastened(segments: Sequence[Segment], factor: float) -> list[Segment]:
