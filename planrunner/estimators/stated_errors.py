@@ -2,7 +2,8 @@
 
 Latitude and gravity change the columns of the model. They cause no scatter between segments, so their contribution is added to that of the
 data. Positions, azimuth, right angles between the table's axes, and rates differ between segments and cause scatter, so they belong to the
-weights of a fit (`correlated_errors`). The size of each change depends on the coefficients of the output. Signs are those of a stated value that is too large; of positions, those of the turn.
+weights of a fit (`correlated_errors`). The size of each change depends on the coefficients of the output.
+Signs are those of a stated value that is too large; of positions, those of the turn.
 """
 
 from __future__ import annotations
