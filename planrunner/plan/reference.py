@@ -14,8 +14,6 @@ from typing import Any, Protocol, runtime_checkable
 
 from planrunner.base import plugins
 from planrunner.plan import model, selection
-from planrunner.plan import model as diagnosis_spec
-from planrunner.plan import state as holding_spec
 from planrunner.plan.kinds import (
     Boolean,
     ByShape,
@@ -25,6 +23,7 @@ from planrunner.plan.kinds import (
     Number,
     Plugged,
     QuantityOf,
+    Record,
     RecordOf,
     Text,
     WordOr,
@@ -34,6 +33,8 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.orientation import OrientationKind
 from planrunner.plan.quantity import RICH_KEYS
+from planrunner.plan.segments import Ramp, State
+from planrunner.plan.state import MotionSpec, RockSpec, StabilitySpec, Turns, WatchSpec
 from planrunner.plan.sweep import ForEachKind
 
 _HEAD = """\
@@ -53,12 +54,12 @@ _SECTIONS: tuple[tuple[str, str, Any], ...] = (
     ("`motion`: `rock`", "", model.RockSpec),
     ("`temperature`: a ramp", "", model.Ramp),
     ("`dwell`: whole turns or cycles", "", model.Turns),
-    ("`settle`, `soak`: by what is measured", "", holding_spec.StabilitySpec),
-    ("`watch`", "", holding_spec.WatchSpec),
+    ("`settle`, `soak`: by what is measured", "", StabilitySpec),
+    ("`watch`", "", WatchSpec),
     ("An estimate", "", model.EstimateSpec),
     ("`segments` found in the data", "", selection.Detection),
     ("A limit", "", model.Limit),
-    ("`diagnosis`", "", diagnosis_spec.DiagnosisSpec),
+    ("`diagnosis`", "", model.DiagnosisSpec),
 )
 
 
@@ -144,7 +145,7 @@ def type_words(kind: Any) -> str:
         case ForEachKind():
             return f"any of {', '.join(kind.keys)}, each with its values"
         case RecordOf() | Plugged():
-            return _RECORDS.get(kind.record.__name__, "a mapping of keys")
+            return _RECORDS.get(kind.record, "a mapping of keys")
     for own, words in _OWN.items():
         if isinstance(kind, own):
             return words
@@ -158,18 +159,18 @@ _OWN: dict[type, str] = {
     model.RunItemKind: "`required` or `optional`",
     model.SymmetricKind: "± and a quantity",
 }
-_RECORDS = {
-    "Sensor": "a sensor",
-    "MountedAxis": "a mounted axis",
-    "State": "a state",
-    "MotionSpec": "a motion",
-    "RockSpec": "rocking",
-    "Ramp": "a ramp",
-    "Turns": "whole turns or cycles",
-    "StabilitySpec": "readings that must settle",
-    "WatchSpec": "limits",
-    "EstimateSpec": "an estimate",
-    "Limit": "a limit",
+_RECORDS: dict[type[Record], str] = {
+    model.Sensor: "a sensor",
+    model.MountedAxis: "a mounted axis",
+    State: "a state",
+    MotionSpec: "a motion",
+    RockSpec: "rocking",
+    Ramp: "a ramp",
+    Turns: "whole turns or cycles",
+    StabilitySpec: "readings that must settle",
+    WatchSpec: "limits",
+    model.EstimateSpec: "an estimate",
+    model.Limit: "a limit",
 }
 
 
