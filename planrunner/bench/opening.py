@@ -32,7 +32,7 @@ from planrunner.bench.model import (
 from planrunner.bench.protection import own_limits
 from planrunner.bench.simulation import attach
 from planrunner.bench.watchdog import Watchdog
-from planrunner.instruments.interfaces import Addressed, Clock, InstrumentError, OwnLimits, Surroundings
+from planrunner.instruments.interfaces import Addressed, InstrumentError, OwnLimits, RunClock, Surroundings
 from planrunner.physics.earth import Site
 
 
@@ -59,7 +59,7 @@ class OpenBench:
     controlled instruments to their safe state.
     """
 
-    def __init__(self, bench: Bench, clock: Clock, site: Site):
+    def __init__(self, bench: Bench, clock: RunClock, site: Site):
         self.bench = bench
         self.clock = clock
         self.site = site
@@ -156,7 +156,7 @@ def real_clock(bench: Bench) -> WallClock:
 
 
 def open_bench(
-    bench: Bench, *, data_root: Path | None = None, seed: int | None = None, clock: Clock | None = None
+    bench: Bench, *, data_root: Path | None = None, seed: int | None = None, clock: RunClock | None = None
 ) -> OpenBench:
     """Connect the instruments of a bench in the order of its file.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.archive.resuming import ResumePoint
+from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.reaching import Reaching
 from planrunner.instruments.interfaces import Resumable
 
@@ -17,7 +18,7 @@ from planrunner.instruments.interfaces import Resumable
 class Continuity:
     """States of a bench and of `reaching` from which a run continues."""
 
-    def __init__(self, bench: Any, reaching: Reaching):
+    def __init__(self, bench: ConnectedBench, reaching: Reaching):
         self._bench = bench
         self._reaching = reaching
         self._resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}

@@ -8,13 +8,14 @@ failure the bench is brought to its safe state before anything else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 from planrunner.archive.journal import finite
 from planrunner.archive.recording import IN_MODE
 from planrunner.archive.run_folder import RunWriter
+from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.continuity import Continuity
 from planrunner.execution.holding import Holding, LimitPassedError
 from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
@@ -24,13 +25,10 @@ from planrunner.execution.progress import Meter, ProgressCallback, seconds_behin
 from planrunner.execution.reaching import Patience, Reaching
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
-    Attends,
-    Clock,
     Closes,
     Counting,
     FrameCounts,
     InstrumentError,
-    OwnLimits,
     Readable,
     SelfLimiting,
     StreamsSamples,
@@ -38,46 +36,6 @@ from planrunner.instruments.interfaces import (
 from planrunner.plan.schedule import Schedule, Segment
 
 SAFE_ATTEMPTS = 3
-
-
-class ConnectedBench(Protocol):
-    """A bench with connected instruments. instruments: all of them by name, including those with a role. limits: limits that the
-    instruments enforce themselves."""
-
-    @property
-    def clock(self) -> Clock: ...
-
-    @property
-    def table(self) -> Any: ...
-
-    @property
-    def chamber(self) -> Any: ...
-
-    @property
-    def sensor(self) -> Any: ...
-
-    @property
-    def monitors(self) -> Any: ...
-
-    @property
-    def instruments(self) -> Mapping[str, Any]: ...
-
-    @property
-    def limits(self) -> OwnLimits: ...
-
-    def take_control(self, *names: str) -> None:
-        """From now on these instruments (by default all) are commanded and must be made safe. Called before the first command. Raises
-        `InstrumentError` if no watchdog guards the bench."""
-
-    @property
-    def untouched(self) -> Sequence[str]:
-        """Names of the instruments that were never controlled."""
-
-    def make_safe(self) -> list[Any]:
-        """Bring every controlled instrument to its safe state; returns the failures."""
-
-    def sign_of_life(self) -> None:
-        """Called often. Raises `InstrumentError` if no watchdog guards the bench any more."""
 
 
 def execute(
@@ -112,7 +70,7 @@ class _Execution:
         operator: Operator | None,
     ):
         self.schedule, self.bench, self.writer, self.stop = schedule, bench, writer, stop
-        self.clock: Clock = bench.clock
+        self.clock = bench.clock
         self.start_at = start_at
         self.completed = 0
         self.through = False
@@ -137,7 +95,7 @@ class _Execution:
         failures: list[Failure] = []
         unsafe: list[str] = []
         try:
-            self._attend(self._on_tick)
+            self.clock.attend(self._on_tick)
             self._prepare()
             self._segments()
         except StoppedAtOnceError:
@@ -148,7 +106,7 @@ class _Execution:
             failures.append(Failure.of(error, self._where()))
         finally:
             unsafe += _make_safe(self.bench)
-            self._attend(None)
+            self.clock.attend(None)
         return self._account(failures, unsafe)
 
     def _account(self, failures: list[Failure], unsafe: list[str]) -> Outcome:
@@ -349,10 +307,6 @@ class _Execution:
             raise InstrumentError(
                 "the bench cannot be brought into a state that is safe to approach: " + "; ".join(failures)
             )
-
-    def _attend(self, callback: Callable[[], bool] | None) -> None:
-        if isinstance(self.clock, Attends):
-            self.clock.attend(callback)
 
 
 def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:

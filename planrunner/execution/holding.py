@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
+from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.lookout import Lookout
 from planrunner.execution.readings import DRIFT_OVER, frames_outside, outside, readings_of, unread
 from planrunner.instruments.interfaces import FrameCounts
@@ -18,7 +18,9 @@ class LimitPassedError(Exception):
 class Holding:
     """One attempt at one segment, from the beginning of its dwell."""
 
-    def __init__(self, bench: Any, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None):
+    def __init__(
+        self, bench: ConnectedBench, lookout: Lookout, segment: Segment, counts: Callable[[], FrameCounts] | None = None
+    ):
         """counts: frame counter of the sensor, if it has one."""
         self._clock, self._lookout = bench.clock, lookout
         self._counts = counts

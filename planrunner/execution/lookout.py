@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
+from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
     Alive,
@@ -32,7 +32,7 @@ class StoppedAtOnceError(Exception):
 class Lookout:
     """notice: called with the name of an instrument and a description of anything unusual."""
 
-    def __init__(self, bench: Any, stop: StopRequest, notice: Notice):
+    def __init__(self, bench: ConnectedBench, stop: StopRequest, notice: Notice):
         self._clock = bench.clock
         self._stop = stop
         self._notice = notice

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.lookout import EVERY, Lookout
 from planrunner.execution.readings import outside, readings_of, unread
 from planrunner.instruments.interfaces import (
@@ -40,7 +40,7 @@ class Patience:
 class Reaching:
     """Remembers the last commands, so that nothing is moved without need."""
 
-    def __init__(self, bench: Any, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
+    def __init__(self, bench: ConnectedBench, lookout: Lookout, patience: Patience, say: Callable[[str], None]):
         self._bench = bench
         self._clock = bench.clock
         self._lookout = lookout

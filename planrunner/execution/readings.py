@@ -6,10 +6,10 @@ import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.instruments.interfaces import Condition, FrameCounts
 from planrunner.plan.schedule import Segment, Watch
 
@@ -64,7 +64,7 @@ class Readings:
         return float(abs(time @ temperature) / (time @ time))
 
 
-def readings_of(bench: Any, segment: Segment, over: float) -> Readings:
+def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Readings:
     """Readings of the state of a segment. A temperature that follows a profile has no error and no drift."""
     if segment.ramp_to is not None:
         return Readings(over)

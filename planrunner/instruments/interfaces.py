@@ -57,9 +57,11 @@ class Clock(Protocol):
     def sleep(self, seconds: float) -> None: ...
 
 
-@runtime_checkable
-class Attends(Protocol):
-    """A clock that calls back while it sleeps."""
+class RunClock(Clock, Protocol):
+    """The clock of a run: it can be set for a resumed run, and calls back while it sleeps."""
+
+    def set(self, seconds: float) -> None:
+        """Continue from a time when a run is resumed."""
 
     def attend(self, callback: Callable[[], bool] | None) -> None:
         """Call `callback` during sleeps; it returns whether to end the sleep. None: call nothing."""

@@ -1,0 +1,51 @@
+"""What an executor needs of a bench whose instruments are connected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from planrunner.instruments.interfaces import (
+    OwnLimits,
+    RunClock,
+)
+
+
+class ConnectedBench(Protocol):
+    """A bench with connected instruments. instruments: all of them by name, including those with a role. limits: limits that the
+    instruments enforce themselves."""
+
+    @property
+    def clock(self) -> RunClock: ...
+
+    @property
+    def table(self) -> Any: ...
+
+    @property
+    def chamber(self) -> Any: ...
+
+    @property
+    def sensor(self) -> Any: ...
+
+    @property
+    def monitors(self) -> Any: ...
+
+    @property
+    def instruments(self) -> Mapping[str, Any]: ...
+
+    @property
+    def limits(self) -> OwnLimits: ...
+
+    def take_control(self, *names: str) -> None:
+        """From now on these instruments (by default all) are commanded and must be made safe. Called before the first command. Raises
+        `InstrumentError` if no watchdog guards the bench."""
+
+    @property
+    def untouched(self) -> Sequence[str]:
+        """Names of the instruments that were never controlled."""
+
+    def make_safe(self) -> list[Any]:
+        """Bring every controlled instrument to its safe state; returns the failures."""
+
+    def sign_of_life(self) -> None:
+        """Called often. Raises `InstrumentError` if no watchdog guards the bench any more."""
