@@ -120,7 +120,7 @@ class TakesEffects:
 class Addressed(Protocol):
     @classmethod
     def address(cls, parameters: Any) -> str:
-        """What a real instrument is reached by and two runs cannot share, such as a VISA resource or a serial port."""
+        """Address of a real instrument that two runs cannot share, such as a VISA resource or a serial port."""
 
 
 @runtime_checkable

@@ -19,7 +19,7 @@ DataOrigin = Literal["measured", "simulated", "replayed"]
 """Where the samples of a run come from: real instruments; instruments of which at least one is simulated; a recording made before."""
 
 Senses = Literal["angular rate", "acceleration"]
-"""What an inertial output responds to; also the names of these dimensions."""
+"""Quantities sensed by inertial outputs; also the names of these dimensions."""
 
 _SHORT = 1e-3  # s; a lag too short to be felt
 

@@ -94,7 +94,7 @@ class RecordingPlayer(PlaysBack):
         parted = () if parameters.pauses is None else stretches(file, parameters.pauses.value)
         return cls(parameters, file, spans, clock, piece, parted)
 
-    # -- what it does --------------------------------------------------------------------------------------------------
+    # -- capabilities --------------------------------------------------------------------------------------------------
 
     def channels(self) -> Mapping[str, str]:
         return {name: channel.unit for name, channel in self.parameters.channels.items()}
@@ -118,7 +118,7 @@ class RecordingPlayer(PlaysBack):
             )
 
     def _wanted(self, segments: Sequence[Segment], log: Findings) -> list[Wanted]:
-        """The stretches of the segments that the recording has; what is wrong with the others goes into `log`."""
+        """The intervals of the segments that the recording contains; faults of the others are added to `log`."""
         name, labels = self.parameters.file, [segment.label for segment in segments]
         if self.parted:
             if len(labels) == len(self.parted):

@@ -85,8 +85,8 @@ def check_directory(file: BinaryIO, name: str) -> None:
 
 
 def check_parquet(file: pq.ParquetFile, name: str, wanted: Iterable[str]) -> None:
-    """Hold the columns of a Parquet file to their bounds: how many, which types those that are `wanted` have, and how large they are
-    in a row group. Raises `InstrumentError`."""
+    """Check the columns of a Parquet file: their number, the types of the `wanted` columns, and their size in a row group. Raises
+    `InstrumentError`."""
     from pyarrow import types
 
     _few_columns(file.metadata.num_columns, name)
@@ -118,7 +118,7 @@ def _few_columns(count: int, name: str) -> None:
 
 Array = NDArray[np.float64]
 BATCH = 65_536  # rows
-HELD = 1_000_000  # rows of a recording that are held in memory where many stretches of it are wanted
+HELD = 1_000_000  # largest recording, in rows, that is kept in memory to read many intervals
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
 ReadRows = Iterator[tuple[Array, dict[str, Array]]]
 
@@ -158,12 +158,12 @@ class RecordingFile(Protocol):
         rows. A missing number is NaN. Raises `InstrumentError` where time does not increase."""
 
     def all_rows(self) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Every row as it stands, in batches: number of the first, counted from 1; times [s], which may be missing or go back; channels.
+        """Every row unchanged, in batches: number of the first, counted from 1; times [s], which may be missing or decrease; channels.
         Raises `InstrumentError` where the file cannot be read."""
 
 
 def open_recording(path: Path, name: str, time: str, scale: float, channels: Mapping[str, str]) -> RecordingFile:
-    """The recording at `path`, after its columns and first row were looked at.
+    """The recording at `path`, after a check of its columns and first row.
 
     name: for messages; time: column of time, `scale` seconds a unit; channels: channel → column. Raises
     `InstrumentError`.

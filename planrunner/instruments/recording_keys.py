@@ -110,7 +110,7 @@ WHITE = ("noise", "noise_density", "random_walk")
 
 
 class ChannelKind:
-    """A channel's column; what is declared of its noise and full scale fits its unit."""
+    """A channel's column; the declared noise and full scale must fit its unit."""
 
     _record = RecordOf(ChannelColumn)
 

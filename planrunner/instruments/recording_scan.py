@@ -30,8 +30,8 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A stretch that a plan asks for. span: as tabled, after trimming; dwell: s that are played of it, None for all. mark: where the
-    table has it."""
+    """An interval required by a plan. span: as in the table, after trimming; dwell: played part, s, None for all. mark: its place in the
+    table."""
 
     label: str
     span: Span
@@ -40,14 +40,14 @@ class Wanted:
 
     @property
     def played(self) -> Span:
-        """What is played of it, from its beginning."""
+        """The played part, from its beginning."""
         end = self.span.end if self.dwell is None else min(self.span.end, self.span.start + self.dwell)
         return Span(self.span.start, end)
 
 
 @dataclass(slots=True)
 class _Seen:
-    """What a pass saw of one stretch. gap: the longest, s, and `at` its beginning."""
+    """Result of a pass for one interval. gap: the longest gap, s, beginning at `at`."""
 
     rows: int = 0
     complete: int = 0
@@ -149,7 +149,7 @@ def _on_time(found: _Pass, name: str, log: Findings) -> None:
 
 
 def _on_segment(one: Wanted, seen: _Seen, found: _Pass, name: str, log: Findings) -> None:
-    """Whether a stretch lies within the data and holds what is to be played."""
+    """Whether an interval lies within the data and contains the part to be played."""
     slack = GAP * found.period
     end = found.last + found.period
     begins, ends = (

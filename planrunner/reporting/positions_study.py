@@ -67,7 +67,7 @@ def _criteria(found: FoundPositions) -> Table:
         (TITLES[name], f"{one.merit.rank} of {p}", *_figures(one.merit), words.duration(one.schedule.total))
         for name, one in found.sets.items()
     ]
-    for domain, title in (("cardinal", "no cardinal set passes"), ("free", "no set passes")):
+    for domain, title in (("cardinal", "bound of cardinal sets"), ("free", "bound of all sets")):
         if domain in found.bounds:
             rows.append((title, f"{p} of {p}", *_figures(found.bounds[domain].merit), "–"))
     return Table("Information from the positions", columns, tuple(rows))
@@ -167,9 +167,8 @@ def notes(found: FoundPositions) -> tuple[str, ...]:
         )
     else:
         said.append(
-            "Bound: at the continuous D-optimum the largest variance over all reachable orientations is "
-            f"{certificate:.6g}; it is {p} "
-            "at the optimum itself (Kiefer and Wolfowitz), and the bound allows for the difference."
+            "Check of the bound (Kiefer and Wolfowitz): at the continuous D-optimum the largest variance over all "
+            f"reachable orientations is {p}. The value found is {certificate:.6g}; the bound allows for the difference."
         )
     share = chosen.of_bound.D
     if share > 0.9999:

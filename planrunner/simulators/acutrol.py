@@ -26,7 +26,7 @@ _COMMAND = re.compile(r"(?P<head>[:\w*]+)(?P<query>\?)?\s*(?P<arguments>.*)", re
 
 @dataclass(slots=True)
 class _Held:
-    """What the controller holds of one axis: mode, demands, limits by mode. Degrees."""
+    """State of one axis in the controller: mode, demands, limits by mode. Degrees."""
 
     mode: str = "off"
     position: float = 0.0
@@ -246,7 +246,7 @@ class Acutrol:
             self._pursue(index)
 
     def _pursue(self, index: int) -> None:
-        """Do what the mode and its demand say."""
+        """Execute the demand of the mode."""
         held, model = self.held[index], self.plant.axes[index].model
         rate = math.radians(held.rates.get(held.mode, math.degrees(model.max_rate)))
         acceleration = math.radians(held.accelerations.get(held.mode, math.degrees(model.max_acceleration)))
@@ -261,7 +261,7 @@ class Acutrol:
     # -- axes ----------------------------------------------------------------------------------------------------------
 
     def _mode(self, index: int) -> str:
-        """What it is in, whatever it was told: an axis that a fault has stopped is in none."""
+        """The actual mode, which may differ from the commanded one: an axis stopped by a fault is in none."""
         axis = self.plant.axes[index]
         if axis.faults:
             return "abort"

@@ -34,7 +34,7 @@ class ChamberPlant:
         self.overshoot = 0.0
 
     def air(self) -> float:
-        """The measured temperature. Keeps watch over its own limits."""
+        """The measured temperature. Also checks the limits of the chamber."""
         found = float(self.live.world.air(np.array([self.live.now()]))[0])
         slack = self.model.tolerance
         if self.running and not self.lowest - slack <= found <= self.highest + slack:

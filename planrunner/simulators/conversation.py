@@ -11,7 +11,7 @@ class NotUnderstoodError(ValueError):
 
 class Controller(Protocol):
     identity: str
-    """What it answers when it is asked who it is."""
+    """Reply to an identity query."""
 
     def answer(self, message: str) -> str | None:
         """The reply to a message, both without terminators; None where it gives none."""
@@ -20,7 +20,7 @@ class Controller(Protocol):
         """Replies that have become due since; empty for instruments that only speak when spoken to."""
 
     def watch(self) -> None:
-        """Keep watch over its own limits; called many times a second."""
+        """Check the limits of the instrument; called many times per second."""
 
 
 def first_with(word: str, options: tuple[str, ...]) -> str:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """Where a number stands. kind: `i24`, `u16`, `f32` …; a value v goes out as (v − zero)/scale, in `unit`."""
+    """Position of a number. kind: `i24`, `u16`, `f32` …; a value v goes out as (v − zero)/scale, in `unit`."""
 
     at: int
     kind: str
@@ -106,7 +106,7 @@ def _put(frames: Bytes, at: int, column: Bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Alarms:
-    """The status word: its place, width and order, what its bits say, and whether a set bit says that all is well."""
+    """The status word: its position, width and order, the meaning of its bits, and whether a set bit is good."""
 
     at: int
     width: int

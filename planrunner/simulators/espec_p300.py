@@ -15,7 +15,7 @@ UNKNOWN, OUT_OF_RANGE, NOT_READY = "NA:CMD ERR", "NA:DATA OUT OF RANGE", "NA:CHB
 
 
 class EspecP300:
-    """address: on RS-485, where a message for another is not answered; None on TCP and RS-232."""
+    """address: on RS-485, where messages for other addresses are ignored; None on TCP and RS-232."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "T,T,S2,140.0", address: int | None = None):
         self.plant = plant

@@ -60,7 +60,7 @@ OF_ROLE: Mapping[str, Mapping[str, str]] = {
     "chamber": {**WORDS, **CHAMBER},
     "sensor": LINE,
 }
-"""What can go wrong with an instrument of each role, in words."""
+"""Names of the possible faults for each role."""
 _ALL = tuple(dict.fromkeys([*WORDS, *LINE, *TABLE, *CHAMBER]))
 
 
@@ -109,7 +109,7 @@ class Fault(Record):
 
 
 class FaultScript(Record):
-    """What goes wrong with a simulated bench."""
+    """The faults of a simulated bench."""
 
     planrunner_faults: int = key(Number(1, 1, integer=True), "Version of the language of fault scripts.", 1)
     faults: tuple[Fault, ...] = key(
@@ -215,7 +215,7 @@ class FaultBoard:
         return [item for item in mine if item.begins <= now < item.ends and item.left != 0]
 
     def told(self) -> list[dict[str, Any]]:
-        """What stands, as JSON data."""
+        """The active faults, as JSON data."""
         return [
             {"number": item.number, "instrument": item.fault.instrument, "fault": item.fault.fault, "begun": item.begun}
             for item in self.standing.values()

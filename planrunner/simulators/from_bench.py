@@ -90,7 +90,7 @@ class Streamed:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Everything that stands behind a bench's addresses."""
+    """Everything served at a bench's addresses."""
 
     live: LiveWorld
     spoken: tuple[Spoken, ...]
@@ -99,7 +99,7 @@ class Simulated:
 
 
 def simulation_of(bench: Bench) -> SimulationSpec:
-    """What the bench says of its simulation. Raises `InputError` where it says nothing."""
+    """The simulation key of the bench. Raises `InputError` if it is missing."""
     if bench.simulation is None:
         message = "the bench does not name the virtual bench that is served at its addresses"
         hint = "add for example `simulation: {bench: virtual, control: 127.0.0.1:9870}`"
@@ -109,8 +109,8 @@ def simulation_of(bench: Bench) -> SimulationSpec:
 
 
 def simulated(bench: Bench, path: str, clock: Any, seed: int | None = None) -> Simulated:
-    """What `bench`, read from `path`, has behind its addresses. Raises `InputError` where it cannot be simulated, and `PortError` for an
-    address that cannot."""
+    """The simulated instruments for `bench`, read from `path`. Raises `InputError` if it cannot be simulated, and `PortError` for an
+    address that cannot be served."""
     simulation = simulation_of(bench)
     truth, _, _ = read_bench(simulation.bench, beside=Path(path).parent)
     live = _alive(truth, clock, truth.seed if seed is None else seed)

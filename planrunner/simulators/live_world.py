@@ -35,7 +35,7 @@ class RunningClock:
         return (self._monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Nobody sleeps here: the bench is asked what it is doing, whenever that is."""
+        """Does not sleep: the bench is queried at its current time."""
         raise AssertionError("a simulated instrument does not wait")
 
 
@@ -116,7 +116,7 @@ class SensorFeed:
             self.made += length
 
     def take(self) -> list[Block]:
-        """What was made since it was last asked."""
+        """Samples since the last call."""
         self.catch_up(self.live.now())
         taken, self.waiting = self.waiting, []
         return taken

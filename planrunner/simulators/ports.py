@@ -44,7 +44,7 @@ class Port(Protocol):
 class PseudoTerminal:
     """A pseudo-terminal whose other end is found at `link`. heard: called by `attend` with what has come in.
 
-    While nobody has the other end open, what is written is gone, as on a line without a listener."""
+    While the other end is not open, written data are lost, as on a line without a listener."""
 
     def __init__(self, link: Path, heard: Callable[[bytes], None]):
         self.link = link
@@ -216,7 +216,7 @@ _BUFFERED = 0.25  # s of the wall that the sensor's own buffer holds
 
 @dataclass(slots=True)
 class LineCounts:
-    """Frames offered; frames dropped whole by the sensor because the line is too slow; bytes dropped because nobody fetched them."""
+    """Frames offered; complete frames dropped by the sensor because the line is too slow; bytes dropped because they were not read."""
 
     frames: int = 0
     frames_dropped: int = 0
@@ -250,7 +250,7 @@ class SerialLine:
         self.waiting += data
 
     def pump(self, now: float) -> None:
-        """Send what the line has had time for. now: s on the wall."""
+        """Send as much as the line could transmit by now. now: s of real time."""
         self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
         self.last = now
         length = min(len(self.waiting), int(self.credit))

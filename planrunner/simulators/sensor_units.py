@@ -25,8 +25,8 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 
 class SensorUnit(Protocol):
-    """A sensor's electronics between its samples and its line. ails: what its status has to say against its samples, `overload` and
-    `self-test`, as far as its frames have room for it."""
+    """A sensor's electronics between its samples and its line. ails: faults in its status, `overload` and `self-test`, as far as its
+    frames can show them."""
 
     ails: frozenset[str]
 
@@ -34,7 +34,7 @@ class SensorUnit(Protocol):
         """The frames of consecutive samples, (n, length)."""
 
     def hear(self, data: bytes) -> bytes:
-        """What it answers to bytes from the line; nothing where it knows no such word."""
+        """Reply to bytes from the line; empty for unknown commands."""
 
 
 @dataclass(slots=True)

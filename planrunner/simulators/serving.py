@@ -87,7 +87,7 @@ class Serving:
         self.messages[item.name] = port
         self.addresses[item.name] = address.written(port.port)
 
-    # -- what goes on --------------------------------------------------------------------------------------------------
+    # -- operation --------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Let everything come up to the present."""
@@ -116,7 +116,7 @@ class Serving:
             self.line.reply(self.simulated.sensor.unit.hear(data))
 
     def _strike(self, fault: Fault, begins: bool) -> None:
-        """What a fault changes when it begins, and when it is over."""
+        """Apply the change of a fault when it begins, and undo it when it ends."""
         if fault.fault in ("unplug", "refuse"):
             self._pull(fault, begins)
             return
@@ -150,7 +150,7 @@ class Serving:
             else:
                 self._returning = asyncio.get_running_loop().create_task(port.listen())
 
-    # -- what it is asked ----------------------------------------------------------------------------------------------
+    # -- requests ------------------------------------------------------------------------------------------------------
 
     def declare(self, faults: Sequence[Fault]) -> list[int]:
         """Their numbers."""
@@ -206,7 +206,7 @@ class Serving:
 
 
 def ready_note(serving: Serving) -> str:
-    """What the readiness file says, as JSON; its token is for whoever may read the file."""
+    """Content of the readiness file as JSON; its token is for users who may read the file."""
     control = f"{serving.control.host}:{serving.control.port}"
     note = {
         "pid": os.getpid(),

@@ -19,8 +19,8 @@ _GRANTED = 1 + 1e-9
 
 @dataclass(slots=True)
 class Axis:
-    """One axis and what its controller holds of it. rates, accelerations: limits by mode. lowest, highest, trip, tracking: beyond which it
-    refuses, switches off. aim: the angle demanded last. faults: those that ended its motion, until they are reset."""
+    """One axis and the settings of its controller. rates, accelerations: limits by mode. lowest, highest, trip, tracking: limits beyond
+    which it refuses or switches off. aim: the last demanded angle. faults: those that ended its motion, until they are reset."""
 
     model: TableAxis
     lowest: float
@@ -50,7 +50,7 @@ class TablePlant:
             for model in table.axes
         ]
 
-    # -- what is measured ----------------------------------------------------------------------------------------------
+    # -- measurements --------------------------------------------------------------------------------------------------
 
     def state(self, index: int) -> tuple[float, float, float]:
         """Angle, rate and acceleration now. Keeps watch: an axis beyond its trip rate is switched off."""
@@ -108,7 +108,7 @@ class TablePlant:
         self.paths.paths[index] = path.turn(now, 0.0, acceleration or axis.model.max_acceleration)
         axis.aim = axis.centre = self.paths.paths[index].pieces[-1].at(self.paths.paths[index].arrival)[0]
 
-    # -- what goes wrong -----------------------------------------------------------------------------------------------
+    # -- faults --------------------------------------------------------------------------------------------------------
 
     def fail(self, index: int, fault: str) -> None:
         """`over-rate`, `tracking error` or `axis fault`: the axis brakes and takes no demand until it is reset."""
@@ -118,7 +118,7 @@ class TablePlant:
         axis.powered = False
 
     def open_interlock(self, is_open: bool = True) -> None:
-        """The chain of doors and buttons: open, every axis brakes; what it says freezes until it is reset."""
+        """Open the interlock chain of doors and buttons: every axis brakes, and the status stays set until it is reset."""
         self.interlock_open = is_open
         if is_open:
             self.interlock_fault = True

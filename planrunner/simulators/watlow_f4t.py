@@ -17,7 +17,7 @@ _ACTIONS = ("OFF", "STARTUP", "SETPOINT", "BOTH")
 
 
 class WatlowF4t:
-    """Control loop 1 and output 1 of a chamber. What it does not understand it passes over in silence."""
+    """Control loop 1 and output 1 of a chamber. It ignores messages that it does not understand."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "WATLOW,F4T,simulated,4.07"):
         self.plant = plant

@@ -165,7 +165,7 @@ def _gimbal_columns(reduced: ReducedRun) -> Array:
 
 
 def azimuth_uncertainty(request: EstimateRequest[RockingDriftParameters]) -> InputQuantity | None:
-    """Of the element's azimuth at t0 in one run; None where nobody states it."""
+    """Uncertainty of the element's azimuth at t0 in one run; None if not stated."""
     parameters = request.parameters
     if parameters.azimuth_uncertainty is not None:
         value, source = parameters.azimuth_uncertainty.value, "plan azimuth_uncertainty"

@@ -62,7 +62,7 @@ class EspecP300Commands:
         self.station = "" if parameters.station is None else f"{parameters.station},"
 
     def identify(self) -> Mapping[str, str]:
-        """What it has: sensors, controller, highest temperature. It reports neither manufacturer nor serial number."""
+        """Its type: sensors, controller, highest temperature. It reports neither manufacturer nor serial number."""
         said = self._ask("TYPE?")
         self.parameters.check_identity(said, "")
         if said.count(",") not in (2, 3):

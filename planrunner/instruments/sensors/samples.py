@@ -36,7 +36,7 @@ class Samples:
         return int(self.received.size)
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
-        """Some of the rows; what concerns all frames is left behind."""
+        """Some of the rows, without properties of the whole set of frames."""
         channels = {name: values[chosen] for name, values in self.channels.items()}
         return Samples(
             self.received[chosen], self.counter[chosen], self.latency[chosen], channels, self.doubtful[chosen]
@@ -67,7 +67,7 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits at `item`. words: bit → what it says when it speaks against the frame, which is when it is set, or clear where
+    """Status bits at `item`. words: bit → its meaning if it marks the frame as doubtful, that is, if it is set, or clear with
     `set_is_good`."""
 
     item: Field
@@ -80,8 +80,8 @@ class Status:
 class FrameLayout:
     """The decoder of frames with a fixed layout.
 
-    fields: channel → where it stands; units: channel → unit; counts: where the counter stands (None: there is none); latency: in what
-    `scale` makes seconds; means: channel → those it is the mean of; zeros: channel → what is added to it.
+    fields: channel → its position; units: channel → unit; counts: position of the counter (None: there is none); latency: converted to
+    seconds by `scale`; means: channel → channels that it averages; zeros: channel → value added to it.
     """
 
     framing: Framing

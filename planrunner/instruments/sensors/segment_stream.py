@@ -20,7 +20,7 @@ FIRST = 0.25
 
 
 class Arriving(Protocol):
-    """Where a sensor's bytes come in. ring: what is kept of them until they are taken."""
+    """Source of a sensor's bytes. ring: buffer of bytes that are not yet taken."""
 
     @property
     def ring(self) -> Ring: ...
@@ -66,7 +66,7 @@ class SegmentStream:
         return self._clock.skew
 
     def take_doubts(self) -> tuple[str, ...]:
-        """What status bits said since the last call."""
+        """Doubts from status bits since the last call."""
         doubts, self._doubts = tuple(self._doubts), {}
         return doubts
 

@@ -63,7 +63,7 @@ class FirstFrames:
             self._counted += fresh.size
 
     def judge(self, port: str, baud: int) -> None:
-        """Raises `InstrumentError` for silence, bytes that are no frames, frames without what is announced, and another rate."""
+        """Raises `InstrumentError` for silence, bytes that are not frames, frames without the declared content, and a different rate."""
         if self._bytes == 0:
             raise InstrumentError(
                 f"no data arrive from {port}: check that the sensor is switched on and connected to this port"
@@ -134,12 +134,12 @@ class SerialSensor:
 
     @classmethod
     def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
-        """Set the sensor and ask what it is, as far as it can be asked. Raises `InstrumentError`."""
+        """Configure the sensor and query its identity, if possible. Raises `InstrumentError`."""
         return {}
 
     @classmethod
     def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
-        """What `configure` found that speaks against all samples, such as a failed self-test."""
+        """Findings of `configure` that make all samples doubtful, such as a failed self-test."""
         return ()
 
     @classmethod
@@ -162,7 +162,7 @@ class SerialSensor:
             raise
         return sensor
 
-    # -- what it does --------------------------------------------------------------------------------------------------
+    # -- capabilities --------------------------------------------------------------------------------------------------
 
     def channels(self) -> Mapping[str, str]:
         return self.decoder.channels()
@@ -205,7 +205,7 @@ class SerialSensor:
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """Its doubts since it was last asked, and those that last; silence is a fault."""
+        """Doubts since the last query, and permanent doubts; silence is a fault."""
         if not self._streaming:
             self._overhear()
         doubts, self._doubts = (*self._lasting, *self._doubts), {}
@@ -260,7 +260,7 @@ class SerialSensor:
             raise InstrumentError(f"{message}: correct `sample_rate`, or the sensor's setting")
 
     def _overhear(self) -> None:
-        """What came since nobody followed; a frame cut in two at the beginning is not missed."""
+        """Process bytes received without a consumer; a frame that is cut at the beginning does not count as lost."""
         samples = self.decoder.decode(Framer(self.decoder.framing).push(self.link.take()))
         self._doubts |= dict.fromkeys(samples.doubts)
         if len(samples):

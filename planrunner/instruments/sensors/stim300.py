@@ -104,7 +104,7 @@ class Stim300(SerialSensor):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """Where everything stands in a datagram. Scales: deg/s and g a count; rate: Hz."""
+    """Positions of the fields in a datagram. Scales: deg/s and g a count; rate: Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

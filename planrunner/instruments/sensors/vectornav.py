@@ -46,7 +46,7 @@ FIELDS: Mapping[str, tuple[int, Mapping[str, str]]] = {
     "imu": (9, _axes("accel", "m/s^2") | _axes("gyro", "rad/s")),
     "mag_pres": (10, _axes("magnetometer", "1") | {"sensor_temperature": "degC", "pressure": "kPa"}),
 }
-"""Field of the common group → its bit, and what it holds in its order; time since start-up is the counter."""
+"""Field of the common group → its bit and its contents in order; time since start-up is the counter."""
 LINES: Mapping[str, Mapping[str, str]] = {
     "VNYMR": YAW_PITCH_ROLL | _axes("magnetometer", "1") | _axes("accel", "m/s^2") | _axes("gyro", "rad/s"),
     "VNYPR": YAW_PITCH_ROLL,
@@ -131,7 +131,7 @@ def line(body: str) -> bytes:
 
 
 def body_of(reply: bytes) -> str:
-    """What stands between `$` and `*` of a line. Raises `InstrumentError` for a wrong checksum and for an error of the sensor's."""
+    """The text between `$` and `*` of a line. Raises `InstrumentError` for a wrong checksum and for an error of the sensor's."""
     body, star, check = reply.strip(b"\r\n").removeprefix(b"$").partition(b"*")
     if not star or not body or check.upper() != f"{XOR8.of(body):02X}".encode("ascii"):
         raise InstrumentError(f"the VN-100 answers with an incomplete line: {reply[:60]!r}")
@@ -168,7 +168,7 @@ def word(fields: tuple[str, ...]) -> int:
 
 
 def binary(fields: tuple[str, ...], rate: float) -> FrameLayout:
-    """Where everything stands in a binary message with these fields. rate: Hz."""
+    """Positions of the fields in a binary message with these fields. rate: Hz."""
     found: dict[str, Field] = {}
     units: dict[str, str] = {}
     counts, counter = None, FrameCounter(1 / rate)

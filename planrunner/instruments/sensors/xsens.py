@@ -1,7 +1,7 @@
 """Xsens MTi: messages of the Xbus protocol, and MTData2, whose packets differ from frame to frame.
 
-A message is FA FF, what it is, the length of its data, the data, and a byte that makes the sum of all after FA zero. The data of MTData2
-are packets: identifier (its low bits say how numbers are written), length, content.
+A message is FA FF, its identifier, the length of its data, the data, and a byte that makes the sum of all bytes after FA zero. The data of
+MTData2 are packets: identifier (its low bits say how numbers are written), length, content.
 """
 
 from __future__ import annotations
@@ -120,8 +120,7 @@ def error_of(found: bytes) -> int | None:
 
 
 def ask(link: SerialStream, clock: Clock, identifier: int, data: bytes = b"") -> bytes:
-    """Send a message until it is answered by the next higher identifier; what comes beside it is passed over. Raises
-    `InstrumentError`."""
+    """Send a message until the reply with the next higher identifier arrives; other messages are skipped. Raises `InstrumentError`."""
     for _ in range(ATTEMPTS):
         framer = Framer(Framing(b"\xfa\xff", LONGEST, XBUS, ZERO_SUM8, 1, 1))
         link.write(message(identifier, data))

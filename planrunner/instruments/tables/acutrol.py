@@ -156,7 +156,7 @@ class AcutrolCommands:
         return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
-        # What was before does not concern us; a fault that still stands comes back at once.
+        # Earlier status is irrelevant; a fault that persists is reported again at once.
         self.link.query("*STB?", after=[":interlock:reset"], again=False)
         reach = numbers(self.link, f":limit:absolute? {axis}", 6)
         if bounds.rate > reach[0] or bounds.acceleration > reach[1]:
@@ -199,7 +199,7 @@ class AcutrolCommands:
         self._modes = dict.fromkeys(self.axes, "off")
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        # What is not in its position mode holds where it is first, so that no earlier demand takes effect with the mode.
+        # An axis in another mode first holds its position, so that no earlier demand takes effect with the new mode.
         entering = {axis: here[axis] for axis in positions if self._modes.get(axis) != "pos"}
         hold = [_joined("dem", "pos", entering), _joined("mode", "pos", entering)] if entering else []
         self._enter("pos", positions, *hold, _joined("dem", "pos", positions))
@@ -215,7 +215,7 @@ class AcutrolCommands:
         self._enter("synt", sines, *enter, _oscillation(sines))
 
     def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
-        """Meanwhile nobody knows their mode, who asks from another thread included."""
+        """During the change the mode is unknown, also to queries from another thread."""
         for axis in axes:
             self._modes.pop(axis, None)
         self._do(*commands)

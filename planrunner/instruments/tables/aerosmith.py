@@ -21,8 +21,8 @@ END = b"\r"
 
 
 class PromptedLines:
-    """A line, then a line that is the prompt alone. telling: only lines with content count, since the empty answer of a motion that
-    ends may come between a question and its answer."""
+    """A line, then a line that is the prompt alone. telling: only lines with content count, because the empty reply of a motion that
+    ends may come between a query and its reply."""
 
     def __init__(self, *, telling: bool = False):
         self.telling = telling

@@ -9,7 +9,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class AxisState:
-    """What the controller measures: degrees and deg/s, as it counts."""
+    """Measurements of the controller: degrees and deg/s, in its units."""
 
     position: float
     rate: float
@@ -39,11 +39,11 @@ class AxisCommands(Protocol):
     """Commands of a controller. Axes have the controller's numbers, angles are in its degrees. Every failure is an `InstrumentError`."""
 
     rocks: bool
-    """Whether it has a sine motion of its own."""
+    """Whether the controller has a sine motion."""
 
     def identify(self) -> Mapping[str, str]: ...
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
-        """Set what the axis keeps to by itself; a line for each limit that is set now."""
+        """Set the limits that the axis enforces itself; returns a line for each limit that is now set."""
 
     def energise(self) -> None:
         """Make the axes ready to move. Called before the first move, and after `switch_off`."""

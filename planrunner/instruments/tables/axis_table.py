@@ -145,7 +145,7 @@ class AxisTable:
             raise InstrumentError("the table: " + "; ".join(faults))
         return self._within(errors)
 
-    # -- what it sees of itself ----------------------------------------------------------------------------------------
+    # -- measurements --------------------------------------------------------------------------------------------------
 
     def watch(self) -> Condition:
         """On the way to a state there is no error from it yet: errors are reported after it was first reached."""
@@ -193,7 +193,7 @@ class AxisTable:
     # -- the safe state ------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stop every axis, then switch off. An axis that does not stop is switched off nevertheless, and told."""
+        """Stop every axis, then switch off. An axis that does not stop is switched off anyway and reported."""
         self._timed.call_off()
         self._aim, self._rocking, self._ready = Aim(), None, False
         try:
@@ -297,7 +297,7 @@ class AxisTable:
             self._rock_until(end)
 
     def _rock_until(self, end: float) -> None:
-        """The duration of the rocking is over while the segment goes on."""
+        """Ends the rocking when its duration is over while the segment continues."""
         self._timed.until(end)
         self._end_rocking()
 

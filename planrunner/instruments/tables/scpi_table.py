@@ -66,7 +66,8 @@ SINE = ("axis", "amplitude", "frequency", "phase")
 
 
 class TableCommands(Record):
-    """The commands of a table. `{axis}` stands for the axis's number; degrees, deg/s and Hz for the other places."""
+    """The commands of a table. `{axis}` is replaced by the number of the axis, the other placeholders by values in degrees, deg/s and
+    Hz."""
 
     identify: str = key(Text(), "Asks for the identification.", "*IDN?", default="*IDN?")
     error: str = key(
@@ -210,7 +211,7 @@ class ScpiTableCommands:
             raise InstrumentError(f"the table does not take one of {', '.join(commands)}: {error[:80]}")
 
     def _error(self, commands: Sequence[str]) -> str:
-        """What it reports after these commands; empty when all is well."""
+        """The error reported after these commands; empty if there is none."""
         said = self.link.query(self.commands.error, after=commands, again=False)
         return "" if NO_ERROR.match(said) else said or "an empty error message"
 

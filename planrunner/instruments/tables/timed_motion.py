@@ -60,7 +60,7 @@ class TimedMotion:
             raise InstrumentError(f"the run has not read the table for {self.patience:g} s")
 
     def call_off(self) -> None:
-        """No further command is given when this returns; those that were given hold."""
+        """After this returns no further command is given; earlier commands stay in effect."""
         self._called_off.set()
         thread, self._thread = self._thread, None
         if thread is not None:

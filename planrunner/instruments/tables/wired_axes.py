@@ -34,7 +34,7 @@ class WiredAxisSpec(AxisSpec):
 
 
 class WiredTableKeys(TableKeys):
-    """What is known of a real table beside its link."""
+    """Keys of a real table except its link."""
 
     axes: tuple[WiredAxisSpec, ...] = key(
         AxesKind(WiredAxisSpec),

@@ -75,7 +75,7 @@ def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: 
 def _add_moments(
     means: np.ndarray, world: World, times: Sequence[np.ndarray], points: Sequence[tuple[float, float]]
 ) -> None:
-    """Add to the means (6, n) what is felt at `times`, (n,) for each of the quadrature points, by their weights."""
+    """Add the weighted stimulus at `times`, (n,) for each quadrature point, to the means (6, n)."""
     rates, forces = world.stimulus(np.concatenate(times))
     for mean, felt in zip(means, (*rates, *forces), strict=True):
         for (_, weight), moments in zip(
@@ -85,7 +85,7 @@ def _add_moments(
 
 
 def _moment(world: World, time: float) -> tuple[Components, Components]:
-    """What is felt at one time, as floats."""
+    """The stimulus at one time, as floats."""
     rates, forces = world.stimulus(np.array([time]))
     x, y, z = (float(np.ravel(v)[0]) for v in rates)
     a, b, c = (float(np.ravel(v)[0]) for v in forces)

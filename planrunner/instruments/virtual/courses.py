@@ -1,8 +1,7 @@
 """Courses: the joint angles and rates of a virtual table over time, one small class per kind of motion.
 
-A course answers for any time after it began, for arrays of times, and can be written down as JSON data and read back,
-so that a run that is resumed finds the table where it was. Joints that stand still are plain floats, so that whoever
-follows the course need not compute with arrays where nothing moves.
+A course answers for any time after it began, for arrays of times, and can be written down as JSON data and read back, so that a run that is
+resumed finds the table where it was. Joints at rest are plain floats, so that no arrays are computed where nothing moves.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class VirtualFlexureGyro:
             )
         return cls(parameters, World.of(surroundings))
 
-    # -- what it does ----------------------------------------------------------------------------------------------
+    # -- what it does --------------------------------------------------------------------------------------------------
 
     def channels(self) -> Mapping[str, str]:
         return {**dict.fromkeys(OUTPUTS, "pulse/s"), THERMOMETER: "degC"}
@@ -159,7 +159,7 @@ class VirtualFlexureGyro:
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
-        """What gives samples first … first + length − 1 of a sampling; to be asked for all of them, in their order."""
+        """A function for samples first … first + length − 1 of a sampling; call it for all samples in order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
         return lambda first, length: self._block(sampling.times(first, length), sampling, draw)
@@ -184,7 +184,7 @@ class VirtualFlexureGyro:
         for name, flicker in self.flicker.items():
             flicker.restore(float(state[name]["time"]), state[name]["state"])
 
-    # -- how it does it --------------------------------------------------------------------------------------------
+    # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _block(self, time: Array, sampling: Sampling, draw: np.random.Generator) -> Block:
         """The samples at `time`."""

@@ -121,7 +121,7 @@ class VirtualImu(TakesEffects):
     def sampler(
         self, sampling: Sampling, draw: np.random.Generator, segment: Segment | None = None
     ) -> Callable[[int, int], Block]:
-        """What gives samples first … first + length − 1 of a sampling; to be asked for all of them, in their order.
+        """A function for samples first … first + length − 1 of a sampling; call it for all samples in order.
 
         Raises `InstrumentError` where what is recorded hangs on the segment's motion and none is named.
         """
@@ -224,7 +224,7 @@ class VirtualImu(TakesEffects):
     def _samples(
         self, axis: InertialAxis, dwell: _Dwell, level: Array, length: int, gives: Gives | None = None
     ) -> Array:
-        """What one axis gives around its level; gives: its noise, where it is not the declared one."""
+        """Samples of one axis around its level. gives: its noise if it differs from the declared one."""
         sampling = dwell.sampling
         gives = gives or self._gives(axis, sampling)
         sigma = gives.white * math.sqrt(sampling.rate)

@@ -230,7 +230,7 @@ class AccelerometerAxis(AccelerometerErrors, InputAxisDirection):
 
 
 class Gyros(GyroErrors):
-    """The gyros of a sensor, and what is said of all of them."""
+    """The gyros of a sensor, with keys common to all."""
 
     axes: dict[str, Any] = key(
         MapOf(RecordOf(GyroAxis), pattern=AXIS_NAME),
@@ -240,7 +240,7 @@ class Gyros(GyroErrors):
 
 
 class Accelerometers(AccelerometerErrors):
-    """The accelerometers of a sensor, and what is said of all of them."""
+    """The accelerometers of a sensor, with keys common to all."""
 
     axes: dict[str, Any] = key(
         MapOf(RecordOf(AccelerometerAxis), pattern=AXIS_NAME),
@@ -260,7 +260,7 @@ def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
 
 
 def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
-    """What is wrong with an axis's direction, and the remedy."""
+    """The fault of an axis's direction, and the remedy."""
     if (axis.angle is None) != (axis.azimuth is None):
         given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")
         return f"has an {given} but no {missing}", f"add for example `{missing}: 0 deg`"

@@ -120,7 +120,7 @@ class RandomWalk:
 
 
 class PulseCounter:
-    """An integrating output that is counted: what is left of one sample is counted in the next. step: of a sample, output unit."""
+    """An integrating output that is counted: the remainder of a sample is counted in the next. step: of a sample, output unit."""
 
     def __init__(self, step: float):
         self.step = step
@@ -149,10 +149,9 @@ class Readout:
     full_scale: float = math.inf
 
     def samples(self, draw: np.random.Generator, level: Array, length: int, hold: int) -> Array:
-        """Readings (length,) around `level`: a value a sample, or (nodes,) values held for `hold` samples each.
+        """Readings (length,) around `level`, which has one value per sample, or (nodes,) values that apply to `hold` samples each.
 
-        Worked in pieces that stay in the processor's cache, because a pass through memory costs as much as drawing
-        the noise.
+        Computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing the noise.
         """
         out = np.empty(length)
         held = level.size != length

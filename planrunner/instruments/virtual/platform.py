@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 class RingEncoders:
     """The table's rings as their encoders show them during one recording.
 
-    before, after: (k,) rad, by how much each ring stands off its reading until and after it has moved. lag: s. wander: rad/√s.
+    before, after: (k,) rad, deviation of each ring from its reading before and after it has moved. lag: s. wander: rad/√s.
     """
 
     before: Array
@@ -80,7 +80,7 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
 
 
 def resolver(angle: Array, error: float, speeds: int, phase: float) -> Array:
-    """What a resolver with `speeds` electrical turns a turn makes of an angle [rad]; error: amplitude [rad]."""
+    """Reading of a resolver with `speeds` electrical turns per turn for an angle [rad]. error: amplitude [rad]."""
     return angle + error * np.sin(speeds * angle + phase)
 
 

@@ -110,7 +110,7 @@ class GimbalEncoders(Record):
 
 
 class TableEncoders(Record):
-    """The rings of the rocking table, recorded beside the platform, and by how much they really stand elsewhere."""
+    """The rings of the rocking table, recorded with the platform, and the errors of their readings."""
 
     resolution: Quantity = _each(
         QuantityOf("angle", "not negative"), "Smallest step; 0 for none.", "0.4 arcsec", "0 arcsec"

@@ -51,7 +51,7 @@ class Element:
     at: float = 0.0
 
     def release(self, world: World, left: Array) -> Element:
-        """From now on it is fixed in inertial space. left: what it turns by as it leaves the dead region."""
+        """From now on the element is fixed in inertial space. left: rotation while it leaves the dead region."""
         if self.released is not None:
             return self
         now = world.now()

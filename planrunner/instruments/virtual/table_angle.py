@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
-    """Angle [rad] and rate [rad/s] of the table about what the segment turns about, since the orientation was taken, (n,) each.
+    """Angle [rad] and rate [rad/s] of the table about the axis of the segment's motion, since the orientation was reached, (n,) each.
 
     Rocking counts where the outermost axis alone rocks.
     """

@@ -1,4 +1,4 @@
-"""Tracks: where a simulated carrier is on the Earth, how it moves, and what a level bench on it feels.
+"""Tracks: position and motion of a simulated carrier on the Earth, and the stimulus of a level bench on it.
 
 The carrier keeps its height. Its track is exact in either of two senses: a line of constant heading over the ellipsoid, with the
 distance measured along the ellipsoid; or a great circle of the ellipsoid's normals, turned through at the rate that gives the distance

@@ -37,7 +37,7 @@ class Checksum:
 
     @cached_property
     def tables(self) -> NDArray[np.uint32]:
-        """(8, 256): row k is what a byte leaves after k more bytes of zero."""
+        """(8, 256): row k is the remainder of a byte that is followed by k zero bytes."""
         rows = np.zeros((8, 256), np.uint32)
         top = self.polynomial << (32 - self.width)
         for byte in range(256):
@@ -83,7 +83,7 @@ class Checksum:
 
     @property
     def arguments(self) -> tuple[int, int, NDArray[np.uint32], int, bool, int]:
-        """What the kernels are given."""
+        """Arguments for the kernels."""
         return self.kind, self.width, self.tables, self.initial, self.reflected, self.final
 
 

@@ -45,7 +45,7 @@ def whole_numbers(frames: Frames, item: Field) -> NDArray[np.int64]:
 
 
 def alike(frames: Frames, places: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each frame has at `places` [bytes from its start] what the first one has there; all are long enough for that."""
+    """Whether each frame has the same bytes as the first one at `places` [bytes from its start]; all frames are long enough."""
     from planrunner.instruments.wire import kernels
 
     found: NDArray[np.bool_] = kernels.alike(frames.data, frames.starts, places)

@@ -25,14 +25,14 @@ from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 LONGEST = 4096
-"""Bytes of an answer; what is longer is no answer."""
+"""Maximum size of a reply in bytes; anything longer is invalid."""
 GLANCE = 0.001
 """Seconds of looking whether something lies unread."""
 QUIET = 0.02
 """Seconds without a byte after which unread rests count as over."""
 
 MOST_REMARKS = 100
-"""What is kept for whoever asks seldom."""
+"""Maximum number of remarks kept between queries."""
 
 _locks: dict[str, threading.RLock] = {}
 _making = threading.Lock()
@@ -91,7 +91,7 @@ class Incoming:
     got: bytearray = field(default_factory=bytearray)
 
     def until(self, end: bytes) -> bytes:
-        """What comes before `end`."""
+        """The bytes before `end`."""
         if self.whole:
             self.got += self.resource.read_raw()
             return bytes(self.got).removesuffix(end)
@@ -133,7 +133,7 @@ _REFUSED = (
 
 
 class MessageLink:
-    """Requests and replies. Every failure is an `InstrumentError` that names the resource, what was asked and what to look at.
+    """Requests and replies. Every failure is an `InstrumentError` that names the resource, the request and what to check.
 
     The link opens itself when it is first used and again after a failure.
     """
@@ -148,7 +148,7 @@ class MessageLink:
         self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
 
     def write(self, *texts: str) -> None:
-        """Send what is not answered. Not tried again: nobody knows how much arrived."""
+        """Send a message without reply. It is not repeated, because it is unknown how much arrived."""
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
@@ -171,13 +171,13 @@ class MessageLink:
         raise AssertionError("unreachable")
 
     def remarks(self) -> list[str]:
-        """What was out of the ordinary since the last call."""
+        """Unusual events since the last call."""
         told = list(self._remarks)
         self._remarks.clear()
         return told
 
     def doubt(self) -> None:
-        """What came was no answer to what was asked, so its answer may still come: begin anew, as after a failure."""
+        """The received data do not answer the request, and the reply may still arrive: restart the link as after a failure."""
         with self._lock:
             self._give_up()
 
@@ -213,7 +213,7 @@ class MessageLink:
             message_based = _marks_ends(settings.address)
             if not message_based:
                 self._drop_rests(resource)
-            # Before anything is sent: a serial port that is set up anew may lose what is coming in.
+            # Before anything is sent, because opening a serial port may lose incoming data.
             _wait_at_most(resource, settings.timeout)
             ended = [(text + settings.sent_end).encode("ascii") for text in texts]
             for message in ended if message_based else [b"".join(ended)]:
@@ -255,7 +255,7 @@ class MessageLink:
         return self._resource
 
     def _give_up(self) -> None:
-        """Close the link, so that what is still on its way is not read later."""
+        """Close the link, so that data in transit are not read later."""
         resource, self._disturbed = self._resource, True
         if resource is not None and _marks_ends(self.settings.address):
             with contextlib.suppress(Exception):
@@ -263,7 +263,7 @@ class MessageLink:
         self.close()
 
     def _drop_rests(self, resource: Any) -> None:
-        """What lies unread was not asked for."""
+        """Discard unread data, which nobody requested."""
         if self.settings.address.startswith("ASRL") and not resource.bytes_in_buffer:
             return
         _wait_at_most(resource, GLANCE)
@@ -342,7 +342,7 @@ def _count_steadily() -> None:
 
 
 def _nothing_came() -> type[Exception]:
-    """What a backend raises when nothing comes in time."""
+    """Exceptions of backends for a time-out."""
     from pyvisa.errors import VisaIOError
 
     return VisaIOError

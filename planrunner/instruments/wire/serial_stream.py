@@ -18,7 +18,7 @@ from planrunner.instruments.wire.framing import Piece
 CAPACITY = 8 * 2**20
 """Bytes; a minute of the fastest sensor."""
 NEWEST = 2**16
-"""Bytes kept while nobody follows."""
+"""Bytes kept without a consumer."""
 PAUSE = 0.004
 """Seconds between reads: long enough to be cheap, short against what the operating system holds (4 kB at 1.8 Mbit/s: 22 ms)."""
 TIMEOUT = 0.05
@@ -26,7 +26,7 @@ MOST = 2**16
 
 
 class SerialPort(Protocol):
-    """What is used of a pyserial port."""
+    """The interface used of a pyserial port."""
 
     @property
     def in_waiting(self) -> int: ...
