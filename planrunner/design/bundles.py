@@ -73,8 +73,9 @@ def _settle(bundles: Array, fixed: Array, start: Array, others: Array, criterion
 def shares(
     bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
 ) -> tuple[Array, float]:
-    """The best shares (N,), adding up to 1, of a resource of which every bundle (N, p, p) is what its whole would add, and the excess of
-    the largest derivative over its mean that is left (0 at the optimum: Kiefer and Wolfowitz; multiplicative steps as in `continuous`).
+    """The best shares (N,), which add up to 1, of a resource, where bundle (N, p, p) is the information if it gets the whole resource; and
+    the remaining excess of the largest derivative over its mean (0 at the optimum: Kiefer and Wolfowitz; multiplicative steps as in
+    `continuous`).
 
     fixed: (p, p), there whatever the shares are. Raises ValueError where the bundles cannot give all terms.
     """

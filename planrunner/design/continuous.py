@@ -52,7 +52,7 @@ class Continuous:
 
 
 def derivative(rows: Array, matrix: Array, weighting: Array | None) -> Array:
-    """What each row would add: xᵀM⁻¹x, or xᵀM⁻¹WM⁻¹x for a linear criterion, shape (N,)."""
+    """Derivative of the criterion for each row: xᵀM⁻¹x, or xᵀM⁻¹WM⁻¹x for a linear criterion, shape (N,)."""
     inverse = np.linalg.inv(matrix)
     middle = inverse if weighting is None else inverse @ weighting @ inverse
     return np.asarray(np.einsum("ij,ij->i", rows @ middle, rows))

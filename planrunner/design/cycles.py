@@ -45,8 +45,8 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """What one search looked at. moves: of the cycles; tried: how many cycles; balanced: how many of them leave nothing; wound: how many
-    of those wind the cables up; exhaustive: whether these were all."""
+    """Extent of one search. moves: of the cycles; tried: number of cycles; balanced: number with zero residual; wound: how many of those
+    wind the cables up; exhaustive: whether these were all."""
 
     moves: int
     tried: int
@@ -57,7 +57,7 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class FoundCycle:
-    """cycle: the best that leaves nothing, None where there is none; rounds: the searches made, the last one successful."""
+    """cycle: the best cycle with zero residual, or None; rounds: the searches made; the last one was successful."""
 
     cycle: RotationCycle | None
     rounds: tuple[Round, ...]
@@ -193,7 +193,7 @@ class _Search:
     def _walk(
         self, at: int, angle: float, low: float, high: float, left: complex, turns: tuple[float, ...]
     ) -> Iterator[tuple[tuple[float, ...], complex]]:
-        """Every closed sequence of turns, and what its turns leave."""
+        """Every closed sequence of turns, with the residual of its turns."""
         self.walked += 1
         if len(turns) == self.moves:
             if at == self.home:
@@ -244,7 +244,7 @@ def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list
 
 
 def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
-    """What one turn from angle zero leaves [s], and how long it takes [s]."""
+    """The residual of one turn from angle zero [s], and its duration [s]."""
     if abs(turn) <= _ANGLE:
         return 0j, 0.0
     alone = RotationCycle((turn,), 0.0, planned.rate, planned.acceleration)

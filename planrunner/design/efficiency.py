@@ -86,7 +86,7 @@ def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array
 
 
 def efficiency(of: Merit, reference: Merit) -> Efficiency:
-    """Efficiencies of a set against another one of the same number of terms, each by its own criterion."""
+    """Efficiencies of a set relative to another set with the same number of terms, one for each criterion."""
     share = of.observations / reference.observations
     root = (of.determinant / reference.determinant) ** (1 / of.terms) if reference.determinant > 0 else math.nan
     return Efficiency(

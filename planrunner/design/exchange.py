@@ -37,7 +37,7 @@ class Chosen:
 
 
 def loss(rows: Array, weighting: Array | None = None, fixed: Array | None = None) -> float:
-    """What is minimised for one set of rows, (n, p)."""
+    """The loss of one set of rows, (n, p)."""
     if fixed is not None:
         rows = np.concatenate([rows, root(fixed)])
     singular = np.linalg.svd(rows, compute_uv=False)
@@ -147,7 +147,7 @@ def exchange_all(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> list[Chosen]:
-    """What every restart ended in, the best first. The same seed gives the same sets."""
+    """The result of every restart, the best first. The same seed gives the same sets."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen out of {len(rows)}")
     random = np.random.default_rng(seed)
@@ -185,7 +185,7 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
 
 
 def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
-    """What each candidate is worth beside the others; only the order counts."""
+    """The value of each candidate in addition to the others; only the order matters."""
     values, vectors = np.linalg.eigh(others)
     inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
     carried = rows @ inverse

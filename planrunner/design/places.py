@@ -42,7 +42,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What one output of an estimate sees: its terms, and the estimator asked at any attitude.
+    """Response of one output of an estimate: its terms, and the estimator's rows at any attitude.
 
     magnitudes: (p,), by which columns are divided. fixed: rows (k, p) of what stays as it is, such as spins, in units of a position's
     noise.
@@ -111,7 +111,8 @@ def sight(
     spins: Sequence[Segment] = (),
     output: str | None = None,
 ) -> Sight:
-    """What an estimate sees at the places, beside spins that stay. output: which one, where they differ. Raises `EstimationError`."""
+    """Response of an estimate at the places, in addition to spins that stay. output: which output, if they differ. Raises
+    `EstimationError`."""
     at_rest = tuple(place.segments[0] for place in found)
     design = _design(name, spec, (*at_rest, *spins), site, sensor, uses, setup)
     if design is None or not design.blocks:
@@ -197,7 +198,7 @@ def _turned(axis: Array, angles: Array) -> Array:
 
 
 def reachable(axes: Sequence[TableAxis], wanted: Sequence[Array], azimuth: float) -> tuple[list[Array], Array]:
-    """Of some attitudes those that the table reaches, with joint angles (m, k) near its zero."""
+    """The attitudes that the table can reach, with joint angles (m, k) near zero."""
     kept, settings = [], []
     for attitude in wanted:
         try:

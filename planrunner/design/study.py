@@ -129,8 +129,8 @@ class RateSet:
 
 @dataclass(frozen=True, slots=True)
 class FoundRates:
-    """sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess: what is left of the bound's certificate.
-    text: the plan with the best rates."""
+    """sets: `planned` and `best`. course: rates [rad/s] at which variances are given. excess: remaining distance from the certified
+    bound. text: the plan with the best rates."""
 
     estimate: str
     output: str
@@ -159,7 +159,7 @@ class FoundCycles:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is studied. title: of the plan; facts: plan, bench and site by name; file, findings: of the plan as it was checked."""
+    """Subject of the study. title: of the plan; facts: plan, bench and site by name; file, findings: of the plan as it was checked."""
 
     title: str
     facts: Mapping[str, str]
@@ -178,7 +178,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What a study shows. varied: what it designs, such as `positions`; heading: one line; poses: rows of orientations by title; footer:
+    """Output of a study. varied: what it designs, such as `positions`; heading: one line; poses: rows of orientations by title; footer:
     how the figures are meant; data: all of it as plain data. text: the plan with the chosen design; empty where there is none, and
     `missing` says why."""
 

@@ -1,6 +1,6 @@
 """From a recording to results: every estimate of a plan in the order that `uses` asks for, then the limits.
 
-What goes wrong with one estimate is kept as a message; the others are made all the same.
+A failure of one estimate is kept as a message; the others are still made.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def design_of(
     designs: Mapping[str, Design],
     setup: Setup | None = None,
 ) -> Design:
-    """What one estimate could learn from the planned segments, and the coefficients that a run will give.
+    """Information of the planned segments for one estimate, and the coefficients that a run will give.
 
     designs: of the estimates before it. Raises `EstimationError` when the segments make no sense for the estimator.
     """
@@ -114,7 +114,7 @@ def design_of(
 
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
-    """Names such that what is used comes first; whatever waits for itself comes last and fails on its missing input."""
+    """Names in an order in which used estimates come first; estimates in a circle come last and fail because of their missing input."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:
@@ -129,7 +129,7 @@ def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
 
 
 def _detection(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection | None:
-    """What is to be found in the data. Raises `EstimationError` where the estimator takes whole segments."""
+    """The spans to detect in the data. Raises `EstimationError` if the estimator uses whole segments."""
     if not isinstance(spec.segments, Detection):
         return None
     if not (isinstance(estimator, FindsSpans) and estimator.finds_spans):
@@ -181,7 +181,7 @@ _RESTS_ON = {
 
 
 def combined(estimate: Estimate) -> Estimate:
-    """The estimate with its influences added to what its data show, and a budget for each coefficient."""
+    """The estimate with its influences added to the contribution of the data, and a budget for each coefficient."""
     basis = estimate.settings.get("uncertainty", "")
     measured = [
         Measured(item.name, item.value, item.unit, item.standard_uncertainty, item.degrees_of_freedom)

@@ -1,4 +1,5 @@
-"""What an estimate reports, as one formula of what it fitted: values, covariance, degrees of freedom, influences and draws follow from it.
+"""Results of an estimate as one formula of the fitted coefficients: values, covariance, degrees of freedom, influences and draws follow
+from it.
 
 An estimator gives the formula and what its quantities are called. Nothing else about them is written down: derivatives come from the
 formula (`uncertainty.derivatives`), and Monte Carlo puts its draws through the same one.
@@ -24,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """As what one derived quantity is reported. unit: of its value; period: of one on a circle, in that unit."""
+    """Name and unit of one derived quantity. unit: of its value; period: of a circular quantity, in that unit."""
 
     name: str
     unit: str
@@ -46,12 +47,13 @@ class Derived:
     fits: tuple[OutputsFit, ...]
 
     def covariance(self, basis: str) -> Array:
-        """(q, q), of what the data show."""
+        """(q, q), contribution of the data."""
         data = independent([fit.covariance(basis) for fit in self.fits])
         return np.asarray(self.gradient @ data @ self.gradient.T)
 
     def spread(self, basis: str) -> tuple[Array, Array]:
-        """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the fits) of what the data show, both (q,)."""
+        """Standard uncertainties and effective degrees of freedom (Welch–Satterthwaite over the fits) of the contribution of the data,
+        both (q,)."""
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):

@@ -1,7 +1,7 @@
 """The recording expected from a schedule: segments with the means of a nominal sensor and the declared noise.
 
-An estimator's own formula on it gives every coefficient that a run will give, at its nominal value (`planrunner.estimators.method`). What
-neither plan nor bench says is assumed, in one of two ways: a coefficient that both ways give alike does not rest on it.
+The formula of an estimator applied to it gives every coefficient of a run at its nominal value (`planrunner.estimators.method`). Values
+that neither plan nor bench states are assumed in two ways; a coefficient that is equal for both does not depend on them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _ALONG_UP = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What an estimator knows of outputs, by name. responses: in its own terms, as the sensor declares them; directions: their input axes
+    """An estimator's knowledge about outputs, by name. responses: in its terms, as declared for the sensor; directions: their input axes
     in the sensor's frame, (3,), where its keys say which is which."""
 
     responses: Responses = field(default_factory=dict)
@@ -41,8 +41,8 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """What stands in for what is not stated. noise: of a mean, in the output's unit; gain: output per SI unit of what it senses; kelvin;
-    attitude: (3, 3)."""
+    """Assumed values for those that are not stated. noise: of a mean, in the output's unit; gain: output per SI unit of what it senses;
+    kelvin; attitude: (3, 3)."""
 
     noise: float
     gain: float
@@ -58,8 +58,7 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """segments: as if they were recorded. assumed: in words, what had to be assumed of the outputs that are used; empty where plan and
-    bench say all."""
+    """segments: as if recorded. assumed: in words, the assumptions about the used outputs; empty if plan and bench state everything."""
 
     segments: tuple[RecordedSegment, ...]
     assumed: tuple[str, ...]
@@ -68,7 +67,7 @@ class Expected:
 def expected_recording(
     request: DesignRequest[object], known: Known, used: Sequence[str], assumption: Assumption
 ) -> Expected:
-    """known: what an estimator knows of the outputs; their names and units say the rest. used: the outputs that matter."""
+    """known: the estimator's knowledge about the outputs; the rest follows from their names and units. used: the relevant outputs."""
     outputs = request.sensor.outputs
     felt, assumed = _felt(request, assumption)
     means, errors, variances = (np.zeros((len(request.segments), len(outputs))) for _ in range(3))
@@ -103,7 +102,7 @@ def expected_recording(
 
 
 def _felt(request: DesignRequest[object], assumption: Assumption) -> tuple[Stimulus, list[str]]:
-    """The mean stimulus of each segment; of one that rocks or follows a cycle, that of its first attitude."""
+    """The mean stimulus of each segment; for rocking and cycles, the stimulus at the first attitude."""
     assumed: list[str] = []
     segments: list[Segment] = []
     for segment in request.segments:

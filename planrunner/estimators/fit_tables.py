@@ -1,4 +1,4 @@
-"""Tables that go with a fit of several outputs: means and residuals by segment, uncertainties on either basis."""
+"""Tables for a fit of several outputs: means and residuals by segment, uncertainties on either basis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planrunner.uncertainty.decision import expanded_uncertainty
 
 
 def residual_table(title: str, observed: str, observations: Observations, fit: OutputsFit) -> Table:
-    """Means, residuals and each mean's uncertainty from its own segment. observed: what a row is, such as `position`."""
+    """Means, residuals and each mean's uncertainty from its own segment. observed: name of a row, such as `position`."""
     columns = [TableColumn(observed)]
     for name, unit in zip(observations.channels, observations.units, strict=True):
         columns += [TableColumn(f"{name} {what}", Role.VALUE, unit) for what in ("mean", "residual")]

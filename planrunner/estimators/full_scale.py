@@ -56,7 +56,8 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
 
 
 def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """A warning where none of the outputs feels the planned rates, as when a table spins about another axis than the one that is fitted.
+    """A warning if the planned rates act on none of the outputs, for example because the table spins about an axis other than the fitted
+    one.
 
     shares: (n, m), as for `beyond_full_scale`. Nothing is said of orientations that are not known, or of outputs of specific force.
     """
@@ -108,8 +109,8 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
 
 
 def shares_by_name(request: DesignRequest[object], outputs: Sequence[str]) -> Array:
-    """What part of the rate each output feels, (n, m): its axis is that of the sensor that its name ends with (gyro_x: x), or of the
-    plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
+    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis at the end of the output's name (gyro_x:
+    x), or of the plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
     shares = np.zeros((len(request.segments), len(outputs)))
     directions = [input_direction(request.setup.mounting, name) for name in outputs]
     for row, segment in enumerate(request.segments):

@@ -1,4 +1,4 @@
-"""Limits held against coefficients: unit conversion, decision rule, verdict."""
+"""Limits applied to coefficients: unit conversion, decision rule, verdict."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planrunner.uncertainty.global_risk import GlobalRisk, Prior, global_risk
 
 @dataclass(frozen=True, slots=True)
 class LimitVerdict:
-    """One limit and what became of it. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
+    """One limit and its verdict. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
     quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: that the true value conforms.
     guard_band: how far inside the limits the value had to be; guard_factor: it over U; coverage: probability of U. false_decision: the

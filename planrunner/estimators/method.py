@@ -1,4 +1,4 @@
-"""One method behind every estimator: a result is a function of observations, and what a run will give follows from it beforehand.
+"""The common method of estimators: a result is a function of observations, and the same function predicts the results of a run.
 
     found = method.quantities(request)           the formula: coefficients, their covariance and what they depend on
     words = method.words(request, found)         tables, plots and notes for people
@@ -46,8 +46,8 @@ _ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantities:
-    """What a formula gives. covariance: (m, m), of what the data show, in the products of the coefficients' units; influences: of what they
-    do not. extra: plain data for estimates that build on this one, as `interface.Estimate` says."""
+    """Result of a formula. covariance: (m, m), contribution of the data, in the products of the coefficients' units; influences:
+    contributions that the data do not show. extra: plain data for estimates that build on this one, as `interface.Estimate` says."""
 
     coefficients: tuple[Coefficient, ...]
     covariance: Array
@@ -57,7 +57,7 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """What a reader needs to judge an estimate; the fields are those of `interface.Estimate`."""
+    """Explanations of an estimate for readers; the fields are those of `interface.Estimate`."""
 
     headline: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -87,10 +87,10 @@ class Method(ABC, Generic[P, Q]):
 
     @abstractmethod
     def words(self, request: EstimateRequest[P], found: Q) -> Words:
-        """What is said of it."""
+        """Explanations for readers."""
 
     def known(self, request: DesignRequest[P]) -> Known:
-        """What this method knows of the outputs; their names and units say the rest."""
+        """Knowledge of this method about the outputs; the rest follows from their names and units."""
         return Known()
 
     def estimate(self, request: EstimateRequest[P]) -> Estimate:
@@ -116,9 +116,9 @@ class Method(ABC, Generic[P, Q]):
 
 @dataclass(frozen=True, slots=True)
 class Foresight:
-    """What a run will give: `predicted` at its nominal value with the uncertainty to expect, `unpredicted` without. expected: estimates of
-    the expected observations, one for each way of assuming what is not stated, for those that build on this one. notes: on the prediction.
-    """
+    """Prediction of a run: `predicted` coefficients at nominal values with expected uncertainties, `unpredicted` ones without. expected:
+    estimates of the expected observations, one for each way of assuming what is not stated, for those that build on this one. notes: on
+    the prediction."""
 
     predicted: tuple[Coefficient, ...] = ()
     unpredicted: tuple[Unpredicted, ...] = ()
@@ -136,13 +136,14 @@ F = TypeVar("F", bound=Record, contravariant=True)
 
 @runtime_checkable
 class ForeseesResults(Protocol[F]):
-    """An estimator with a foresight of its own."""
+    """An estimator with a separate prediction."""
 
     def foresee(self, request: DesignRequest[F]) -> Foresight: ...
 
 
 def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
-    """What an estimator says of planned segments, and what a run of them will give. Raises `EstimationError` where they make no sense."""
+    """The design of an estimator for planned segments, with the predicted results of a run. Raises `EstimationError` if the segments are
+    unsuitable."""
     design = estimator.design(request) or Design(())
     if design.known or any(remark.error for remark in design.remarks):
         return design
@@ -157,7 +158,7 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 
 def foresight(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
-    """What a run of the planned segments will give; nothing where the estimator cannot evaluate what they lead one to expect."""
+    """Prediction of a run of the planned segments; empty if the estimator cannot evaluate the expected recording."""
     if isinstance(estimator, ForeseesResults):
         return estimator.foresee(request)
     return by_expectation(estimator, request)

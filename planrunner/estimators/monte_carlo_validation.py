@@ -1,4 +1,4 @@
-"""An estimate's stated intervals held against Monte Carlo draws, where its plan asks for it (`validate: monte_carlo`).
+"""Comparison of an estimate's intervals with Monte Carlo draws, if the plan requests it (`validate: monte_carlo`).
 
 An estimator may say how draws of its data and of the stated inputs become coefficients, by a method
 
@@ -61,7 +61,7 @@ def linear_chain(estimate: Estimate) -> Draws:
 
 
 def validated(estimate: Estimate, draws: Draws, asked: MonteCarloSpec, first_order: bool) -> Estimate:
-    """The estimate with a table of what Monte Carlo says of its headline coefficients, or of all without a headline.
+    """The estimate with a table of the Monte Carlo results for its headline coefficients, or for all if there is no headline.
 
     first_order: whether `draws` are those of `linear_chain`.
     """

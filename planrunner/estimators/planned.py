@@ -1,4 +1,4 @@
-"""What planned segments give an estimator before anything is recorded: design matrices at rest, and the noise to expect."""
+"""Input of estimators from planned segments, before anything is recorded: design matrices at rest, and the expected noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a design matrix determines: rank, condition and the terms that it cannot separate.
+"""Analysis of a design matrix: rank, condition and the terms that it cannot separate.
 
 Everything is judged on columns divided by their declared magnitudes (Earth rate, g …): the raw SI columns of a sound eight-position plan
 differ by five orders of magnitude and would look ill-conditioned.

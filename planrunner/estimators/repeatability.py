@@ -170,7 +170,7 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
 
 
 def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Sequence[str]) -> list[str]:
-    """What is repeated: segments for channels, else estimates. Raises `EstimationError`."""
+    """The repeated items: segments for channels, otherwise estimates. Raises `EstimationError`."""
     if parameters.channels and uses:
         raise EstimationError("both `channels` and `uses` are given: compare either segment means or other estimates")
     if not parameters.channels and not uses:

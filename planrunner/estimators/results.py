@@ -30,7 +30,7 @@ _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What an analysis found.
+    """Results of an analysis.
 
     estimates: by name, in the plan's order. limits: verdicts. failures: messages, by the name of the estimate (or limit) that could
     not be made. segments: one mapping of statistics a recorded segment, as `segment_statistics` gives them. origin: where the samples come

@@ -1,4 +1,4 @@
-"""A quantity whose square is what the data give, such as a noise coefficient or a component of variance, with its uncertainty."""
+"""A quantity whose square is estimated from the data, such as a noise coefficient or a component of variance, with its uncertainty."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def mean_poses(segments: Sequence[Segment]) -> Poses:
 
 
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
-    """What was felt on average, spins over whole turns."""
+    """The mean stimulus, for spins over whole turns."""
     return mean_poses(segments).felt(site)
 
 

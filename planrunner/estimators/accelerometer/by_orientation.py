@@ -123,7 +123,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
 
 
 def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, RowFormula]]:
-    """What is reported of one axis, each with its formula of the axis's coefficients in SI."""
+    """Reported quantities of one axis, each with its formula in the axis's coefficients, SI."""
     letter = _AXES[axis]
     seen = {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
     if axis in seen and not fit.coefficients[axis, list(seen.values())].any():

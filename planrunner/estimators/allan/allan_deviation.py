@@ -180,7 +180,7 @@ class AllanDeviation:
 
 
 class _Result:
-    """What one output gave."""
+    """Result of one output."""
 
     def __init__(self, name: str, unit: str):
         self.name, self.unit = name, unit
@@ -238,7 +238,8 @@ def _known_scale_factors(parameters: AllanDeviationParameters, names: Sequence[s
 
 
 def _influences(results: Sequence[_Result]) -> list[Influence]:
-    """What the scale factors' uncertainty adds: every coefficient is proportional to that of its output, or to its inverse."""
+    """Contribution of the scale factors' uncertainty: every coefficient is proportional to the scale factor of its output, or to its
+    inverse."""
     values = np.array([item.value for result in results for item in result.coefficients])
     found, place = [], 0
     for result in results:

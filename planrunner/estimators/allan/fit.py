@@ -35,9 +35,9 @@ _MOST_LENGTHS = 40
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², 0 where left out; what is not there comes out on either side of zero, because a
-    fit that may only give positive ones takes from the others. covariance: (4, 4) of them; fitted: (k,) variances of the model;
-    chi_square with `freedom`; terms: that were fitted."""
+    """squares: (4,) of Q²/τ0², N²/τ0, B², K²·τ0 in unit², 0 where left out; an absent noise type may have either sign, because a fit
+    restricted to positive values would bias the others. covariance: (4, 4) of them; fitted: (k,) variances of the model; chi_square with
+    `freedom`; terms: that were fitted."""
 
     squares: Array
     covariance: Array

@@ -42,7 +42,7 @@ class ScaleFactorKind:
 
 @dataclass(frozen=True, slots=True)
 class SensedBy:
-    """How an output's noise coefficients become those of what is sensed.
+    """Conversion of an output's noise coefficients to those of the sensed quantity.
 
     units: Q, N, B, K → unit and factor from the output's unit times s, √s, 1, 1/√s to it. power: of the scale factor in that factor,
     1 or −1. quantity: the scale factor, in its own unit.

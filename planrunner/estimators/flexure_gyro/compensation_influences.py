@@ -1,4 +1,4 @@
-"""How residuals after compensation, and their sums of squares, follow what is stated of the bench.
+"""Influences of the declared inputs of the bench on residuals after compensation and on their sums of squares.
 
 With c the coefficients of a set, X the verification positions' design and i the outputs, the residual is r = M⁻¹·(i − X·c). An input
 that is stated wrong reaches it twice: through X, and through c, whose calibration used the same latitude, gravity, azimuth and

@@ -1,4 +1,4 @@
-"""What a reader needs to judge a flexure gyro's static coefficients: their meaning and the determinant."""
+"""Explanations of a flexure gyro's static coefficients: their meaning and the determinant."""
 
 from __future__ import annotations
 

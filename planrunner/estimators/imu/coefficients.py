@@ -158,7 +158,7 @@ class _Part:
 
 
 def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
-    """What is reported of one output."""
+    """Reported quantities of one output."""
     own, letter = one.units[axis], AXES[axis]
     direct = own.dimension == _DIMENSION[one.kind]
     plain = _BIAS[one.kind] if direct else f"({own.text})"

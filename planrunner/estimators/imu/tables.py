@@ -1,4 +1,4 @@
-"""What a user of an IMU's calibration needs: how to apply it, the matrices and their inverses."""
+"""Tables for users of an IMU calibration: its application, the matrices and their inverses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WORDS = {"gyro": ("ω", "deg/s"), "accel": ("f", "g")}
 
 
 def formula(frame: Framed) -> str:
-    """What to do with the coefficients."""
+    """How to apply the coefficients."""
     known = {one.kind for one in frame.responses}
     parts = []
     if "gyro" in known:

@@ -1,4 +1,4 @@
-"""The drift angle over the whole of each run, as a curve for people: what the two windows stand in.
+"""Curve of the drift angle over each whole run, for readers; the two windows are parts of it.
 
 Accelerometers are averaged over bins of whole rocking periods, so that the rocking itself goes; one pass over the samples, a few hundred
 numbers a run.

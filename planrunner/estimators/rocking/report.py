@@ -1,4 +1,4 @@
-"""Tables, plots and sentences about a rocking test: the two methods side by side, and what limits the one by gravity."""
+"""Tables, plots and sentences about a rocking test: comparison of the two methods, and the limits of the gravity method."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def run_table(states: Sequence[StateDrifts]) -> Table:
 
 
 def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Table]:
-    """Drift of the dynamic runs while their base still rests, beside that of the whole run; nothing where no record has such a time."""
+    """Drift of the dynamic runs before rocking begins, with the drift of the whole run; empty if no record has such a time."""
     rows = []
     for reduced in (run for state in runs for four in state for run in four):
         before = drift_before_rocking(reduced, conditions)
@@ -119,7 +119,7 @@ def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Tabl
 
 
 def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
-    """What one run's drift can be wrong by, deg/h."""
+    """Possible error of one run's drift, deg/h."""
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [

@@ -1,4 +1,4 @@
-"""Rocking drift of an inertial platform from the gravity vector in its accelerometers, and from gimbal angles beside it.
+"""Rocking drift of an inertial platform from the gravity vector in its accelerometers, and for comparison from gimbal angles.
 
 The base rocks; the stabilised element should stay still in inertial space; its drift shows as a tilt of gravity. Runs of 10 min in
 navigation, caged before each, come as static, dynamic, dynamic, static in states that differ by a turn of the base by 90°. Of each run:
@@ -59,7 +59,7 @@ class RockingDrift:
     Parameters = RockingDriftParameters
 
     def design(self, request: DesignRequest[RockingDriftParameters]) -> Design:
-        """What is wrong or doubtful. Raises `EstimationError` for segments that are no rocking test."""
+        """Remarks on the plan. Raises `EstimationError` for segments that are not a rocking test."""
         parameters = request.parameters
         runs = find_runs(request.segments, parameters.rotation_order)
         found = remarks(request, runs)

@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RockingConditions:
-    """What the solution rests on beside the data. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order
-    of `parameters.INSTALLATION`; turned: rad, by which the table's azimuth is really farther east."""
+    """Conditions of the solution. earth: (3,) rad/s, East-North-Up; gravity: m/s^2; installation: (6,) rad, in the order of
+    `parameters.INSTALLATION`; turned: rad, by which the table's azimuth is really farther east."""
 
     earth: Array
     gravity: float

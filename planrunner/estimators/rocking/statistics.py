@@ -23,7 +23,7 @@ WEIGHTS = np.array([-0.5, 0.5, 0.5, -0.5])
 
 @dataclass(frozen=True, slots=True)
 class StateDrifts:
-    """What one state gave. level: the two level axes. quadruples: q of them. drifts: (q, 4, k) deg/h, of the four runs of each; the k
+    """Results of one state. level: the two level axes. quadruples: q of them. drifts: (q, 4, k) deg/h, of the four runs of each; the k
     columns are the two axes by the accelerometers, then the same by the gimbals where there are encoders."""
 
     name: str

@@ -95,7 +95,7 @@ def read_pieces(recorded: RecordedSegment, channels: Sequence[str], windows: Win
 
 
 def low_pass(piece: RecordPiece, cutoff: float) -> Array:
-    """The values (n, k) without what changes faster than `cutoff` [Hz], without delay."""
+    """The values (n, k) without changes faster than `cutoff` [Hz], without delay."""
     from scipy.signal import sosfiltfilt
 
     rate = 1 / float(piece.time[1] - piece.time[0])

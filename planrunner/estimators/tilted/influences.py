@@ -41,9 +41,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """All that the results come from. answers: of each group, (n, m, 5), by its outputs; gradient: of `TiltedResults.vector` by the means
-    of all groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture:
-    influences on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
+    """Input of the results. answers: of each group, (n, m, 5), by its outputs; gradient: of `TiltedResults.vector` by the means of all
+    groups. segments: as recording begins; seconds: recorded; home: the orientation in words; units: of the outputs. fixture: influences
+    on the axes' angles from their calibration, (m, r) in rad, instead of the plan's statement."""
 
     groups: tuple[Group, ...]
     conditions: TiltedConditions
