@@ -1,4 +1,4 @@
-"""What stands at a name in a file system, as one word, on every system."""
+"""The kind of a file system entry as one word, equal on all systems."""
 
 from __future__ import annotations
 

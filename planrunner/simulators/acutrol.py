@@ -150,7 +150,7 @@ class Acutrol:
         return bits | (SERVICE if bits else 0)
 
     def _status_word(self, sub: str) -> str:
-        """`stb`; of axis n its dynamics `a<n>dyn` and software faults `a<n>sft`."""
+        """Status words: `stb`; for axis n the dynamics `a<n>dyn` and the software faults `a<n>sft`."""
         if sub == "stb":
             return str(self._status())
         found = re.fullmatch(r"a(\d+)(dyn|sft)", sub)

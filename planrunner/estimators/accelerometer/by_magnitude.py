@@ -169,7 +169,7 @@ def _size(fit: OutputsFit, residuals: Array) -> float:
 def _weighted(
     request: EstimateRequest[AccelerometerMultiPositionParameters], poses: Observations, found: GravityFit
 ) -> OutputsFit:
-    """The last step, of |f| − g as one output, m/s². Raises `EstimationError`."""
+    """The last step: a weighted fit of |f| − g as one output, m/s². Raises `EstimationError`."""
     directions = found.directions * _factors(poses)  # d|f|/d(reading), in the channels' own units
     felt = directions * poses.standard_error
     variance = np.einsum("ni,nj,ij->n", felt, felt, poses.correlation)

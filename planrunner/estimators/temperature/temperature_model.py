@@ -230,8 +230,8 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 
 
 def _influences(request: EstimateRequest[TemperatureModelParameters], slopes: Array) -> tuple[Influence, ...]:
-    """On coefficients with these slopes over temperature (q,): a chamber that is warmer than it says gives every curve as it is at another
-    temperature. The sensor's own thermometer is not the chamber's."""
+    """Influences on coefficients with these slopes over temperature (q,): if the chamber is warmer than it indicates, every curve is
+    shifted in temperature. None if the sensor's thermometer is used."""
     stated = request.setup.inputs.get("temperature")
     if stated is None or request.parameters.temperature_channel is not None:
         return ()

@@ -64,8 +64,9 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 
 
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> dict[str, Any]:
-    """One-sided density by band, root of power, before and after the effect, beside the white level. Segment means are left out: they have
-    no frequency within a segment. Of a long recording, the segments that have the largest bins, up to half the rate of these."""
+    """One-sided density by band (root of power) before and after the effect, with the white level. Segment means are left out, because
+    they have no frequency within a segment. For a long recording only the segments with the largest bins are used, up to half the bin
+    rate."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size

@@ -36,7 +36,7 @@ class _Windows:
 
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
-    """log BF (scopes,) of bursts in the channels of each scope; −∞ where the recording has no room for windows."""
+    """log BF (scopes,) of bursts in the channels of each scope; −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
     remainder = weighing.spectrum.remainder / weighing.white
     sums = _summed(remainder), _summed(remainder**2)

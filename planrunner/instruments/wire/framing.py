@@ -24,10 +24,10 @@ MOST_TABLES = 256  # of one KiB each: more would not stay close to the processor
 class Framing:
     """Format of frames.
 
-    sync: their first bytes. rule: FIXED (`longest` bytes), XBUS (a length byte at 3, or FF and two more; never over `longest`), LINE (up
-    to a line feed, never over `longest`). trailer: bytes that may follow a frame. The checksum covers the frame from byte `covered_from`
-    up to itself, `padding` zero bytes appended; it stands in the last `check_bytes`, low byte first where `little`. In a LINE it covers
-    what is between `$` and `*` and stands behind that in two hexadecimal digits.
+    sync: their first bytes. rule: FIXED (`longest` bytes), XBUS (a length byte at 3, or FF and two more; never over `longest`), LINE (up to
+    a line feed, never over `longest`). trailer: bytes that may follow a frame. The checksum covers the frame from byte `covered_from` up to
+    itself, with `padding` zero bytes appended. It is in the last `check_bytes`, low byte first if `little`. In a LINE it covers the text
+    between `$` and `*` and follows it as two hexadecimal digits.
     """
 
     sync: bytes

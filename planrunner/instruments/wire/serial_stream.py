@@ -103,7 +103,7 @@ class SerialStream:
         return cls(port, name, now, capacity, bulk=url)
 
     def take(self) -> Sequence[Piece]:
-        """The bytes that came since the last call. Raises `InstrumentError` when the port is gone and all that came before is taken."""
+        """The bytes received since the last call. Raises `InstrumentError` if the port is gone and all earlier bytes have been returned."""
         pieces = self.ring.take()
         if not pieces and self._failure is not None:
             raise InstrumentError(self._failure)
