@@ -51,23 +51,37 @@ def data_root() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def nothing_is_frozen() -> Iterator[None]:
+    """A command exempts what it imported from collection, once in its process. Here commands follow one another, and the garbage of the
+    one before, with the files that it holds open, would be kept for ever."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gc, "freeze", lambda: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def pictures_are_drawn_once() -> Iterator[None]:
     """Many tests report the same run, and the same data give the same picture: a report that shows it again in this process takes it
     from the first. Tests of the drawing itself call what draws."""
+    from planrunner.reporting import diagnosis_pictures
     from planrunner.reporting.view import Picture
 
     drawn: dict[bytes, str] = {}
 
-    def shown(picture: Picture) -> str:
-        if not isinstance(picture.draw, partial):
-            return picture.draw()
-        key = pickle.dumps((picture.draw.func.__qualname__, picture.draw.args))
+    def once(draw: Callable[..., str], *data: object) -> str:
+        key = pickle.dumps((draw.__qualname__, data))
         if key not in drawn:
-            drawn[key] = picture.draw()
+            drawn[key] = draw(*data)
         return drawn[key]
+
+    def shown(picture: Picture) -> str:
+        draw = picture.draw
+        return once(draw.func, *draw.args) if isinstance(draw, partial) else draw()
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Picture, "__html__", shown)
+        for name in ("heat_svg", "posterior_svg", "confusability_svg", "plot_svg"):
+            patch.setattr(diagnosis_pictures, name, partial(once, getattr(diagnosis_pictures, name)))
         yield
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
@@ -29,11 +30,15 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     if mounted.returncode:
         pytest.skip(f"a small disk cannot be mounted here: {mounted.stderr.decode().strip()}")
     yield folder
-    for _ in range(100):  # a process that was killed may hold a file a moment longer
+    for _ in range(
+        100
+    ):  # a process that was killed, or an error that waits for collection, may hold a file a moment longer
+        gc.collect()
         if subprocess.run(["umount", folder], capture_output=True).returncode == 0:
             return
         time.sleep(0.1)
-    subprocess.run(["umount", folder], check=True)
+    subprocess.run(["umount", "--lazy", folder], check=True)
+    pytest.fail(f"{folder} is still in use")
 
 
 def remount(disk: Path, option: str) -> None:

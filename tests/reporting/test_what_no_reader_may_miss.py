@@ -192,7 +192,7 @@ def test_what_a_reader_looks_for_first_stands_first(runs: dict[str, Path]) -> No
     created = json.loads((runs["simulated"] / "run.json").read_text(encoding="utf-8"))["created"]
     for file in ("report.html", "summary.md"):
         top = head(runs["simulated"], 3, file)
-        for text in ("FG-7", "R. Example", created[:10], "Duration", "3 of 3"):
+        for text in ("FG-7", "R. Example", created[:10], "Duration", "3 (of 3"):
             assert text in top, (file, text)
 
 
