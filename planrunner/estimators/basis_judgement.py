@@ -18,7 +18,8 @@ from planrunner.uncertainty.influences import Aspect
 
 @dataclass(frozen=True, slots=True)
 class BasisComparison:
-    """F = residual variance over within-segment variance of one output; probability: of an F this large if noise were all."""
+    """F = residual variance over within-segment variance of one output; probability: of an F at least this large if there were only
+    noise."""
 
     output: str
     ratio: float
@@ -30,7 +31,7 @@ class BasisComparison:
 
 
 def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
-    """The two bases against each other, for the outputs that have both."""
+    """Comparison of the two bases for outputs that have both."""
     from scipy.special import fdtrc
 
     return tuple(
@@ -41,7 +42,8 @@ def compare(fit: OutputsFit) -> tuple[BasisComparison, ...]:
 
 
 def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
-    """Raises `EstimationError` when the plan asks for a basis that its segments cannot give; `UnfitDataError` where samples cannot."""
+    """Raises `EstimationError` if the plan requests a basis for which its segments are insufficient, and `UnfitDataError` if the samples
+    are."""
     if fit.available(basis):
         return
     if basis == "residual":
@@ -53,8 +55,8 @@ def require_basis(fit: OutputsFit, basis: str, name: str) -> None:
 
 
 def planned_basis(request: DesignRequest[object], blocks: Sequence[DesignBlock], basis: str) -> tuple[Remark, ...]:
-    """The same of planned segments: an error where they are only just as many as the coefficients, or too short for their own noise. Fewer
-    segments than coefficients are an error of rank."""
+    """The same check for planned segments: an error if there are only as many as coefficients, or if they are too short to determine
+    their noise. Fewer segments than coefficients are reported as an error of rank."""
     for block in blocks:
         n, p = block.matrix.shape
         if basis == "residual" and n == p:
@@ -71,12 +73,12 @@ MORE_SEGMENTS = "add segments or write `uncertainty: within_segment`"
 
 
 def no_residual(count: int) -> str:
-    """That so many segments are only just as many as the coefficients."""
+    """The message that there are only as many segments as coefficients."""
     return f"{count} segments for {count} coefficients leave no residual that could give an uncertainty"
 
 
 def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
-    """A warning of segments too short for the scatter of their batch means, from which the noise within a segment is judged."""
+    """A warning about segments too short for batch means, whose scatter determines the noise within a segment."""
     short = [(count, one.label) for one in request.segments if 0 < (count := planned_samples(request, one)) < BATCHES]
     if not short:
         return ()
@@ -91,12 +93,12 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
 
 
 def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
-    """How many samples a segment is planned to hold; 0 where its length is not known."""
+    """Planned number of samples of a segment; 0 if its length is not known."""
     return max(1, round((segment.sample_rate or request.sensor.sample_rate) * segment.dwell)) if segment.dwell else 0
 
 
 def unlike_outputs(fit: OutputsFit) -> str:
-    """A warning when the outputs' variance factors differ too much to be pooled; empty when they do not."""
+    """A warning if the outputs' variance factors differ too much to be pooled; otherwise empty."""
     from scipy.special import fdtrc
 
     factors = np.array([one.variance_factor for one in fit.fits])
@@ -114,7 +116,8 @@ def unlike_outputs(fit: OutputsFit) -> str:
 
 
 def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> tuple[list[str], list[str]]:
-    """Notes and warnings on the basis that was chosen, for the report. channels: whose flicker reaches the outputs; these without it."""
+    """Notes and warnings about the chosen basis, for the report. channels: channels whose flicker affects the outputs; by default the
+    outputs."""
     notes, warnings = [], []
     if basis == "residual":
         together = ", pooled over the outputs" if fit.pooled else ""

@@ -1,8 +1,8 @@
 """Results of an estimate as one formula of the fitted coefficients: values, covariance, degrees of freedom, influences and draws follow
 from it.
 
-An estimator gives the formula and what its quantities are called. Nothing else about them is written down: derivatives come from the
-formula (`uncertainty.derivatives`), and Monte Carlo puts its draws through the same one.
+An estimator gives only the formula and the names of its quantities: derivatives are computed from the formula (`uncertainty.derivatives`),
+and Monte Carlo draws pass through the same formula.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Reported:
 class Derived:
     """q quantities computed from the r coefficients of independent fits, one fit after the other.
 
-    values: (q,), in the quantities' units; gradient: (q, r), by the coefficients as they were fitted.
+    values: (q,), in the quantities' units; gradient: (q, r), with respect to the fitted coefficients.
     """
 
     quantities: tuple[Reported, ...]
@@ -95,8 +95,8 @@ class Derived:
 
 
 def derived(quantities: Sequence[Reported], formula: Formula, *fits: OutputsFit, at: Array | None = None) -> Derived:
-    """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), their values, where the fits give only steps
-    from something near. Raises what the formula raises."""
+    """formula: (r, n) → (q, n), of the fits' coefficients, output after output. at: (r,), their values, if the fits give only steps from
+    a nearby point. Raises the errors of the formula."""
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, formula(where[:, None])[:, 0], jacobian(formula, where), fits)
 
@@ -112,7 +112,7 @@ def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draw
 
 
 def independent(blocks: Sequence[Array]) -> Array:
-    """Covariance (Σn, Σn) of quantities that fall into independent parts, from that of each part, (n, n)."""
+    """Covariance (Σn, Σn) of quantities in independent groups, from the covariance of each group, (n, n)."""
     size = sum(len(block) for block in blocks)
     whole, start = np.zeros((size, size)), 0
     for block in blocks:

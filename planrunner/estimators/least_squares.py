@@ -51,9 +51,9 @@ def fit(
 ) -> LinearFit:
     """Least-squares coefficients for `matrix` (n, p) and `observed` (n,).
 
-    sigma: (n,) standard uncertainties, equal ones (of 1) without it. magnitudes: (p,) declared column sizes; the columns' own root mean
-    squares without them. covariance: (n, n), positive definite, of the observations, in place of `sigma`. Raises `EstimationError` for too
-    few observations, values that are not finite, and terms that cannot be identified, which are named by `names`.
+    sigma: (n,) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares of the
+    columns. covariance: (n, n), positive definite, of the observations, instead of `sigma`. Raises `EstimationError` for too few
+    observations, values that are not finite, and terms that cannot be identified, which are named by `names`.
     """
     n, p = matrix.shape
     names = names or [f"coefficient {k + 1}" for k in range(p)]

@@ -21,8 +21,9 @@ class LimitVerdict:
     """One limit and its verdict. value, standard_uncertainty, expanded_uncertainty, lower and upper are in `unit`.
 
     quantity: `estimate.coefficient`; requirement: in words, such as `within ±5 deg/h`; probability: that the true value conforms.
-    guard_band: how far inside the limits the value had to be; guard_factor: it over U; coverage: probability of U. false_decision: the
-    specific risk that this verdict is wrong. consumer_risk, producer_risk: the global risks of the rule where the limit states a prior.
+    guard_band: required distance of the value from the limits; guard_factor: guard band divided by U; coverage: coverage probability of U.
+    false_decision: the specific risk that this verdict is wrong. consumer_risk, producer_risk: the global risks of the rule where the limit
+    states a prior.
     """
 
     quantity: str
@@ -105,9 +106,9 @@ def _coefficient(quantity: str, estimates: Mapping[str, Estimate]) -> Coefficien
 
 
 def bounds(limit: Limit, coefficient: Coefficient) -> tuple[float, float]:
-    """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit, infinite where there is none.
+    """Lower and upper bound of a `plan.model.Limit` in the coefficient's unit, infinite if there is none.
 
-    Raises `EstimationError` for a limit of another dimension, without a bound, or that nothing can pass.
+    Raises `EstimationError` for a limit with another dimension, without a bound, or that no value can meet.
     """
     if limit.within is not None:
         bound = parse_symmetric(limit.within)

@@ -1,4 +1,4 @@
-"""Warnings for samples that an estimate had to do without: rows that are no measurement, and gaps in time."""
+"""Warnings about missing samples of an estimate: invalid rows and gaps in time."""
 
 from __future__ import annotations
 

@@ -3,9 +3,9 @@
     found = method.quantities(request)           the formula: coefficients, their covariance and what they depend on
     words = method.words(request, found)         tables, plots and notes for people
 
-`estimate` is both. `foresight` is the first alone, on the observations that the schedule leads one to expect: so whoever checks a plan
-knows every coefficient that a run will print, with its uncertainty, by the formula that prints it. Where that would cost too much, or
-the samples themselves are needed, an estimator has a foresight of its own (`ForeseesResults`), which tests hold against a run.
+`estimate` calls both. `foresight` calls only the first, on the observations expected from the schedule. A check of a plan therefore gives
+every coefficient of the run and its uncertainty, computed with the same formula. If that would take too long, or if the samples themselves
+are needed, an estimator has a separate prediction (`ForeseesResults`), which tests compare with a run.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Comparison of an estimate's intervals with Monte Carlo draws, if the plan requests it (`validate: monte_carlo`).
 
-An estimator may say how draws of its data and of the stated inputs become coefficients, by a method
+An estimator may define how draws of its data and of the declared inputs become coefficients, with the method
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
-with all that is not linear in it. Without one, the draws go through the estimate's own covariance and sensitivities: that tests the
-distributions and the effective degrees of freedom, and cannot test linearity.
+including all nonlinearity. Without it, the draws use the covariance and sensitivities of the estimate. This tests the distributions and the
+effective degrees of freedom, but not the linearity.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ R = TypeVar("R", bound=Record, contravariant=True)
 
 @runtime_checkable
 class Chains(Protocol[R]):
-    """An estimator with draws of its own."""
+    """An estimator that defines its draws."""
 
     def chain(self, request: EstimateRequest[R], estimate: Estimate) -> Draws: ...
 

@@ -1,12 +1,12 @@
 """Segments that do not fit the others, and segments that nothing checks.
 
-The test is that of the mean-shift model: segment i of an output has an error δ that the others do not have, so that one column more, of a
-one at i, explains it. Its t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982,
-2.2.2; for correlated observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest of all is judged with
-Bonferroni's bound, and sought again among the others until none stands out, so that two wrong labels do not hide each other.
+The test is that of the mean-shift model: segment i of an output has an error δ, which is described by an additional column with a one at i.
+Its t value is the externally studentised residual (Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.2; for correlated
+observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest value of all is judged with Bonferroni's bound.
+The search is repeated among the others until none is significant, so that two wrong labels do not hide each other.
 
-The redundancy of a segment is the share of its error that shows in its own residual. Where it is small the segment decides a coefficient
-alone: an error of it goes into the result and leaves no trace (Baarda, ibid.).
+The redundancy of a segment is the share of its error that appears in its residual. If it is small, the segment alone determines a
+coefficient: its error enters the result without a trace in the residuals (Baarda, ibid.).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are tho
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """error: how far the segment's mean lies from what the others lead one to expect, in the output's unit. deviations: the same in
-    standard deviations of that; probability: of one so large among all segments and outputs if nothing were wrong. changes: (p,), of the
-    output's coefficients by leaving the segment out."""
+    """error: difference of the segment's mean from the value expected from the others, in the output's unit. deviations: the same in
+    standard deviations; probability: of a value at least this large among all segments and outputs by chance. changes: (p,), change of
+    the output's coefficients if the segment is left out."""
 
     output: str
     label: str
@@ -43,7 +43,7 @@ class Outlier:
 
 
 def outliers(fit: OutputsFit, basis: str) -> tuple[Outlier, ...]:
-    """Of all outputs, the most improbable first. None where the residuals have fewer than two degrees of freedom."""
+    """Outliers of all outputs, the most improbable first. None if the residuals have fewer than two degrees of freedom."""
     found: list[Outlier] = []
     for k in range(len(fit.outputs)):
         found += _of_output(fit, k, basis)
@@ -95,7 +95,7 @@ class _Shifts:
 
     @classmethod
     def of(cls, fit: OutputsFit, k: int, basis: str, taken: tuple[int, ...]) -> _Shifts:
-        """taken: segments that have their column already."""
+        """taken: segments that already have a column."""
         observed = fit.observed(k, basis)
         weights = np.linalg.inv(observed)
         scale = np.sqrt(np.einsum("ij,ij->j", fit.matrix, fit.matrix))

@@ -1,12 +1,12 @@
 """Several outputs fitted by one design: coefficients with joint covariance on either basis, and their degrees of freedom.
 
-What is known beforehand of the observations is one covariance V for each output: the noise seen within the segments, and the effects that
-are stated beside it (`correlated_errors`). The fit is generalised least squares with V. Two bases of uncertainty follow, which answer
+The prior knowledge about the observations is one covariance V for each output: the noise observed within the segments, and the declared
+correlated errors (`correlated_errors`). The fit is generalised least squares with V. Two bases of uncertainty follow, which answer
 different questions:
 
-    within_segment   V is believed. The noise has its many degrees of freedom; the effects are influences, to be added. Blind to whatever
+    within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Does not include what
                      changes from segment to segment and is not stated (switch-on, an incomplete model)
-    residual         V gives the proportions, and the scatter of the segments about the model one factor for all of it: sees what nobody
+    residual         V gives the proportions, and the scatter of the segments about the model one common factor: includes what is not
                      stated, from few degrees of freedom
 """
 

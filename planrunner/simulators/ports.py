@@ -175,7 +175,7 @@ _HERE = ("127.0.0.1", "localhost")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """host, port: of a TCP address; link: the name of a pseudo-terminal, None for TCP. before, after: what is written around."""
+    """host, port: of a TCP address; link: the name of a pseudo-terminal, None for TCP. before, after: text before and after the address."""
 
     before: str
     after: str

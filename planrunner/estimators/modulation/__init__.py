@@ -1,1 +1,1 @@
-"""How much of constant errors a rotation cycle leaves in the navigation."""
+"""Residual of constant errors in a navigation with a rotation cycle."""

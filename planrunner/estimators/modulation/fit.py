@@ -1,4 +1,4 @@
-"""The part of a navigation's velocity error that repeats with the rotation cycle, told apart from Schuler and 24-hour oscillations.
+"""The part of a navigation's velocity error with the period of the rotation cycle, separated from Schuler and 24-hour oscillations.
 
 Horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles it is fitted by least squares with a
 straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the harmonics of the cycle at plus and minus their rates.
@@ -30,7 +30,7 @@ class TooLittleError(ValueError):
 @dataclass(frozen=True, slots=True)
 class PeriodicPart:
     """orders: (m,) positive and negative harmonics; velocities: (m,) their coefficients [m/s]; noise: (m,) standard uncertainty of each
-    [m/s], from what is left of the record beside the harmonic; hidden: harmonics that lie too near a free oscillation; period: s."""
+    [m/s], from the rest of the record; hidden: harmonics too near a free oscillation; period: s."""
 
     orders: NDArray[np.int_]
     velocities: Complex
@@ -102,6 +102,6 @@ def periodic_part(time: Array, velocity: Complex, period: float, highest: int, s
 
 
 def free_rates(site: Site) -> tuple[float, float, float, float]:
-    """Rates at which the error of a navigator oscillates by itself [rad/s]: Schuler, turned by the Earth, and 24 hours."""
+    """Rates of the free oscillations of a navigator's error [rad/s]: Schuler, split by the Earth's rotation, and 24 hours."""
     natural, turning = schuler_rate(site), site.earth_rate * math.sin(site.latitude)
     return natural - turning, -natural - turning, site.earth_rate, -site.earth_rate

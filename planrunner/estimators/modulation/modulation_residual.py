@@ -1,8 +1,8 @@
-"""What turning the sensor does to its navigation: two or more navigations side by side, one of them without rotation.
+"""Effect of rotating the sensor on its navigation: comparison of two or more navigations, one of them without rotation.
 
-Each navigation is a `strapdown_navigation` estimate. Over the time that all of them last, their errors give the ratio of CEP rates and the
-suppression of the position error; over whole cycles, the part that repeats with the cycle is told apart and stands beside what
-the cycle's residual and harmonics make of declared constant errors. docs/rotation-cycles.md has theory and figures.
+Each navigation is a `strapdown_navigation` estimate. Over their common duration, their errors give the ratio of CEP rates and the
+suppression of the position error. Over whole cycles, the periodic part is separated and compared with the prediction from the cycle's
+residual and harmonics for declared constant errors. docs/rotation-cycles.md gives theory and figures.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The navigations that `modulation_residual` compares: their courses on the time that all of them have, and how each was turned."""
+"""The navigations that `modulation_residual` compares: their errors over the common time, and the rotation of each."""
 
 from __future__ import annotations
 

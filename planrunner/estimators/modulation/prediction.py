@@ -1,8 +1,9 @@
-"""What declared constant sensor errors make of a navigation on a turning table: by the linear error equations, and harmonic by harmonic.
+"""Predicted errors of a navigation on a turning table from declared constant sensor errors: by the linear error equations, and by
+harmonics.
 
-An alignment at rest levels the errors that it cannot see (`ErrorEquations.levelled`), and at rest they then cancel for the most part; one
-that goes through a cycle levels only what that cycle leaves. From there the errors of gyros and accelerometers, turned as the table turns,
-drive the equations.
+An alignment at rest compensates the errors that it cannot observe by tilt and azimuth (`ErrorEquations.levelled`); at rest they then mostly
+cancel. An alignment through a cycle compensates only the residual of the cycle. Afterwards the errors of gyros and accelerometers, rotated
+with the table, drive the equations.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """Constant errors (6,) without their part along the vertical, which turning about it does not modulate."""
+    """Constant errors (6,) without their vertical part, which rotation about the vertical does not modulate."""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across
