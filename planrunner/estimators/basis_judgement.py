@@ -183,7 +183,7 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> str:
 
 
 def _weights(fit: OutputsFit, channels: Sequence[str]) -> list[str]:
-    """What is weighted beside the noise, and the outputs for which nobody said how large their flicker is."""
+    """The effects that are weighted in addition to the noise, and the outputs without declared flicker."""
     notes = []
     if fit.effects:
         names = dict.fromkeys(effect.quantity.name for effect in fit.effects)

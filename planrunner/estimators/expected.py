@@ -134,7 +134,7 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """The means (n,) of one output, and whether they follow from what is declared."""
+    """The means (n,) of one output, and whether they follow from declared values."""
     if (declared := known.responses.get(output.name)) is not None:
         model, coefficients = declared
         return model.columns(felt) @ coefficients, True

@@ -31,8 +31,8 @@ class FittedFromPositions(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionsDesign:
-    """A linear model at n segments, planned or recorded: what `check` judges is what is then fitted. matrix: (n, p), SI; magnitudes: (p,),
-    declared sizes of its columns."""
+    """A linear model at n segments, planned or recorded: the same model is checked and then fitted. matrix: (n, p), SI; magnitudes:
+    (p,), declared sizes of its columns."""
 
     model: ErrorModel
     segments: tuple[Segment, ...]
@@ -40,7 +40,7 @@ class PositionsDesign:
     magnitudes: Array
 
     def blocks(self, request: DesignRequest[FittedFromPositions], outputs: Sequence[str]) -> tuple[DesignBlock, ...]:
-        """For `check`, of each output. Raises `EstimationError` for one that the sensor does not have."""
+        """Design blocks for `check`, one per output. Raises `EstimationError` for an output that the sensor does not have."""
         return planned_blocks(request, outputs, self.model.names, self.matrix, self.magnitudes)
 
 

@@ -175,7 +175,7 @@ def fit_outputs(
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """One output: `OutputsFit` says what these are. gains: (p, n); spread: (n,)."""
+    """One fitted output; see `OutputsFit`. gains: (p, n); spread: (n,)."""
 
     fit: LinearFit
     gains: Array
@@ -186,8 +186,8 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """One output's observations (n,) and what acts on them beside their noise. moved: (n, n), what the effects add to their covariance;
-    None where none acts. expected: the means have no noise, so that chi² is put at its expectation."""
+    """One output's observations (n,) and the effects on them in addition to noise. moved: (n, n), what the effects add to their
+    covariance; None where none acts. expected: the means have no noise, so that chi² is put at its expectation."""
 
     matrix: Array
     observed: Array

@@ -264,7 +264,7 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
 
 
 def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
-    """What noise alone makes of the scatter of a coefficient of expected estimates; NaN of measured ones."""
+    """Expected scatter from noise alone for a coefficient of expected estimates; NaN for measured ones."""
     found = []
     for used in uses:
         if not used.expected or used.data_covariance is None:
@@ -367,7 +367,7 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
     ]
     foreseen = not math.isnan(one.expected)
     if (split.mean or foreseen) and math.isinf(one.period):
-        # What is expected to be zero has no relative scatter to expect.
+        # A value that is expected to be zero has no expected relative scatter.
         zero = foreseen and abs(split.mean) <= split.mean_uncertainty
         mean = math.nan if zero else split.mean
         relative = 1e6 / abs(mean)

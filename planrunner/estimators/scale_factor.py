@@ -235,7 +235,8 @@ def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates:
 def _common(
     request: EstimateRequest[ScaleFactorParameters], functionals: Array, slopes: Array, rates: Array
 ) -> tuple[Influence, ...]:
-    """What the plan says that all rates have wrong alike, such as the table's clock: it is in the slope and leaves no scatter.
+    """The error common to all rates, as declared in the plan, such as that of the table's clock: it changes the slope and causes no
+    scatter.
 
     functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); slopes: (m,), output unit per rad/s.
     """

@@ -387,8 +387,8 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
 def _foreseen(
     request: DesignRequest[AllanDeviationParameters], name: str
 ) -> tuple[list[Coefficient], list[Unpredicted]]:
-    """N and B as declared, with what the planned record would leave uncertain of them; the other terms, and these without a declaration,
-    as unpredicted."""
+    """N and B as declared, with the uncertainty expected from the planned record; the other terms, and these without a declaration, are
+    unpredicted."""
     parameters = request.parameters
     output = request.sensor.output(name)
     assert output is not None  # design refuses others

@@ -99,7 +99,7 @@ def _coefficient(stated: str, uses: Mapping[str, Estimate] | Mapping[str, Design
 
 
 def _foreseen(used: Design) -> tuple[Coefficient, ...]:
-    """What a run will give; of what cannot be predicted, the unit is right and the value one."""
+    """Prediction of a run; coefficients that cannot be predicted have the right unit and the value one."""
     return (*used.predicted, *(Coefficient(one.name, 1.0, one.unit, math.nan) for one in used.unpredicted))
 
 

@@ -58,7 +58,7 @@ def sums_and_ratios(residuals: Array, sets: int) -> Array:
 
 
 def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
-    """On i − X·c through the verification positions: what a fit of one coefficient a position would show."""
+    """Influences on i − X·c through the verification positions."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
     site = site_errors(model, segments, request.site, request.setup.inputs, coefficients)
@@ -67,7 +67,8 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
-    """On SI [U; V] of a set. What its own scatter showed of the table's errors is not in the scatter simulated here; flicker is."""
+    """Influences on SI [U; V] of a set. The scatter simulated here includes flicker, but not the table's errors in the scatter of the
+    calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}

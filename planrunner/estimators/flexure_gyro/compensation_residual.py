@@ -155,7 +155,7 @@ class CompensationResidual:
 
 
 def _stated_maps(stated: Sequence[Influence], sets: int, residuals: int) -> Array:
-    """(sets, residuals, s): what each of the s inputs makes of the residuals when it is off by its standard uncertainty."""
+    """(sets, residuals, s): change of the residuals if each of the s inputs is wrong by its standard uncertainty."""
     columns = [one.sensitivities * one.quantity.standard_uncertainty for one in stated]
     return np.hstack([np.zeros((sets * residuals, 0)), *columns]).reshape(sets, residuals, -1)
 

@@ -242,7 +242,7 @@ def _design(kind: str, terms: Sequence[str], segments: Sequence[Segment], site: 
 
 
 def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
-    """(p,): the declared sizes, but the largest planned rate for all rates, so that an axis about which nothing turns stands out."""
+    """(p,): the declared sizes, but the largest planned rate for all rates, so that an axis without rotation is detected."""
     rates = [k for k, term in enumerate(model.terms) if term.unit == "rad/s"]
     sizes = model.magnitudes
     if rates:

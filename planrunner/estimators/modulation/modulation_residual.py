@@ -77,7 +77,7 @@ class ModulationResidual:
     Parameters = ModulationResidualParameters
 
     def design(self, request: DesignRequest[ModulationResidualParameters]) -> Design:
-        """No coefficients are fitted; notes say what the cycles leave, a remark says where the comparison cannot be made."""
+        """No coefficients are fitted. Notes give the residuals of the cycles; a remark reports if the comparison is not possible."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
             message = "the comparison needs a navigation with rotation and one without, and the segments of both"
@@ -93,7 +93,7 @@ class ModulationResidual:
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
     def foresee(self, request: DesignRequest[ModulationResidualParameters]) -> Foresight:
-        """The coefficients' names: what they compare are the errors of single navigations."""
+        """The names of the coefficients only, because their values compare the errors of single navigations."""
         designs = list(request.uses.items())
         if not all("turned" in design.extra for _, design in designs):
             return Foresight()
@@ -138,7 +138,7 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """What is missing among the navigations used, where their designs give what they navigate."""
+    """Missing navigations, if the designs of the used estimates describe them."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None
@@ -245,7 +245,7 @@ def _cycles(
     periodic: Mapping[str, PeriodicPart],
     request: EstimateRequest[ModulationResidualParameters],
 ) -> list[Table]:
-    """What each cycle leaves, and the part of the error that repeats with it, predicted and measured."""
+    """The residual of each cycle, and the periodic part of the error, predicted and measured."""
     declared = request.parameters.declared
     columns = (
         TableColumn("Navigation"),
@@ -279,8 +279,8 @@ def _cycles(
 def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
-    """Errors that the declared constant errors alone make, by the linear error equations; the error about the vertical is not modulated, so
-    that of the other two says what a cycle is worth."""
+    """Predicted errors from the declared constant errors only, by the linear error equations. The error about the vertical is not
+    modulated, so the prediction for the horizontal errors alone shows the benefit of a cycle."""
     declared = request.parameters.declared
     if declared is None:
         return []
@@ -326,7 +326,7 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """What the cycle of a planned segment leaves, and what the declared horizontal errors then make of a position."""
+    """The residual of the cycle of a planned segment, and the resulting position error for the declared horizontal errors."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

@@ -147,7 +147,7 @@ def _of_each_run(
 
         found.append((azimuth, heading))
     if request.setup.table is not None and request.setup.table.position_uncertainty:
-        # The ring stands off at t0 and otherwise at t1, and the gimbal method takes that for drift of the element.
+        # The error of a ring differs between t0 and t1; the gimbal method interprets the difference as drift of the element.
         off = math.sqrt(2) * request.setup.table.position_uncertainty
         quantity = InputQuantity(
             "table position", 0.0, "rad", off, source="bench table position_uncertainty, at t0 and at t1"

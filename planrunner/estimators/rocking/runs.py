@@ -60,7 +60,7 @@ class Quadruple:
 
     @property
     def name(self) -> str:
-        """What the labels of its runs have in common."""
+        """Common part of the labels of its runs."""
         parts = [run.label.split("/") for run in self.runs]
         common = [words[0] for words in zip(*parts, strict=False) if len(set(words)) == 1]
         return "/".join(common) or f"{self.runs[0].label} …"

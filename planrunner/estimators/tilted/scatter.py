@@ -225,7 +225,7 @@ def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradi
 
 
 def with_expected_repeatability(found: TiltedResults, groups: Sequence[Group], scatter: Scatter) -> TiltedResults:
-    """The repeatability that the scatter of the means lets one expect, where nothing was recorded."""
+    """The repeatability expected from the scatter of the means, if nothing was recorded."""
     g, m, p = found.means.shape
     spread = np.sqrt(np.diagonal(scatter.covariance, axis1=1, axis2=2)).reshape(g, m, p)[..., K]
     repeats = np.array([len(group.names) for group in groups])

@@ -55,7 +55,7 @@ KINDS: dict[str, Header] = {
 
 
 def kind_of(reply: bytes) -> str | None:
-    """How the header of a complete reply is written, a key of `KINDS`; None for a bare line. Raises `LinkFailure` when it is neither."""
+    """Format of the header of a complete reply, a key of `KINDS`; None for a plain line. Raises `LinkFailure` if it is neither."""
     for name, header in KINDS.items():
         try:
             _, length = header(reply[:HEADER])
