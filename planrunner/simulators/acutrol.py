@@ -10,7 +10,10 @@ import math
 import re
 from dataclasses import dataclass, field
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.simulators.conversation import NotUnderstoodError, first_with, number, shown
+from planrunner.simulators.interface import Conversation
+from planrunner.simulators.live_world import LiveWorld
 from planrunner.simulators.table_plant import TablePlant
 
 MODES = ("off", "position", "rate", "arate", "synthesis", "track", "abort")
@@ -278,3 +281,8 @@ class Acutrol:
         if not arguments or arguments[0].lower() == "all":
             return list(range(len(self.held)))
         return [self._axis(arguments)]
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+    """The instrument of a bench file."""
+    return Conversation(Acutrol(TablePlant(live)), framed=True)

@@ -8,7 +8,11 @@ from __future__ import annotations
 import math
 import re
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.simulators.conversation import NotUnderstoodError, number, shown
+from planrunner.simulators.interface import Conversation
+from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.message_port import Manner
 from planrunner.simulators.table_plant import TablePlant
 
 _COMMAND = re.compile(r"([A-Za-z]{3})\s*(\S*)")
@@ -89,3 +93,8 @@ class Aerosmith:
     def _may_move(self) -> None:
         if self.plant.interlock_fault or self.plant.axes[0].faults:
             raise NotUnderstoodError("the table is switched off")
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+    """The instrument of a bench file."""
+    return Conversation(Aerosmith(TablePlant(live)), Manner(b"\r\n", b"\r", "prompt"))

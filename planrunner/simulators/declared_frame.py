@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.base.findings import InputError, closest
+from planrunner.bench.model import InstrumentEntry
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import unit
 from planrunner.simulators.frames import CRC_32, Bytes, Crc, Order, exclusive_or, floats, integers, sum_to_zero
+from planrunner.simulators.live_world import LiveWorld, SensorFeed
+from planrunner.simulators.sensor_units import SensorUnit
 
 Array = NDArray[np.float64]
 
@@ -157,3 +162,35 @@ class DeclaredUnit:
             return values
         own, other = unit(self.units[name]), unit(wanted)
         return (values * own.factor + own.offset - other.offset) / other.factor
+
+
+_WORD_BYTES = {"u8": 1, "u16": 2, "u24": 3, "u32": 4}
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+    """The frame that the bench file declares, filled with the virtual sensor's outputs of the same names."""
+    keys, own = entry.parameters, live.sensor.channels()
+    missing = [name for name in keys.fields if name not in own]
+    if missing:
+        message = f"the virtual sensor has no output '{missing[0]}', only {', '.join(own)}"
+        raise InputError.at(entry.origin.mark, "meaning-simulation", message, closest(missing[0], own))
+    fields = {
+        name: FieldPlace(item.place, item.type, _order(item), item.scale, item.zero, item.unit)
+        for name, item in keys.fields.items()
+    }
+    running = check = None
+    alarms = None
+    if (counter := keys.counter) is not None:
+        modulus = float(counter.modulus or 2 ** (8 * _WORD_BYTES[counter.type]))
+        running = Running(FieldPlace(counter.place, counter.type, _order(counter)), counter.step, modulus)
+    if (declared := keys.checksum) is not None:
+        check = FrameCheck(*CHECKS[declared.type], declared.start, _order(declared))
+    if (status := keys.status) is not None:
+        alarms = Alarms(status.place, _WORD_BYTES[status.type], _order(status), status.bits, status.set_is_good)
+    form = DeclaredFrame(bytes.fromhex(keys.sync), keys.length, fields, running, check)
+    words = {text.encode("ascii") + b"\r": mode for mode, text in keys.modes.items()}
+    return DeclaredUnit(own, form, words, feed.set_mode, alarms)
+
+
+def _order(item: Any) -> Any:
+    return "little" if item.little_endian else "big"

@@ -5,9 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
+from planrunner.simulators.interface import Conversation
+from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.message_port import Manner
 
 _ADDRESSED = re.compile(r"(\d+),(.*)", re.DOTALL)
 _MARGIN = 20.0  # K beyond the chamber's range that its limits may lie
@@ -104,3 +108,9 @@ class EspecP300:
 
 def _tenths(kelvin: float) -> str:
     return f"{kelvin - ZERO_CELSIUS:.1f}"
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+    """The instrument of a bench file, at its station."""
+    controller = EspecP300(ChamberPlant(live), address=entry.parameters.station)
+    return Conversation(controller, Manner(b"\r\n", b"\r\n"))

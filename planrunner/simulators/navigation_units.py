@@ -8,10 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.instruments.interfaces import Block
 from planrunner.simulators import vectornav, xsens
 from planrunner.simulators.frames import Bytes
-from planrunner.simulators.sensor_units import Outputs, SampleNumber
+from planrunner.simulators.live_world import LiveWorld, SensorFeed
+from planrunner.simulators.sensor_units import Outputs, SampleNumber, SensorUnit
 
 Array = NDArray[np.float64]
 _GO_TO_CONFIG, _GO_TO_MEASUREMENT, _DEVICE, _OUTPUTS, _ERROR = 0x30, 0x10, 0x00, 0xC0, 0x42
@@ -143,3 +145,20 @@ class VectorNavUnit:
             known = {1: "VN-100S-SIMULATED", 3: "0100000000"}.get(int(words[1]))
             return vectornav.line(f"VNRRG,{int(words[1]):02d},{known}" if known else "VNERR,08")
         return vectornav.line(command) if words[0] == "VNWRG" else b""
+
+
+def simulated_xsens(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+    """The Xsens MTi of a bench file."""
+    names = {"acceleration": 0x4020, "delta_v": 0x4010, "rate": 0x8020, "delta_q": 0x8030, "temperature": 0x0810}
+    items = (0x1020, *(names[name] for name in entry.parameters.outputs), 0xE020)
+    return XsensUnit(Outputs(live.sensor.channels()), xsens.Xsens(items), feed.rate)
+
+
+def simulated_vectornav(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+    """The VectorNav of a bench file."""
+    keys = entry.parameters
+    return VectorNavUnit(
+        Outputs(live.sensor.channels()),
+        vectornav.VectorNav(keys.fields),
+        "" if keys.output == "binary" else keys.output,
+    )

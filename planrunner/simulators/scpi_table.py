@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import re
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.simulators.conversation import NotUnderstoodError, number, shown
+from planrunner.simulators.interface import Conversation
+from planrunner.simulators.live_world import LiveWorld
 from planrunner.simulators.table_plant import TablePlant
 
 _AXIS = re.compile(r"AXIS(\d+):(POS|RATE|STOP|DRIVE|LIM:RATE|LIM:ACC)(\?)?\s*(\S*)", re.IGNORECASE)
@@ -110,3 +113,8 @@ class ScpiTable:
         if not math.isfinite(value):
             raise NotUnderstoodError('-222,"Data out of range"')
         return value
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+    """The instrument of a bench file."""
+    return Conversation(ScpiTable(TablePlant(live)))

@@ -12,10 +12,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import STANDARD_GRAVITY, unit
 from planrunner.simulators.frames import CRC_8, Bytes
 from planrunner.simulators.kvh1775 import ALL_VALID, Kvh1775, built_in_test
+from planrunner.simulators.live_world import LiveWorld, SensorFeed
 from planrunner.simulators.stim300 import INTERNAL_RATE, Stim300
 
 Array = NDArray[np.float64]
@@ -182,3 +184,19 @@ class KvhUnit:
                 self.hundredths = word.endswith("100")
         self.heard = self.heard[-200:]
         return replies
+
+
+def simulated_stim300(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+    """The STIM300 of a bench file."""
+    keys = entry.parameters
+    form = Stim300(keys.datagram, int(keys.acceleration_range.split()[0]), keys.gyro_output == "increment")
+    return Stim300Unit(Outputs(live.sensor.channels()), form, feed.rate)
+
+
+def simulated_kvh1775(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+    """The KVH 1775 of a bench file."""
+    keys = entry.parameters
+    form, degrees, increments = Kvh1775(keys.format), keys.angle_unit == "deg", keys.rotation == "delta"
+    return KvhUnit(
+        Outputs(live.sensor.channels()), form, feed.rate, degrees, increments, keys.temperature_unit == "C_100"
+    )

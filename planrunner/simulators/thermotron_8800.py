@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 import re
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
+from planrunner.simulators.interface import Conversation
+from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.message_port import Manner
 
 DONE, UNKNOWN, INCORRECT, OUT_OF_RANGE = "0", "1", "2", "5"
 _RUNNING, _STOPPED_REMOTELY, _ALARM = 1, 5, 7
@@ -73,3 +77,8 @@ class Thermotron8800:
         if self.plant.alarms:
             return _ALARM
         return _RUNNING if self.plant.running else _STOPPED_REMOTELY
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+    """The instrument of a bench file."""
+    return Conversation(Thermotron8800(ChamberPlant(live)), Manner(b"\r", b"\r"))

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import re
 
+from planrunner.bench.model import InstrumentEntry
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import FULL_RAMP, ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
+from planrunner.simulators.interface import Conversation
+from planrunner.simulators.live_world import LiveWorld
 
 _LOOP = re.compile(r":?(?:SOURCE|SOUR):CLOOP1:(\w+)(\?)?\s*(\S*)", re.IGNORECASE)
 _OUTPUT = re.compile(r":?OUTPUT1:STATE(\?)?\s*(\S*)", re.IGNORECASE)
@@ -107,3 +110,8 @@ class WatlowF4t:
         if not math.isfinite(value):
             raise NotUnderstoodError(str(value))
         return (value if self.unit == "C" else (value - 32) * 5 / 9) + ZERO_CELSIUS
+
+
+def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+    """The instrument of a bench file."""
+    return Conversation(WatlowF4t(ChamberPlant(live)))

@@ -1,0 +1,40 @@
+"""What a simulator of an instrument is. It is found under its driver's name in the entry-point group `planrunner.simulators`.
+
+For a table or a chamber it is a function that gives a `Conversation`, for a sensor one that gives the `SensorUnit` on its line. Both
+receive the instrument's entry in the bench file and the virtual bench; a sensor also receives the feed of its samples. Simulators share
+no code with drivers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from planrunner.bench.model import InstrumentEntry
+from planrunner.simulators.chamber_plant import ChamberPlant
+from planrunner.simulators.conversation import Controller
+from planrunner.simulators.live_world import LiveWorld, SensorFeed
+from planrunner.simulators.message_port import Manner
+from planrunner.simulators.sensor_units import SensorUnit
+from planrunner.simulators.table_plant import TablePlant
+
+
+class PlantController(Controller, Protocol):
+    """A controller of a table or a chamber."""
+
+    @property
+    def plant(self) -> TablePlant | ChamberPlant: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Conversation:
+    """A table or chamber that answers messages. framed: over TCP, replies have the framing that the bench's `simulation` states."""
+
+    controller: PlantController
+    manner: Manner = field(default_factory=Manner)
+    framed: bool = False
+
+
+ConversationSimulator = Callable[[InstrumentEntry, LiveWorld], Conversation]
+SensorSimulator = Callable[[InstrumentEntry, LiveWorld, SensorFeed], SensorUnit]
