@@ -126,16 +126,11 @@ def _print_anything() -> None:
 
 
 def _imported(name: str) -> ModuleType:
-    """A module with all that it needs. What modules hold stays, so searching it for garbage, now and when the process ends, would only
-    take time."""
-    if name in sys.modules:
-        return sys.modules[name]
+    """Import a module and its dependencies. Garbage collection is off meanwhile, because modules are permanent."""
     collecting = gc.isenabled()
     gc.disable()
     try:
-        module = import_module(name)
-        gc.freeze()
-        return module
+        return import_module(name)
     finally:
         if collecting:
             gc.enable()
