@@ -51,15 +51,6 @@ def data_root() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def nothing_is_frozen() -> Iterator[None]:
-    """A command exempts what it imported from collection, once in its process. Here commands follow one another, and the garbage of the
-    one before, with the files that it holds open, would be kept for ever."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gc, "freeze", lambda: None)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
 def pictures_are_drawn_once() -> Iterator[None]:
     """Many tests report the same run, and the same data give the same picture: a report that shows it again in this process takes it
     from the first. Tests of the drawing itself call what draws."""
