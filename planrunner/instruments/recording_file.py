@@ -7,26 +7,17 @@ file. Only columns of numbers are read.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
-
-from planrunner.base.regular_files import RefusedFileError, open_regular
-from planrunner.instruments.interfaces import InstrumentError
-
-if TYPE_CHECKING:
-    import pyarrow.parquet as pq
 import contextlib
 import csv
 import io
 import math
 import shutil
+import struct
 import tempfile
 import weakref
-from collections.abc import Iterator, Mapping
-from pathlib import PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +25,8 @@ from numpy.typing import NDArray
 from planrunner.base import arrow_columns
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
+from planrunner.base.regular_files import RefusedFileError, open_regular
+from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span
 
 if TYPE_CHECKING:
@@ -424,39 +417,32 @@ class _Csv(_File):
     """A header line, then numbers; an empty field is a missing number."""
 
     def columns(self) -> list[str]:
-        for _, batch in self._read(None):
-            return list(batch.schema.names)
-        return []
+        with self._opened(None) as reader:
+            return list(reader.schema.names)
 
     def batches(self, span: Span) -> Iterator[tuple[int, Any]]:
-        return self._read(list(dict.fromkeys((self.time, *self.channels.values()))))
+        with self._opened(list(dict.fromkeys((self.time, *self.channels.values())))) as reader:
+            first = 1
+            for batch in reader:
+                for offset in range(0, batch.num_rows, BATCH):
+                    part = batch.slice(offset, BATCH)
+                    yield first, part
+                    first += part.num_rows
 
-    def _read(self, wanted: list[str] | None) -> Iterator[tuple[int, Any]]:
+    @contextlib.contextmanager
+    def _opened(self, wanted: list[str] | None) -> Iterator[Any]:
+        """A reader of the columns `wanted`, of all without them. What is wrong with the file becomes an `InstrumentError`."""
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
         types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
         convert = arrow_csv.ConvertOptions(column_types=types, include_columns=wanted, strings_can_be_null=True)
         try:
-            with contextlib.ExitStack() as open_files:
-                file = open_files.enter_context(open_samples(self.path, self.name))
+            with open_samples(self.path, self.name) as file:
                 check_header(file, self.name)
                 options = arrow_csv.ReadOptions(block_size=CSV_BLOCK)
-                reader = open_files.enter_context(arrow_csv.open_csv(file, options, convert_options=convert))
-                first = 1
-                if wanted is None:
-                    yield (
-                        first,
-                        pa.RecordBatch.from_arrays(
-                            [pa.nulls(0, one.type) for one in reader.schema], schema=reader.schema
-                        ),
-                    )
-                    return
-                for batch in reader:
-                    for offset in range(0, batch.num_rows, BATCH):
-                        part = batch.slice(offset, BATCH)
-                        yield first, part
-                        first += part.num_rows
+                with arrow_csv.open_csv(file, options, convert_options=convert) as reader:
+                    yield reader
         except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
             raise self._not_numbers(wanted or []) or self._unreadable(error) from None
 

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.reporting import words
 from planrunner.reporting.budgets import freedom, shown_unit, two_digits
+from planrunner.reporting.context import CertificateFacts, ReportContext, Traced
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.template_data import Told
 from planrunner.uncertainty.decision import coverage_factor
-
-if TYPE_CHECKING:
-    from planrunner.reporting.context import ReportContext
-from planrunner.reporting.context import CertificateFacts, Traced
 
 
 def certificate_view(context: ReportContext) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
     from planrunner.tasks.propose import Next
-from functools import partial
 
 DIAGNOSIS_FORMAT = 1
 
