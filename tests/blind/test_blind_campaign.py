@@ -149,6 +149,7 @@ def known(here: Path, *effects: str) -> Shown:
     return folder.shown(here, "known")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effects",
     [

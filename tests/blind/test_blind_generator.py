@@ -96,6 +96,7 @@ def test_scale_factors_and_biases_are_no_gap_and_a_rate_error_is_absorbed() -> N
     assert generator.kept_share(around, error) < generator.GONE
 
 
+@pytest.mark.slow
 def test_noise_has_the_declared_level_and_flicker() -> None:
     schedule = Schedule((Segment("a", "static", X_UP, 2000.0, start=0.0),), 20.0)
     white = noise(schedule, SENSORS["mems"], np.array([1, 1, 1, 2, 2, 2.0]), np.random.default_rng(1))
@@ -108,6 +109,7 @@ def test_noise_has_the_declared_level_and_flicker() -> None:
     assert np.sqrt(np.mean(floors)) == pytest.approx(0.664, rel=0.08)  # Allan deviation of flicker: √(2 ln2/π)·B
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect",
     ["gyro_scale_asymmetry", "gyro_dead_zone", "gyro_saturation", "table_wobble", "backlash", "gyro_bandwidth"],

@@ -42,6 +42,7 @@ def test_a_case_becomes_an_observation(tmp_path: Path) -> None:
         assert white[3:] == pytest.approx(shown.sensor.sigma()[3:])
 
 
+@pytest.mark.slow
 def test_answers_keep_the_contract(tmp_path: Path) -> None:
     labels = sample(tmp_path, SETUPS[:1], 4)
     campaign.answer_all(tmp_path, "planrunner")
@@ -50,6 +51,7 @@ def test_answers_keep_the_contract(tmp_path: Path) -> None:
         assert sum(answer["posterior"].values()) == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [9, 59])  # a single effect and a pair, both strong, under the smallest plan
 def test_a_closure_stands_beside_what_the_truth_told_reaches(number: int, tmp_path: Path) -> None:
     folder.write_setups(tmp_path)

@@ -53,6 +53,7 @@ def test_a_terminal_that_knows_only_ascii(run: Path, tmp_path: Path) -> None:
         assert done.stdout.isascii()
 
 
+@pytest.mark.slow
 def test_json_stays_json_without_utf8(run: Path, tmp_path: Path) -> None:
     plan = tmp_path / "\u00e9.yaml"
     plan.write_text("planrunner: 1\ntitle: \u00b5\n", encoding="utf-8")

@@ -26,6 +26,7 @@ def analysis(tmp_path_factory) -> Path:
     return next((folder / "runs").glob("*/analyses/1"))
 
 
+@pytest.mark.slow
 def test_declared_rocking_drifts_lie_within_their_intervals(analysis):
     results = json.loads((analysis / "results.json").read_text(encoding="utf-8"))
     found = {item["name"]: item for item in results["estimates"][0]["coefficients"]}

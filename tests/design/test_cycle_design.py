@@ -111,6 +111,7 @@ def test_no_cycle_of_eight_moves_needs_less_cable() -> None:
     assert not narrow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 3, 6, 8])
 def test_other_numbers_of_positions(count: int) -> None:
     angles = [index * 2 * math.pi / count for index in range(count)]
@@ -209,6 +210,7 @@ def test_a_plan_without_a_cycle_has_none_to_design(tmp_path: Path) -> None:
         design_cycle(check_plan(path), Asked())
 
 
+@pytest.mark.slow
 def test_positions_that_are_not_round_figures(plan: Path) -> None:
     angles = [round(index * 360 / 7, 4) for index in range(7)]
     cycle = ", ".join(f"P{index}: {angle} deg" for index, angle in enumerate(angles))

@@ -80,6 +80,7 @@ def rough_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(optimal, "bound", partial(optimal.bound, tolerance=0.05))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_bounds")
 def test_a_poor_set_is_replaced_by_one_that_is_better_in_every_coefficient(tmp_path: Path) -> None:
     found = design_positions(check_plan(FLAGSHIP), Asked(estimate="traditional", restarts=1))
@@ -90,6 +91,7 @@ def test_a_poor_set_is_replaced_by_one_that_is_better_in_every_coefficient(tmp_p
     assert np.mean([new[name] / old[name] for name in old]) < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_bounds")
 def test_product_terms_get_positions_that_see_them(plan_file: Callable[..., Path], tmp_path: Path) -> None:
     plan = plan_file(
@@ -109,6 +111,7 @@ def test_product_terms_get_positions_that_see_them(plan_file: Callable[..., Path
         design_positions(check_plan(plan), Asked(restarts=1, orientations="cardinal"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_bounds")
 def test_dwells_fill_the_time_budget(tmp_path: Path) -> None:
     found = design_positions(check_plan(FLAGSHIP), Asked(restarts=1, orientations="cardinal", time=4000.0))

@@ -74,6 +74,7 @@ def test_one_axis_cannot_tell_the_drifts_apart(tmp_path: Path) -> None:
         design_positions(check_plan(write(tmp_path, ONLY, ONE)), Asked(restarts=1))
 
 
+@pytest.mark.slow
 def test_the_worst_variance_is_lowered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         optimal, "bound", partial(optimal.bound, tolerance=0.05)

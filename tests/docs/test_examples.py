@@ -2,8 +2,7 @@
 
 In a ```console block a line that begins with `$` is a command; the lines after it must appear in its output in that order, `…` standing for
 anything. The blocks of one page run one after the other in one folder, which holds copies of the shipped plans. A plain `planrunner`
-command is called in this process, anything that needs a shell in one. Where a page shows no report, the plans ask for none, whose
-pictures take longer than most runs; `make test-slow` runs the plans as they are shipped.
+command is called in this process, anything that needs a shell in one.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.conftest import NO_PAGE, PAGE
 from tests.in_process import planrunner
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,30 +49,20 @@ def expanded(word: str, folder: Path) -> list[str]:
 
 
 SHOWN = [page for page in PAGES if examples(page)]
-RUNS = [page for page in SHOWN if any(command.startswith("planrunner run ") for command, _ in examples(page))]
-WITHOUT_REPORT = [page for page in RUNS if "report.html" not in page.read_text(encoding="utf-8")]
+LONG = ("planrunner run ", "planrunner design ", "planrunner diagnose ", "planrunner simulate ")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", WITHOUT_REPORT, ids=lambda page: page.name)
-def test_examples_run_with_their_reports(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    run_as_shown(page, tmp_path, request)
-    reports = [report.read_text(encoding="utf-8") for report in tmp_path.glob("runs/*/analyses/1/report.html")]
-    assert reports
-    assert all("<svg" in report for report in reports)
+def marked(page: Path) -> Any:
+    """The README's examples belong to the fast tests whatever they do; of the other pages those that take seconds to the slow ones."""
+    takes_long = page.name != "README.md" and any(command.startswith(LONG) for command, _ in examples(page))
+    return pytest.param(page, marks=[pytest.mark.slow] if takes_long else [], id=page.name)
 
 
-@pytest.mark.parametrize("page", SHOWN, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [marked(page) for page in SHOWN])
 def test_examples_run_as_shown(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    run_as_shown(page, tmp_path, request, reports=page not in WITHOUT_REPORT)
-
-
-def run_as_shown(page: Path, tmp_path: Path, request: pytest.FixtureRequest, reports: bool = True) -> None:
-    """reports: whether the plans write the pages that they ask for."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     for plan in (ROOT / "plans").glob("*.yaml"):
-        text = plan.read_text(encoding="utf-8")
-        (tmp_path / plan.name).write_text(text if reports else text.replace(PAGE, NO_PAGE), encoding="utf-8")
+        (tmp_path / plan.name).write_bytes(plan.read_bytes())
     for command, shown in examples(page):
         if DATA in command:
             command = command.replace(DATA, str(request.getfixturevalue("data_root")))

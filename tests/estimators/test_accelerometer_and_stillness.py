@@ -100,6 +100,7 @@ def test_magnitude_recovers_nine_parameters() -> None:
     assert np.abs(found.residuals).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_magnitude_covariance_against_simulated_experiments() -> None:
     rng = np.random.default_rng(3)
     directions = np.array([matrix[:, 2] for matrix in attitudes(22, 4)])

@@ -107,6 +107,7 @@ def test_noiseless_outputs_give_the_truth() -> None:
         assert found[name].value == pytest.approx(value, rel=1e-9, abs=1e-7), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("basis", ["residual", "within_segment"])
 def test_truth_within_the_stated_uncertainty(basis: str) -> None:
     """200 realisations: how often each coefficient's 95 % interval holds the truth is binomial. The bounds hold for all 33 jointly at 1 %
@@ -147,6 +148,7 @@ def test_lower_triangular_form_is_the_same_sensor_in_another_frame() -> None:
         assert found[f"rotation_{axis}"].value == pytest.approx(angle * arcmin, abs=0.05)
 
 
+@pytest.mark.slow
 def test_uncertainties_of_the_lower_triangular_form_by_simulation() -> None:
     draw = np.random.default_rng(5)
     truth = imu.drawn_truth(draw)

@@ -72,6 +72,7 @@ def test_azimuth_against_a_turned_table() -> None:
     assert np.abs(azimuth_of(calibrate(imu.recorded(imu.plan(), truth), BY_AZIMUTH))).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_positions_against_tilted_tables() -> None:
     """Independent tilts of every orientation: the spread of many recordings is what the influence says, with the noise beside it."""
     truth, draw, segments = imu.drawn_truth(np.random.default_rng(2)), np.random.default_rng(4), imu.plan()

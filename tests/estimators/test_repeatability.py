@@ -106,6 +106,7 @@ def test_scipy_agrees() -> None:
 # -- against the truth -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_truth_within_the_stated_uncertainty() -> None:
     """10 000 tests of five days with four repeats each: means by Student's t, s by χ², the variance between groups without bias."""
     from scipy.stats import t as student

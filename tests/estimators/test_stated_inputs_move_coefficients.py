@@ -225,6 +225,7 @@ def test_what_scatters_is_in_the_covariance_of_the_residual_basis_also_where_an_
     assert item.covariance == pytest.approx(once.covariance, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_monte_carlo_of_all_of_them_has_the_combined_covariance() -> None:
     """400 worlds with every input drawn at once, refitted; standard deviations within 4 standard errors (14 %)."""
     rng = np.random.default_rng(4)

@@ -34,6 +34,7 @@ def navigated(errors: tuple[float, ...], seconds: float = 3 * 3600, noise: float
     return StrapdownNavigation().estimate(request(stop, run, **parameters))
 
 
+@pytest.mark.slow
 def test_accelerometer_error_is_a_schuler_oscillation() -> None:
     """50 µg to the north: ∇/ω²·(1 − cos ωt), 2·50 µg·R = 640 m at most, half of a Schuler period after the start. The plane of the
     oscillation turns with Ω·sin L, as Foucault's; what is left out is of the order (Ω/ω)² = 0.4 %."""
@@ -123,6 +124,7 @@ def test_constant_errors_hide_behind_alignment() -> None:
     assert with_heading["radial_error"].value > 10 * found["radial_error"].value
 
 
+@pytest.mark.slow
 def test_uncertainties_cover_the_scatter_of_repetitions() -> None:
     """Errors at the end of 40 runs with noise alone, over their stated uncertainties: mean squares near one (χ², 99.9 %)."""
     from scipy.stats import chi2
@@ -286,6 +288,7 @@ def planned(
     return DesignRequest("free", segments, parameters or StrapdownNavigationParameters(), site, sensor(noise))
 
 
+@pytest.mark.slow
 def test_expected_errors_are_those_of_repetitions() -> None:
     """The design's root mean squares against 30 simulated units with random constant errors and noise: within their scatter of 13 %."""
     stated = StrapdownNavigationParameters(

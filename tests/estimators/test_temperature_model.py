@@ -132,6 +132,7 @@ def test_spline_is_the_natural_spline_of_scipy(knots: tuple[float, ...]) -> None
 TEMPERATURES = np.arange(-40.0, 65.0, 10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "order"), [((3.0,), 0), ((3.0, 0.05), 1), ((3.0, 0.05, -1e-3), 2), ((3.0, 0.05, -1e-3, 3e-5), 3)]
 )

@@ -57,6 +57,7 @@ def weak() -> Diagnosis:
     raise AssertionError("no size leaves the question open")
 
 
+@pytest.mark.slow
 def test_the_fastest_turns_are_chosen_for_an_error_that_grows_with_rate(weak: Diagnosis) -> None:
     """An asymmetry of z shows where z turns, and the more the faster: no segment at rest tells anything of it."""
     found = _proposed(weak, _options())

@@ -33,6 +33,7 @@ def _diagnosed(
     return diagnose(observation(folder.shown(here, "case-0"))), true
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plan", "sensor", "energy", "seed"),
     [("poor", "fog", 400.0, 4), ("poor", "mems", 900.0, 5), ("tumble", "mems", 200.0, 8)],
@@ -75,6 +76,7 @@ def test_a_delay_far_below_the_grid_is_found(tmp_path: Path) -> None:
     assert abs(one.value - true) < 3 * one.standard_uncertainty
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", [40.0, 400.0])
 @pytest.mark.filterwarnings("error")
 def test_a_delay_the_other_way_round_is_negative(tmp_path: Path, energy: float) -> None:

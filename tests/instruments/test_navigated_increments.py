@@ -51,6 +51,7 @@ def missed_by(carrier, motion, rate):
     return np.array([*metres, end.VN - north, end.VE - east, end.VD])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("carrier", "motion"),
     [

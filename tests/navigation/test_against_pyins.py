@@ -51,6 +51,7 @@ def apart(one: Array, other: Array) -> float:
     return float(np.hypot(*separation(one[0], one[1], other[0], other[1])))
 
 
+@pytest.mark.slow
 def test_at_rest_for_an_hour() -> None:
     """Tilted, with gyro errors of some 0.01 deg/h and accelerometer errors of some 50 µg: errors of some hundred metres."""
     dt, n = 0.01, 360_000

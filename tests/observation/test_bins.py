@@ -107,6 +107,7 @@ def _answer(found: Diagnosis) -> tuple[tuple[str, ...], dict[str, tuple[float, f
     return found.verdict.effects, {p.name: (p.value, p.standard_uncertainty) for p in found.parameters}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [6e-5, 6e-4])
 def test_a_binned_recording_has_the_same_diagnosis(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """An effect that is hardly told from none, and a clear one."""

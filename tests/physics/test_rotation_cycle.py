@@ -184,6 +184,7 @@ def oscillation(one: RotationCycle, count: int) -> float:
     return float((abs(forward) + abs(backward)) * natural**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("turns", "stop", "count"), [(PRINTED + MIRRORED, 300.0, 4), (PRINTED, 600.0, 4)])
 def test_resonance_with_the_schuler_period(turns: tuple[int, ...], stop: float, count: int) -> None:
     one = cycle(turns, stop=stop, acceleration=200)

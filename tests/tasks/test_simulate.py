@@ -102,6 +102,7 @@ def test_without_effects_nothing_changes(plan: Path, capsys: pytest.CaptureFixtu
     assert found.diagnosis.verdict.kind == "none"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "name"),
     [
@@ -118,6 +119,7 @@ def test_what_is_added_is_found_back(plan: Path, effect: str, name: str) -> None
     assert found.verdict.effects == (name,)
 
 
+@pytest.mark.slow
 def test_a_proposed_plan_passes_its_checks_runs_and_is_weighed_with_the_first(plan: Path, tmp_path: Path) -> None:
     first = recorded_run(_simulated(plan, "table_tilt=about_east:1.3"))
     before = diagnose_recorded(first, FEW)
