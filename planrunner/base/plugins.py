@@ -16,6 +16,11 @@ INSTRUMENTS = "planrunner.instruments"
 ESTIMATORS = "planrunner.estimators"
 TERMS = "planrunner.terms"
 SIMULATORS = "planrunner.simulators"
+REQUIRED = {
+    INSTRUMENTS: ("role", "Parameters", "model", "connect"),
+    ESTIMATORS: ("summary", "Parameters", "design", "estimate"),
+}
+"""Attributes without which a plug-in of a group cannot be used."""
 
 
 class _Selectable(Protocol):
@@ -51,15 +56,20 @@ def names(group: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=256)
 def load(group: str, name: str) -> Any:
-    """The plug-in of a name. Raises `InputError` if it is unknown or cannot be imported."""
+    """The plug-in of a name. Raises `InputError` if it is unknown, cannot be imported, or lacks what its group requires."""
     entry = _own(group).get(name) or _table(group).get(name)
     if entry is None:
         raise InputError.at(
             Mark("<plug-ins>"), "plugin-unknown", f"no '{name}' in {group}", closest(name, names(group))
         )
     try:
-        return entry.load()
+        found = entry.load()
     except Exception as error:
         hint = "reinstall the package that provides it"
         message = f"the plug-in '{name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error}"
         raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint) from error
+    if missing := [attribute for attribute in REQUIRED.get(group, ()) if not hasattr(found, attribute)]:
+        message = f"the plug-in '{name}' ({entry.value}) lacks {', '.join(missing)}"
+        hint = "its author must add them; the documentation of drivers and estimators lists what a plug-in needs"
+        raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint)
+    return found

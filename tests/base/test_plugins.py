@@ -15,7 +15,8 @@ OWN = "flexure_gyro_static"
 FROM_ELSEWHERE = EntryPoints(
     [
         EntryPoint(OWN, "json:loads", plugins.ESTIMATORS),
-        EntryPoint("of_another_house", "json:loads", plugins.ESTIMATORS),
+        EntryPoint("of_another_house", "planrunner.estimators.scale_factor:ScaleFactor", plugins.ESTIMATORS),
+        EntryPoint("unfinished", "json:JSONDecoder", plugins.ESTIMATORS),
         EntryPoint("broken", "no_such_module:Estimator", plugins.ESTIMATORS),
     ]
 )
@@ -47,7 +48,9 @@ def test_a_plug_in_of_the_project_is_found_without_reading_other_distributions(m
     assert plugins.load(plugins.ESTIMATORS, OWN) is FlexureGyroStatic
 
 
-@pytest.mark.parametrize(("name", "code"), [("unheard_of", "plugin-unknown"), ("broken", "plugin-broken")])
+@pytest.mark.parametrize(
+    ("name", "code"), [("unheard_of", "plugin-unknown"), ("broken", "plugin-broken"), ("unfinished", "plugin-broken")]
+)
 def test_what_cannot_be_loaded_is_a_finding(name: str, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plugins, "_installed", lambda: FROM_ELSEWHERE)
     with pytest.raises(InputError) as raised:
