@@ -148,7 +148,7 @@ def test_a_digest_changed_in_the_seal_is_found(run: Path) -> None:
         RunReader.open(run)
 
 
-def test_an_event_of_an_unknown_kind_is_told(run: Path, tmp_path: Path) -> None:
+def test_an_event_of_an_unknown_kind_is_reported(run: Path, tmp_path: Path) -> None:
     with RunWriter.create(tmp_path, "p", b"", b"", {}) as writer:
         writer.note("telepathy", with_whom="table")
     with pytest.raises(IntegrityError, match="unknown kind 'telepathy'"):

@@ -598,7 +598,7 @@ def test_samples_of_rejected_segments_are_verified_too(sealed: Path) -> None:
         RunWriter.reopen(sealed, reason="again")
 
 
-def test_all_that_is_wrong_is_told_at_once(sealed: Path) -> None:
+def test_all_that_is_wrong_is_reported_at_once(sealed: Path) -> None:
     (sealed / "plan.yaml").write_bytes(b"other")
     (sealed / "segments" / "0001-P1.parquet").unlink()
     (sealed / "notes.txt").write_bytes(b"")

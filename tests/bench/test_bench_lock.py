@@ -107,7 +107,7 @@ def test_all_or_none_are_held() -> None:
         pass
 
 
-def test_a_watchdog_is_waited_for_and_told() -> None:
+def test_a_watchdog_is_waited_for_and_reported() -> None:
     began = time.monotonic()
     with (
         watchdog_lock(bench(WIRED), "first.yaml"),
@@ -126,7 +126,7 @@ def test_the_watchdog_of_a_run_takes_its_own_lock_beside_that_of_the_run() -> No
         pass
 
 
-def test_a_folder_for_locks_that_cannot_be_made_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_folder_for_locks_that_cannot_be_made_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     monkeypatch.setenv("PLANRUNNER_LOCKS", str(tmp_path / "file" / "locks"))
     assert "cannot be used" in refused()
@@ -283,7 +283,7 @@ def test_a_lock_is_never_taken_through_a_link(tmp_path: Path) -> None:
     assert target.read_text(encoding="utf-8") == "data"
 
 
-def test_a_file_that_is_held_tells_the_newest_note(tmp_path: Path) -> None:
+def test_a_held_file_gives_the_newest_note(tmp_path: Path) -> None:
     ExclusiveFile(tmp_path / "x", "a very long note of an earlier holder").release()
     first = ExclusiveFile(tmp_path / "x", "short")
     with pytest.raises(HeldError, match=r"^short$"):

@@ -53,7 +53,7 @@ def test_answers_keep_the_contract(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [9, 59])  # a single effect and a pair, both strong, under the smallest plan
-def test_a_closure_stands_beside_what_the_truth_told_reaches(number: int, tmp_path: Path) -> None:
+def test_a_closure_is_compared_with_that_of_the_known_truth(number: int, tmp_path: Path) -> None:
     folder.write_setups(tmp_path)
     case = make(77, number)
     folder.write_case(tmp_path, case, 77)

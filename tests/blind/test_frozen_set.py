@@ -62,7 +62,7 @@ def test_nothing_is_answered_by_code_that_differs_from_its_commit(tmp_path: Path
     assert not (tmp_path / "round-9.json").exists()
 
 
-def test_a_folder_that_holds_no_set_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_holds_no_set_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(NotFrozenError, match="holds no blind set"):
         answer_all(tmp_path, tmp_path / "round-9.json", answer, lambda: "abc")
     (tmp_path / "there.json").write_text("{}", encoding="utf-8")

@@ -181,7 +181,7 @@ def test_two_columns_of_one_name(play: Callable[..., Ended]) -> None:
     ],
     ids=["NaN", "inf", "too large to square", "nearly all"],
 )
-def test_samples_left_out_are_told(play: Callable[..., Ended], rate: np.ndarray, lost: str) -> None:
+def test_samples_left_out_are_reported(play: Callable[..., Ended], rate: np.ndarray, lost: str) -> None:
     code, out, _ = play(text(rate=rate))
     assert code == 0
     assert f"warning: Samples that are missing or no number were left out: {lost}." in out
@@ -193,7 +193,7 @@ def test_a_segment_without_a_number_cannot_be_used(play: Callable[..., Ended]) -
     assert "segment 'R+10' has no usable samples" in err
 
 
-def test_a_gap_is_told_and_is_no_dwell(play: Callable[..., Ended]) -> None:
+def test_a_gap_is_reported_and_is_no_dwell(play: Callable[..., Ended]) -> None:
     kept = np.r_[0:300, 600:3000]
     data = text(TIME[kept], RATE[kept])
     code, out, _ = play(data)

@@ -47,7 +47,7 @@ def test_too_few_segments_are_refused(diagnosed: Callable[..., Ended], count: in
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_what_is_no_number_is_left_out_and_told(diagnosed: Callable[..., Ended], value: float) -> None:
+def test_what_is_no_number_is_left_out_and_reported(diagnosed: Callable[..., Ended], value: float) -> None:
     code, out, err = diagnosed(gyro_x_deg_per_s=set_at(10, 12, value))
     assert code == DONE and "No effect is named" in out
     assert "warning[gap-missing-numbers]: 2 rows with a missing number are left out" in err
@@ -82,7 +82,7 @@ def test_exchanged_columns_are_refused(
     assert "'gyro_x' does not follow the plan" in capsys.readouterr().err
 
 
-def test_noise_far_from_what_is_declared_is_told(diagnosed: Callable[..., Ended]) -> None:
+def test_noise_far_from_what_is_declared_is_reported(diagnosed: Callable[..., Ended]) -> None:
     code, _, err = diagnosed(6, gyro_x_deg_per_s=lambda v: v + DRAW.normal(0, 0.2, len(v)))
     assert code == DONE
     assert "warning[gap-noise]: 'gyro_x' has noise at rest of 0.2" in err and "the declared noise is 0.01" in err

@@ -119,7 +119,7 @@ def results_on_a_full_disk(run: Path, disk: Path, plan: Path) -> None:
     (disk / "filler").unlink()
 
 
-def test_too_little_space_is_told_before_anything_moves(
+def test_too_little_space_is_reported_before_anything_moves(
     disk: Path, tmp_path: Path, plan_file: Callable[..., Path]
 ) -> None:
     remount(disk, "size=2m")

@@ -69,7 +69,7 @@ def test_a_unit_is_suggested_of_the_dimension_that_is_needed(tmp_path: Path) -> 
     assert "'mm'" in suggestion("mim"), "where any unit may stand, the nearest of all"
 
 
-def test_an_estimate_without_channels_is_told_to_name_them(tmp_path: Path) -> None:
+def test_an_estimate_without_channels_is_asked_to_name_them(tmp_path: Path) -> None:
     lines = [
         ("    gyros: [gyro_x, gyro_y, gyro_z]\n", ""),
         ("    accelerometers: [accel_x, accel_y, accel_z]\n", ""),

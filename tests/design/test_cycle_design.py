@@ -228,7 +228,7 @@ def test_positions_that_are_not_round_figures(plan: Path) -> None:
     assert "physics-cycle-residual" not in [finding.code for finding in checked.findings]
 
 
-def test_unbalanced_stops_are_told_and_the_free_order_still_found(
+def test_unbalanced_stops_are_reported_and_the_free_order_still_found(
     plan: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     head, tail = PLAN[: PLAN.index("      moves:")], PLAN[PLAN.index("      # how fast") :]

@@ -74,7 +74,7 @@ def test_products_are_seen_with_up_along_the_corners_of_a_cube() -> None:
     assert identify_block(block(np.array(attitudes), ("accel_x_accel_z", "accel_y_accel_z"))).rank == 8
 
 
-def test_squares_and_bias_cannot_be_told_apart() -> None:
+def test_squares_and_bias_cannot_be_separated() -> None:
     """a_X² + a_Y² + a_Z² is constant at 1 g: rank 9 of 10, at any attitude."""
 
     def squared(axis: int) -> Callable[[Stimulus], Array]:

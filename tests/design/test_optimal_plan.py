@@ -49,7 +49,7 @@ def test_the_published_set_is_the_best_cardinal_one_and_free_ones_are_better(stu
     assert 6.0 <= study.bounds["free"].certificate < 6.01
 
 
-def test_the_claimed_ratio_is_told_as_design_theory_has_it(study: FoundPositions) -> None:
+def test_the_claimed_ratio_is_reported_with_that_of_design_theory(study: FoundPositions) -> None:
     ratios = {name: one.residual_ratios["residual.ratio_traditional_to_drift"] for name, one in study.sets.items()}
     assert ratios["planned"] == pytest.approx(1.28, abs=0.005)
     assert ratios["planned"] < ratios["free"] < 1.51

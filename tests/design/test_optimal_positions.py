@@ -152,7 +152,7 @@ def test_efficiencies_are_shares_of_observations() -> None:
     assert pytest.approx((0.5, 0.5, 0.5, 0.5)) == (against.D, against.A, against.G, against.I)
 
 
-def test_dwells_follow_what_the_positions_tell() -> None:
+def test_dwells_follow_the_information_of_the_positions() -> None:
     """Two repeats of one observation and one of another: the lone one gets half of the time."""
     shares = optimal.allocate(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     assert shares == pytest.approx([0.25, 0.25, 0.5], abs=1e-6)

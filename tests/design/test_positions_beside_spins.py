@@ -34,7 +34,7 @@ def test_spins_stay_and_count() -> None:
     assert len(study.sight.fixed) == 6
 
 
-def test_without_spins_the_rates_cannot_be_told() -> None:
+def test_without_spins_the_rates_cannot_be_determined() -> None:
     """Earth rate alone: an accelerometer sees no spin, and its design has no fixed rows."""
     study = design_positions(check_plan(PLANS / "imu_multi_position.yaml"), Asked(output="accel_z", restarts=1))
     assert not len(study.sight.fixed)

@@ -67,7 +67,7 @@ def test_two_axes_with_limits(tmp_path: Path) -> None:
     assert np.linalg.det(matrix.T @ matrix) == pytest.approx(free.determinant, rel=1e-6)
 
 
-def test_one_axis_cannot_tell_the_drifts_apart(tmp_path: Path) -> None:
+def test_one_axis_cannot_separate_the_drifts(tmp_path: Path) -> None:
     with pytest.raises(
         EstimationError, match=r"within this table's reach separate bias, accel_x, accel_y, accel_z \(rank 3 of 6"
     ):

@@ -112,7 +112,7 @@ def test_magnitude_covariance_against_simulated_experiments() -> None:
     assert draws.std(axis=0) == pytest.approx(expected, rel=0.09)
 
 
-def test_magnitude_refuses_what_it_cannot_tell() -> None:
+def test_magnitude_refuses_what_it_cannot_determine() -> None:
     up = np.array([matrix[:, 2] for matrix in attitudes(22)])
     with pytest.raises(EstimationError, match="8 poses cannot give 9"):
         fit_magnitude(up[:8] * 9.8, 9.8)

@@ -118,7 +118,7 @@ def test_two_directions_give_the_angle_where_the_azimuth_is_stated() -> None:
     ],
     ids=["three", "two, azimuth fitted", "two, azimuth stated", "upside down", "one"],
 )
-def test_check_refuses_mountings_that_do_not_tell_the_angles(
+def test_check_refuses_mountings_that_do_not_determine_the_angles(
     orientations: list[np.ndarray], azimuth: str, sound: bool
 ) -> None:
     outputs = tuple(OutputModel(f"gyro_{name}", "deg/s", noise=NoiseModel(1e-4)) for name in STATED)

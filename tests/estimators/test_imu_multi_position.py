@@ -196,7 +196,7 @@ def test_a_sound_plan_is_identified_and_predicted() -> None:
     assert ratio.mean() == pytest.approx(1, abs=0.05)
 
 
-def test_rates_alone_cannot_tell_g_sensitivity() -> None:
+def test_rates_alone_cannot_determine_g_sensitivity() -> None:
     """Spins about one upward axis after the other: bias and g-sensitivities share three attitudes."""
     design = designed([imu.spin(axis, rate) for axis in "xyz" for rate in (50.0, -50.0)], gyros=imu.GYROS)
     judged = identify(design)

@@ -74,7 +74,7 @@ def test_weighted_fit_equals_numpy_for_any_length(n: int) -> None:
     assert found.cofactor * np.outer(size, size) == pytest.approx(inverse @ inverse.T, rel=1e-8, abs=1e-14)
 
 
-def test_what_cannot_be_told_is_named() -> None:
+def test_what_cannot_be_determined_is_named() -> None:
     rng = np.random.default_rng(0)
     a = rng.normal(size=20)
     matrix = np.column_stack([np.ones(20), a, np.zeros(20), 1 - 2 * a])

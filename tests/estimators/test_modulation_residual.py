@@ -110,7 +110,7 @@ def test_harmonics_near_a_free_oscillation_are_left_out() -> None:
 @pytest.mark.parametrize(
     ("seconds", "step", "words"), [(4000.0, 45.0, "2 whole cycles"), (86400.0, 900.0, "too far for a cycle of 1528 s")]
 )
-def test_records_that_tell_nothing(seconds: float, step: float, words: str) -> None:
+def test_records_without_information(seconds: float, step: float, words: str) -> None:
     with pytest.raises(TooLittleError, match=words):
         periodic_part(*signal(1528.0, seconds, step, {}), 1528.0, 4, SITE)
     time = np.array([0.0, 1, 3, 9000])

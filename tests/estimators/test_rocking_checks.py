@@ -90,7 +90,7 @@ def test_each_finding(tmp_path, code, severity, changes, words):
     assert {item[0] for item in found if item not in told} <= ({"physics-rocking-duration"} if code == "end" else set())
 
 
-def test_the_coarse_range_is_told(tmp_path):
+def test_the_coarse_range_is_reported(tmp_path):
     """40 g/2^21 = 19.1 µg of standard gravity is 3.94 arcsec here: 1310 s at 0.003 deg/h."""
     found = checked(tmp_path, bench=("range: 1.25 g", "range: 20 g"))
     assert [item[:2] for item in rocking(found)] == [("physics-rocking-resolution", "warning")]

@@ -102,7 +102,7 @@ def test_the_headline_by_hand():
     assert row[:2] == ("x", 4) and row[-1] == 0.75
 
 
-def test_states_are_told_apart_by_their_orientation():
+def test_states_are_distinguished_by_their_orientation():
     groups = by_state([*four_runs("vertical", 2), *four_runs("horizontal")])
     assert [len(group) for group in groups] == [2, 1]
     assert [group[0].runs[0].state.level for group in groups] == [(0, 2), (1, 2)]

@@ -138,7 +138,7 @@ def test_near_the_pole() -> None:
     refused("north cannot be found", recorded("align", samples(300, site=polar), 0.0), run(), site=polar)
 
 
-def test_positions_told_that_are_none() -> None:
+def test_stated_positions_that_are_invalid() -> None:
     told = Setup(information={"initial_latitude": "somewhere"})
     refused("run information initial_latitude is 'somewhere'", stop(), run(), setup=told)
     for text in ("95 deg", "nan", "-91"):

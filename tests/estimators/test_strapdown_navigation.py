@@ -176,7 +176,7 @@ def test_turning_modulates_what_stands_still_does_not() -> None:
     assert with_turns["rms_radial_error"].value < 0.15 * without["rms_radial_error"].value
 
 
-def test_alignment_in_a_cycle_tells_constant_errors() -> None:
+def test_alignment_in_a_cycle_determines_constant_errors() -> None:
     """Stops of 100 s at 0 and 180 deg: the table of constant errors holds the horizontal ones, and heading is not off by ε_E/(Ω·cos φ)."""
     errors = (0.02, -0.01, 0, 40, -30, 0)
     turn = np.radians(np.arange(1, 181))
@@ -244,7 +244,7 @@ def test_a_carrier_is_held_against_its_reference() -> None:
     assert found["largest_velocity_error"].value < 0.1
 
 
-def test_short_gaps_are_bridged_and_told() -> None:
+def test_short_gaps_are_bridged_and_reported() -> None:
     channels = samples(1800, noise=1e-5, seed=1)
     stop = recorded("align", samples(600, noise=1e-5), 0.0)
     whole = StrapdownNavigation().estimate(request(stop, recorded("navigate", channels, 600.0)))
@@ -257,7 +257,7 @@ def test_short_gaps_are_bridged_and_told() -> None:
     assert found["radial_error"].value == pytest.approx(whole["radial_error"].value, abs=1.0)
 
 
-def test_position_is_that_told_of_the_run() -> None:
+def test_position_is_that_stated_for_the_run() -> None:
     told = Setup(information={"initial_latitude": "-33.5", "initial_longitude": "18.25 deg", "initial_height": "35"})
     south = replace(SITE, latitude=math.radians(-33.5), height=35.0)
     stop = recorded("align", samples(600, noise=1e-4, site=south), 0.0)

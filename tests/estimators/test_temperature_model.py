@@ -333,7 +333,7 @@ SIX = "uses: [m30, m10, p10, p30, p50, p70]"
         ("scale_factor_tilted", [("order: 1", "order: 3")], "physics-temperatures", "K_x: 3 planned temperatures"),
     ],
 )
-def test_what_other_estimates_cannot_give_is_told_by_check(
+def test_what_other_estimates_cannot_give_is_reported_by_check(
     tmp_path: Path, plan: str, changes: list[tuple[str, str]], code: str | None, words: str
 ) -> None:
     text = (PLANS / f"{plan}.yaml").read_text(encoding="utf-8")

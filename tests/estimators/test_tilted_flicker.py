@@ -197,7 +197,7 @@ def test_flicker_that_is_nothing_leaves_the_residuals_as_they_are() -> None:
         assert with_it[name].standard_uncertainty == pytest.approx(without[name].standard_uncertainty, rel=1e-6)
 
 
-def test_zeros_that_move_further_than_declared_are_told_and_added() -> None:
+def test_zeros_that_move_further_than_declared_are_reported_and_added() -> None:
     """A drift of 20·B from zero to zero; half of it less the noise of both zeros."""
     drift = 20 * B
     found = estimate(recording(2, drift=drift), AXIS, DECLARED, earth_rate="averaged", uncertainty="within_segment")

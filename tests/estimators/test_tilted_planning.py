@@ -112,7 +112,7 @@ def test_check_says_what_is_wrong_with_a_plan(tmp_path: Path) -> None:
     assert any("mounting.w has no output" in message for _, _, message in found)
 
 
-def test_rates_far_below_that_of_the_earth_are_told_and_end_in_no_error(tmp_path: Path) -> None:
+def test_rates_far_below_that_of_the_earth_are_reported_and_end_in_no_error(tmp_path: Path) -> None:
     low = [("rate: ±300, ±150, ±60, ±20, ±10, ±1 deg/s", "rate: ±1e-9, ±2e-9 deg/s")]
     low.append(("dwell: {turns: 1, at_least: 30 s}", "dwell: 30 s"))
     found = changed(tmp_path, *low)

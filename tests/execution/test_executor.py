@@ -145,7 +145,7 @@ def test_an_expected_time_that_is_none(tmp_path: Path, expected: float) -> None:
     assert "not a time" in outcome.failures[0].message
 
 
-def test_what_cannot_be_made_safe_is_told(tmp_path: Path) -> None:
+def test_what_cannot_be_made_safe_is_reported(tmp_path: Path) -> None:
     bench = make_bench()
     bench.safe_fails = True
     outcome, _ = carry_out(tmp_path, bench, mixed_schedule())

@@ -89,7 +89,7 @@ def test_what_never_settles_is_given_up_with_the_reading(tmp_path: Path) -> None
     assert bench.calls[-3:] == ["table.safe", "chamber.safe", "sensor.safe"]
 
 
-def test_a_reading_that_nobody_gives_is_told(tmp_path: Path) -> None:
+def test_a_reading_that_nobody_gives_is_reported(tmp_path: Path) -> None:
     bench = make_watched_bench()
     outcome, _ = carry_out(tmp_path, bench, one(stable=Stability({"rate_error": 1.0}, 2.0, 5.0)))
     assert "no instrument reports the rate error" in outcome.failures[0].message

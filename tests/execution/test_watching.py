@@ -86,7 +86,7 @@ def test_a_temperature_that_drifts_during_the_dwell(tmp_path: Path) -> None:
         assert told == ([] if ok else ["temperature drift 0.6 K/min is more than the 0.3 K/min that the plan allows"])
 
 
-def test_lost_and_corrupt_frames_are_judged_and_told(tmp_path: Path) -> None:
+def test_lost_and_corrupt_frames_are_judged_and_reported(tmp_path: Path) -> None:
     """3 of 1000 lost (one of them by the computer) against 0.2 %; then 2 of 1000, which is no more than that."""
     bench = make_watched_bench()
     good = FrameCounts(received=998, lost=2, details={"latency_s": 0.004})
@@ -237,7 +237,7 @@ def test_what_drivers_had_to_do_again_is_in_the_journal(tmp_path: Path) -> None:
     ]
 
 
-def test_a_limit_that_nothing_was_held_against_is_told(tmp_path: Path) -> None:
+def test_a_limit_without_a_value_is_reported(tmp_path: Path) -> None:
     outcome, reader = carry_out(tmp_path, make_watched_bench(), plan(Watch({"rate_error": 1.0})))
     assert outcome.ok
     assert [event["text"] for event in events(reader, "noticed")] == ["no instrument reports the rate error"]

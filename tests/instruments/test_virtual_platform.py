@@ -292,7 +292,7 @@ def test_a_restart_repeats_it_bit_for_bit():
         np.testing.assert_array_equal(second[name], after[name])
 
 
-def test_what_cannot_be_is_told():
+def test_what_cannot_be_is_reported():
     _, platform, _ = bench()
     with pytest.raises(InstrumentError, match="no mode 'north'"):
         platform.set_mode("north")

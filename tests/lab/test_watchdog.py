@@ -32,7 +32,7 @@ def test_a_bench_that_cannot_be_read_keeps_the_run_from_starting(bench: bytes) -
         Watchdog(bench.replace(b"paper_table", b"paper_tabel"), "lab.yaml", None, 60.0)
 
 
-def test_told_that_the_bench_is_safe_it_goes_without_touching_it(bench: bytes, tmp_path: Path) -> None:
+def test_once_the_bench_is_safe_it_ends_without_touching_it(bench: bytes, tmp_path: Path) -> None:
     guard = Watchdog(bench, "lab.yaml", None, 60.0)
     guard.report_to(tmp_path)
     for _ in range(3):

@@ -57,7 +57,7 @@ def test_constant_errors_leave_the_known_limits() -> None:
     assert np.degrees(tilt[2]) * 60 == pytest.approx(-6.5, abs=0.1)  # arcmin; 0.02/15.04/cos 45° rad
 
 
-def test_noise_is_told_by_the_covariance() -> None:
+def test_noise_is_identified_by_the_covariance() -> None:
     """Tilt and azimuth over the standard uncertainties stated: 3 × 60 numbers of mean square one (χ², 99.9 %)."""
     draw, dt, n = np.random.default_rng(11), 0.1, 3000
     rotation = turn("z", 40) @ turn("x", 2)
@@ -95,7 +95,7 @@ def test_swaying_does_no_harm() -> None:
 
 
 @pytest.mark.parametrize("misalignment", [0.0, 8e-5])
-def test_turning_from_stop_to_stop_tells_constant_errors_from_heading(misalignment: float) -> None:
+def test_turning_from_stop_to_stop_separates_constant_errors_from_heading(misalignment: float) -> None:
     """Half turns every 100 s: the heading error that a constant east drift leaves falls from 6.5 arcmin to below 1, and the horizontal
     constant errors are found."""
     dt, drift, bias = 0.05, 0.02 * DEG_H, 80 * MICRO_G

@@ -110,7 +110,7 @@ def test_a_long_approach_to_a_setpoint_is_followed_and_a_steady_temperature_is_o
     assert exact.celsius == pytest.approx(20.0) and exact.uncertainty == pytest.approx(0.0, abs=1e-12)
 
 
-def test_segments_of_one_setpoint_share_a_temperature_that_the_thermometer_does_not_tell_apart() -> None:
+def test_segments_of_one_setpoint_share_a_temperature_that_the_thermometer_cannot_distinguish() -> None:
     recording = [_segment(index, Rest()) for index in range(3)]
     known = [1e-3, 1e-3, 2e-3]
     for last, expected in ((30.002, (30.001 + 30.003 + 30.002 / 4) / 2.25), (30.02, None)):

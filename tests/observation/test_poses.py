@@ -80,7 +80,7 @@ def test_directions_are_those_of_gravity() -> None:
     assert raw == pytest.approx(readings / np.linalg.norm(readings, axis=1)[:, None])
 
 
-def test_scale_and_the_sums_of_opposite_misalignments_are_told() -> None:
+def test_scale_and_the_sums_of_opposite_misalignments_are_reported() -> None:
     observed = poses(tumbled(SKEWED, BIAS), SITE, SENSOR, ("accel_bias",))
     assert len(observed.channels) == 1
     found = diagnose(observed, DiagnosisOptions(nominal=("accel_bias",)))

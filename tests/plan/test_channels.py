@@ -51,7 +51,7 @@ def errors_of(folder: Path, plan: str, old: str, new: str) -> tuple[str, list[Fi
         ),
     ],
 )
-def test_a_channel_that_the_sensor_lacks_is_told_where_it_stands(
+def test_a_channel_that_the_sensor_lacks_is_reported_at_its_place(
     tmp_path: Path, plan: str, old: str, new: str, wrong: str, closest: str
 ) -> None:
     text, found = errors_of(tmp_path, plan, old, new)

@@ -166,7 +166,7 @@ def test_a_broken_estimate_is_not_called_unknown_elsewhere() -> None:
     ]
 
 
-def test_a_bench_file_is_told_from_a_plan() -> None:
+def test_a_bench_file_is_distinguished_from_a_plan() -> None:
     assert [code for code, *_ in found("planrunner_bench: 1\n")] == ["form-bench"]
 
 

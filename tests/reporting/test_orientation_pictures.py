@@ -39,7 +39,7 @@ def tips(attitude: np.ndarray) -> dict[str, tuple[float, float]]:
     return found
 
 
-def test_the_24_cardinal_attitudes_are_told_apart_by_their_arrows_alone() -> None:
+def test_the_24_cardinal_attitudes_are_distinguished_by_their_arrows_alone() -> None:
     attitudes = cardinal()
     assert len(attitudes) == 24
     seen = [tips(attitude) for attitude in attitudes]

@@ -117,7 +117,7 @@ def drawn_lines(picture: str, colour: str) -> list[list[tuple[float, float]]]:
     return [points for points in found if len(points) > 3]
 
 
-def test_courses_are_lines_without_points_told_apart_without_colour() -> None:
+def test_courses_are_lines_without_points_distinguished_without_colour() -> None:
     picture = PICTURES["courses"]()
     root = ElementTree.fromstring(picture)
     texts = [element.text for element in root.iter(SVG + "text")]

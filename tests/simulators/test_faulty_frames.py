@@ -96,13 +96,13 @@ def test_clearing_ends_a_fault_at_once() -> None:
         ("[1, 2]", "keys and values"),
     ],
 )
-def test_a_fault_that_is_wrong_is_told(text: str, told: str) -> None:
+def test_a_fault_that_is_wrong_is_reported(text: str, told: str) -> None:
     with pytest.raises(InputError) as error:
         read_fault(text, ROLES)
     assert told in " ".join(item.message for item in error.value.findings)
 
 
-def test_a_script_tells_all_that_is_wrong(tmp_path: Path) -> None:
+def test_all_mistakes_of_a_script_are_reported(tmp_path: Path) -> None:
     script = tmp_path / "faults.yaml"
     script.write_text(
         "planrunner_faults: 1\nfaults:\n  - {instrument: oven, fault: silent}\n  - {instrument: table, fault: stuck}\n",

@@ -36,7 +36,7 @@ def test_stim300_counts_internal_samples_and_carries_its_units() -> None:
     assert int.from_bytes(sent[0, 17:20].tobytes(), "big") == 524288
 
 
-def test_stim300_in_utility_mode_is_silent_and_tells_its_number() -> None:
+def test_stim300_in_utility_mode_is_silent_and_gives_its_number() -> None:
     unit = Stim300Unit(Outputs(UNITS), Stim300(0x90), 500.0, "N2558184602002")
     assert unit.hear(b"UTILITY") == b""
     assert unit.hear(b"MODE\r") == b"#UTILITYMODE,234\r"

@@ -292,7 +292,7 @@ def test_addresses_are_written_as_they_were(text: str) -> None:
     assert Address.of(text).written() == text
 
 
-def test_benches_that_cannot_be_simulated_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_benches_that_cannot_be_simulated_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (ROOT / "plans" / "benches" / "lab_simulated.yaml").read_text(encoding="utf-8")
     text = text.replace("simulated/gyro", str(tmp_path / "gyro"))
     bench = tmp_path / "bench.yaml"

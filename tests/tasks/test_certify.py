@@ -175,7 +175,7 @@ def test_it_is_issued_in_both_languages_as_a_new_analysis(run: Path) -> None:
     reader.check_digests()
 
 
-def test_everything_that_is_missing_is_told_at_once(run: Path) -> None:
+def test_everything_that_is_missing_is_reported_at_once(run: Path) -> None:
     assert refused(run, {}) == ["missing"] * 6
     assert refused(run, {**GIVEN, "customer": ""}) == ["missing"]
     assert not (run / "analyses").exists()

@@ -89,7 +89,7 @@ def test_a_sensor_that_takes_no_effects_is_named() -> None:
         simulation(shipped("plans") / "flexure_gyro_eight_position.yaml", None, ["table_tilt"])
 
 
-def test_values_are_told_apart() -> None:
+def test_values_are_distinguished() -> None:
     assert parsed("gyro_warm_up=tau:600 s,a_x:0.01 deg/s") == ("gyro_warm_up", {"tau": "600 s", "a_x": "0.01 deg/s"})
     assert parsed("time_latency = 1 ms") == ("time_latency", {"": "1 ms"})
     assert parsed("table_tilt") == ("table_tilt", {})

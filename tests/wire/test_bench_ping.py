@@ -46,7 +46,7 @@ def bench_file(folder: Path, chamber: str, table: str) -> str:
     return str(path)
 
 
-def test_who_answers_is_told_and_who_does_not_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_answers_is_reported_and_who_does_not_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     heard = []
 
     def answer(message: str) -> bytes:
@@ -82,7 +82,7 @@ def test_a_simulated_bench_answers(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(capsys.readouterr().out.splitlines()) == 3
 
 
-def test_a_bench_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bench_that_is_none_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "ping", str(tmp_path / "none.yaml")]) == 2
     path = bench_file(tmp_path, "192.168.0.5:5025", closed_port())
     assert main(["bench", "ping", path]) == 2

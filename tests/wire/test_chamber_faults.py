@@ -75,7 +75,7 @@ def _no_pace(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("driver", [WatlowF4t, EspecP300, Thermotron8800])
-def test_the_wrong_instrument_is_told_when_connecting(driver: Any) -> None:
+def test_the_wrong_instrument_is_reported_when_connecting(driver: Any) -> None:
     with (
         answering(lambda message: b"ACUTRONIC ACT2000\r\n", b"\r") as server,
         pytest.raises(InstrumentError, match=r"check the address|did not answer"),
@@ -168,7 +168,7 @@ def test_a_stop_at_the_panel_is_noticed() -> None:
         assert chamber.watch().faults == ("the 8800 has stopped: its stop key was pressed",)
 
 
-def test_refusals_are_told_with_their_reason() -> None:
+def test_refusals_are_reported_with_their_reason() -> None:
     with p300() as (answers, chamber):
         answers.says["TEMP,S60.0"] = "NA:DATA OUT OF RANGE"
         with pytest.raises(

@@ -85,7 +85,7 @@ def test_what_it_does_not_do_is_noticed(votsch: Any) -> None:
 @pytest.mark.parametrize(
     "said", [b"hello\r\n", b"\r\n", b"0023.0 0023.1 0x\r\n", b"0023.0 0100\r\n", b"1 2 3 4 5 0100\r\n"]
 )
-def test_another_instrument_is_told(votsch: Any, said: bytes) -> None:
+def test_another_instrument_is_reported(votsch: Any, said: bytes) -> None:
     with (
         answering(lambda message: said, b"\r\n") as server,
         pytest.raises(InstrumentError, match="not an ASCII-2 reply"),

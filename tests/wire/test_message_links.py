@@ -50,7 +50,7 @@ def test_what_is_asked_is_answered() -> None:
         assert server.connections == 1
 
 
-def test_a_refused_port_is_told_with_what_to_look_at() -> None:
+def test_a_refused_port_is_reported_with_what_to_look_at() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with (
@@ -132,7 +132,7 @@ def test_an_answer_without_end_is_cut_off() -> None:
         fails(link, "sends continuously|stopped in the middle")
 
 
-def test_a_flood_before_the_question_is_told() -> None:
+def test_a_flood_before_the_question_is_reported() -> None:
     def talk(connection: socket.socket) -> None:
         connection.sendall(b"x" * 100_000)
         for message in messages(connection, b"\n"):
@@ -160,7 +160,7 @@ def test_a_peer_that_hangs_up_in_its_answer() -> None:
         assert time.monotonic() - start < HANGS
 
 
-def test_what_comes_unasked_is_dropped_and_told() -> None:
+def test_what_comes_unasked_is_dropped_and_reported() -> None:
     with answering(lambda message: echo(message) + b"77\n") as server, link_to(server.address) as link:
         assert link.query("A?") == "A? heard"
         time.sleep(0.02)
@@ -169,7 +169,7 @@ def test_what_comes_unasked_is_dropped_and_told() -> None:
         assert link.remarks() == []
 
 
-def test_a_question_is_asked_again_once_and_that_is_told() -> None:
+def test_a_question_is_asked_again_once_and_that_is_reported() -> None:
     hung_up: list[str] = []
 
     def answer(message: str) -> bytes | None:

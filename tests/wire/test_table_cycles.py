@@ -184,7 +184,7 @@ def test_every_turn_has_its_sense_and_every_stop_its_place(
             planned += abs(turn) / 20 + 20 / 50
 
 
-def test_what_it_sees_of_itself_is_told_when_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_it_sees_of_itself_is_reported_when_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     with table(monkeypatch) as (made, axis, clock):
         monkeypatch.setattr(timed_motion, "LONGEST", 0.0005)  # slowly enough to be looked at meanwhile
         monkeypatch.setattr(timed_motion, "SHORTEST", 0.0005)

@@ -99,7 +99,7 @@ def segment(motion: Any) -> Segment:
     return Segment(0, "S1", None, "", motion, 60.0)
 
 
-def test_the_wrong_instrument_is_told_before_anything_is_set() -> None:
+def test_the_wrong_instrument_is_reported_before_anything_is_set() -> None:
     heard = []
 
     def watlow(message: str) -> bytes:
@@ -204,7 +204,7 @@ def test_what_is_measured_decides_whether_it_holds() -> None:
         assert table.watch().values == pytest.approx({"rate_error": math.radians(0.1)})
 
 
-def test_a_table_that_does_not_stop_is_switched_off_and_told() -> None:
+def test_a_table_that_does_not_stop_is_switched_off_and_reported() -> None:
     with bench("axes: [{name: table, direction: up, max_rate: 10 deg/s, max_acceleration: 2000 deg/s^2}]") as (
         controller,
         table,
@@ -244,7 +244,7 @@ def test_a_connection_that_was_lost_does_not_keep_the_table_from_being_stopped()
         assert server.connections == 2
 
 
-def test_a_dead_link_is_told_every_time_that_it_shall_be_made_safe() -> None:
+def test_a_dead_link_is_reported_at_every_attempt_to_make_it_safe() -> None:
     with bench() as (_, table, server):
         table.orient(turned(5.0))
         server.close()

@@ -92,7 +92,7 @@ def test_a_declared_frame_is_decoded_as_declared() -> None:
         (DECLARED.replace("type: xor8", "type: crc"), "'crc' is not known here"),
     ],
 )
-def test_mistakes_are_told_where_they_stand(keys: str, words: str) -> None:
+def test_mistakes_are_reported_at_their_place(keys: str, words: str) -> None:
     import re
 
     found = findings_of(keys)
@@ -111,7 +111,7 @@ def test_mistakes_are_told_where_they_stand(keys: str, words: str) -> None:
         (DECLARED.replace("from: 2", "from: 13"), "covers no bytes"),
     ],
 )
-def test_what_a_sensor_cannot_do_is_told_before_anything_runs(keys: str, words: str) -> None:
+def test_what_a_sensor_cannot_do_is_reported_before_anything_runs(keys: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
         model_of(keys)
     assert words in str(caught.value)

@@ -70,7 +70,7 @@ def test_a_segment_is_streamed() -> None:
         sensor.close()
 
 
-def test_a_line_that_falls_silent_or_goes_away_is_told() -> None:
+def test_a_line_that_falls_silent_or_goes_away_is_reported() -> None:
     with SendingUnit(stim_frames, 500) as unit:
         sensor = Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
         rows = 0
@@ -113,7 +113,7 @@ def test_a_counter_that_stands_still_ends_the_segment() -> None:
         (IMPATIENT.replace("0x91", "0xA7"), "no frame that begins with A7 .*: check `baud`"),
     ],
 )
-def test_what_does_not_fit_is_told_when_connecting(keys: str, words: str) -> None:
+def test_what_does_not_fit_is_reported_when_connecting(keys: str, words: str) -> None:
     with SendingUnit(stim_frames, 500) as unit, pytest.raises(InstrumentError, match=words):
         Stim300.connect(parameters_of(keys, unit.port), surroundings())
 

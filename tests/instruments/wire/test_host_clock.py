@@ -77,7 +77,7 @@ def test_steps_back_and_repetitions() -> None:
 @pytest.mark.parametrize(
     ("counter", "before"), [(FrameCounter(0.01, 1, 1 << 16), 3000), (FrameCounter(1e-9, 1e7, 1 << 62), 10**13)]
 )
-def test_a_counter_that_was_set_anew_is_told(counter: FrameCounter, before: int) -> None:
+def test_a_counter_that_was_set_anew_is_reported(counter: FrameCounter, before: int) -> None:
     count = np.arange(200)
     raw = np.where(count < 100, before + count * int(counter.step), (count - 100) * int(counter.step))
     received = 1 + count.astype(float) * 0.01
@@ -107,7 +107,7 @@ def test_a_counter_that_counts_more_than_frames() -> None:
     assert Unwrapping(counter).resolve(received, (sent + 250) % 256, final=True).tolist() == sent.tolist()
 
 
-def test_without_a_counter_only_silences_tell_of_losses() -> None:
+def test_without_a_counter_only_silences_reveal_losses() -> None:
     counter = FrameCounter(0.01)
     sent = np.concatenate([np.arange(100), np.arange(150, 250)])
     found = Unwrapping(counter).resolve(3 + sent * 0.01, np.zeros(200, np.int64), final=True)

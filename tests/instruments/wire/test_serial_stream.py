@@ -81,7 +81,7 @@ class Unplugged:
         raise OSError("device gone")
 
 
-def test_an_unplugged_port_gives_what_it_had_and_is_told() -> None:
+def test_an_unplugged_port_gives_what_it_had_and_is_reported() -> None:
     stream = SerialStream(Unplugged(), "COM7", time.monotonic)
     assert collect(stream, 3) == b"abc"
     with pytest.raises(InstrumentError, match=r"COM7 is gone \(device gone\).*unplugged"):
