@@ -16,10 +16,7 @@ INSTRUMENTS = "planrunner.instruments"
 ESTIMATORS = "planrunner.estimators"
 TERMS = "planrunner.terms"
 SIMULATORS = "planrunner.simulators"
-REQUIRED = {
-    INSTRUMENTS: ("role", "Parameters", "model", "connect"),
-    ESTIMATORS: ("summary", "Parameters", "design", "estimate"),
-}
+REQUIRED = {ESTIMATORS: ("summary", "Parameters", "design", "estimate")}
 """Attributes without which a plug-in of a group cannot be used."""
 
 
