@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 from collections.abc import Iterator
@@ -125,11 +126,13 @@ def test_schema_and_reader_agree_on_mutated_plans(seed: int, times: int) -> None
 
 @pytest.mark.slow
 def test_schema_and_reader_agree_at_length() -> None:
+    """`make fuzz` draws ten times as many."""
     accepted = refused = 0
-    for seed in range(40_000):
+    count = 2 * int(os.environ.get("PLANRUNNER_FUZZ", "3000"))
+    for seed in range(count):
         draw = random.Random(seed)
         verdict = agree(mutate(draw.choice(donors()), draw, donors(), draw.choice((1, 1, 1, 2, 3))))
         accepted += verdict is True
         refused += verdict is False
-    assert accepted > 2_000
-    assert refused > 2_000
+    assert accepted > count / 20
+    assert refused > count / 20
