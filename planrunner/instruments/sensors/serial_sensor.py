@@ -36,13 +36,13 @@ BACKLOG = 0.1
 
 
 class FirstFrames:
-    """seconds: between the first good frame and the last, but for what had waited in buffers. haste: seconds of the bench's clock in one
-    of the wall, which buffers keep to."""
+    """seconds: between the first good frame and the last, but for what had waited in buffers. heard: when the last good frame came.
+    haste: seconds of the bench's clock in one of the wall, which buffers keep to."""
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
         self._decoder, self._rate, self._backlog = decoder, rate, BACKLOG * haste
         self._framer = Framer(decoder.framing)
-        self._begun = self._first = self._last = math.nan
+        self._begun = self._first = self._last = self.heard = math.nan
         self._bytes = self._good = self._counted = 0
 
     @property
@@ -55,6 +55,7 @@ class FirstFrames:
         if not received.size:
             return
         self._good += received.size
+        self.heard = float(received[-1])
         self._begun = float(received[0]) if math.isnan(self._begun) else self._begun
         fresh = received[received > self._begun + self._backlog]
         if fresh.size:
@@ -282,6 +283,9 @@ class SerialSensor:
                     break
         finally:
             self.link.ring.follow(False)
+        silent = self.clock.now() - first.heard
+        if silent > self._patience():
+            raise InstrumentError(self._silence(silent))
         self._heard = self.clock.now()
 
     def _heard_first(self) -> FirstFrames:

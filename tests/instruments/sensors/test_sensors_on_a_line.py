@@ -119,12 +119,23 @@ def test_what_does_not_fit_is_reported_when_connecting(keys: str, words: str) ->
 
 
 def test_a_silent_line_and_a_simulated_clock_are_refused() -> None:
-    with SendingUnit(stim_frames, 500) as unit:
-        unit.silent = True
+    unit = SendingUnit(stim_frames, 500)
+    unit.silent = True
+    with unit:
         with pytest.raises(InstrumentError, match=r"no data arrive from .* switched on"):
             Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
         with pytest.raises(InstrumentError, match="clock: wall"):
             Stim300.connect(parameters_of(IMPATIENT, unit.port), Surroundings(VirtualClock(), Site(0.7, 9.8)))
+
+
+def test_a_line_that_falls_silent_while_connecting_is_refused() -> None:
+    """A few frames, too few to judge the rate by, and then nothing more."""
+
+    def begin(first: int, end: int) -> bytes:
+        return stim_frames(first, min(end, 5)) if first < 5 else b""
+
+    with SendingUnit(begin, 500) as unit, pytest.raises(InstrumentError, match=r"no good frame for 1\.\d s"):
+        Stim300.connect(parameters_of(IMPATIENT, unit.port), surroundings())
 
 
 def test_kvh_is_set_by_commands() -> None:
