@@ -36,7 +36,8 @@ PRODUCTS: dict[str, tuple[Term, str]] = {
     "accel_x_accel_z": (ACCEL_X_ACCEL_Z, "XZ"),
     "accel_y_accel_z": (ACCEL_Y_ACCEL_Z, "YZ"),
 }
-_GEOMETRY = ("SF_X", "SF_Y", "epsilon", "xi")
+SCALE_FACTORS = ("SF_X", "SF_Y")
+_GEOMETRY = (*SCALE_FACTORS, "epsilon", "xi")
 _DRIFTS = ("F", "X", "Y", "Z")
 _DRIFT_COLUMNS = (0, 3, 4, 5)
 

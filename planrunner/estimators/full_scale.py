@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planrunner.error_model.observed import axis_of
 from planrunner.estimators.interface import DesignRequest, Remark
 from planrunner.plan.model import MountedAxis
-from planrunner.plan.schedule import Cycle, Motion, Spin
+from planrunner.plan.schedule import Cycle, Motion, Segment, Spin
 from planrunner.plan.units import unit
 
 Array = NDArray[np.float64]
@@ -108,12 +109,12 @@ def _axis(motion: Motion) -> tuple[float, float, float] | None:
     return motion.about if isinstance(motion, Spin) else None
 
 
-def shares_by_name(request: DesignRequest[object], outputs: Sequence[str]) -> Array:
-    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis at the end of the output's name (gyro_x:
-    x), or of the plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
-    shares = np.zeros((len(request.segments), len(outputs)))
-    directions = [input_direction(request.setup.mounting, name) for name in outputs]
-    for row, segment in enumerate(request.segments):
+def shares_by_name(segments: Sequence[Segment], mounting: Mapping[str, MountedAxis], outputs: Sequence[str]) -> Array:
+    """The fraction of the rate along each output's axis, (n, m): the axis is the sensor axis in the output's name (gyro_x: x), or
+    of the plan's `mounting`. The full rate where the name gives no axis, none where the orientation is unknown."""
+    shares = np.zeros((len(segments), len(outputs)))
+    directions = [input_direction(mounting, name) for name in outputs]
+    for row, segment in enumerate(segments):
         about = _axis(segment.motion)
         if about is None or segment.attitude is None:
             continue
@@ -124,12 +125,14 @@ def shares_by_name(request: DesignRequest[object], outputs: Sequence[str]) -> Ar
 
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
-    """The input axis of an output in the sensor's frame, (3,): that of `mounting` or of the sensor that its name ends with, gyro_x: x. None
-    where the name does not tell. Without azimuth only its part along z, so that no rate is refused that may be right."""
-    axis = output.rpartition("_")[2]
-    mounted = mounting.get(axis)
+    """The input axis of an output in the sensor's frame, (3,): that of `mounting` for the axis in its name, or that axis itself. None
+    if the name gives no axis. Without azimuth only its part along z, so that no rate is refused that may be right."""
+    axis = axis_of(output)
+    if axis is None:
+        return None
+    mounted = mounting.get(_AXES[axis])
     if mounted is not None:
         across = 0.0 if mounted.azimuth is None else math.sin(mounted.angle.value)
         azimuth = 0.0 if mounted.azimuth is None else mounted.azimuth.value
         return np.array([across * math.cos(azimuth), across * math.sin(azimuth), math.cos(mounted.angle.value)])
-    return np.eye(3)[_AXES.index(axis)] if axis in tuple(_AXES) else None
+    return np.array(np.eye(3)[axis])

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.error_model.observed import axis_of
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.declared_axes import Row, contradictions
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
     Cell,
@@ -41,7 +43,7 @@ from planrunner.observation.flicker import drift_span, flicker_errors
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, Text, key
 from planrunner.plan.quantity import Quantity
-from planrunner.plan.schedule import Cycle, Rock, Segment
+from planrunner.plan.schedule import Cycle, Rock, Segment, Spin
 from planrunner.plan.units import Unit, unit
 from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Influence, InputQuantity
@@ -109,7 +111,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         names = request.parameters.outputs or tuple(output.name for output in request.sensor.outputs)
         blocks = planned_blocks(request, names, TERMS, matrix, magnitudes)
         named = request.parameters.outputs or tuple(block.output for block in blocks if _is_rate(request, block.output))
-        shares = shares_by_name(request, named)
+        shares = shares_by_name(request.segments, request.setup.mounting, named)
         remarks = (
             *beyond_full_scale(request, named, shares),
             *not_turned(request, named, shares),
@@ -147,6 +149,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
         rate = rate_and_output(parameters.rate_unit, observations.units[0])[0]
         shown = tuple(float(value / rate.factor) for value in rates)
         notes, warnings = judge(fit, parameters.uncertainty)
+        warnings += contradictions(_rows(request, found))
         if len(rates) and not (np.any(rates > 0) and np.any(rates < 0)):
             notes.append(
                 "All rates have one sign, so asymmetry cannot be determined, and an offset that depends on the sense of rotation is in F0."
@@ -166,6 +169,24 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
             warnings=tuple(warnings),
             segments=observations.labels,
         )
+
+
+_ALIKE = 1e-6  # difference of shares that counts as rounding
+_ALONG = 0.5  # share of the rate along an output's axis from which its slope is a scale factor, not a misalignment
+
+
+def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[Row]:
+    """Of the outputs that measure a rate along a known axis, which all segments turn alike."""
+    segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
+    shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
+    rows = []
+    for k, (name, text) in enumerate(zip(found.observations.channels, found.observations.units, strict=True)):
+        share, own, axis = shares[:, k], unit(text), axis_of(name)
+        if axis is None or own.dimension != unit("rad/s").dimension or not share.size or np.ptp(share) > _ALIKE:
+            continue
+        if abs(share[0]) >= _ALONG:
+            rows.append(Row(name, axis, own, {axis: float(found.fit.coefficients[k, 1] * own.factor / share[0])}))
+    return rows
 
 
 def _is_rate(request: DesignRequest[ScaleFactorParameters], name: str) -> bool:

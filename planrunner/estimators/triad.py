@@ -1,8 +1,9 @@
 """The algebra of a triad: scale factors and misalignments from the matrix that three outputs were fitted by, and the triad's own frame.
 
-An output responds to what acts along the three axes of a frame by a row of coefficients. The row's length is the scale factor along the
-output's own input direction; the row divided by it is that direction, whose components across are the misalignments, to first order
-the angles by which the input axis leaves its nominal direction. So the matrix is S·M with S diagonal and rows of M of length one.
+An output responds to what acts along the three axes of a frame by a row of coefficients. The row's length, with the sign of the response
+along the output's own axis, is the scale factor; the row divided by it is the input direction, whose components across are the
+misalignments, to first order the angles by which the input axis leaves its nominal direction. So the matrix is S·M with S diagonal and
+rows of M of length one. A reversed output has a negative scale factor.
 
 In the triad's own frame (x along the first input axis, y in the plane of the first two) M is lower triangular; the rotation between
 that frame and the one in which the matrix was found is what a fixture and a housing add.
@@ -33,18 +34,19 @@ def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, Ro
     """
     listed = list(places.values())
 
-    def across(place: int) -> RowFormula:
-        return lambda row: np.asarray(row[place] / length(row[listed]))
-
     def plain(place: int) -> RowFormula:
         return lambda row: np.asarray(row[place])
 
     if own not in places:
         return {direction: plain(place) for direction, place in places.items()}
-    return {
-        direction: (lambda row: length(row[listed])) if direction == own else across(place)
-        for direction, place in places.items()
-    }
+
+    def scale(row: Array) -> Array:
+        return np.where(row[places[own]].real < 0, -1.0, 1.0) * length(row[listed])
+
+    def across(place: int) -> RowFormula:
+        return lambda row: np.asarray(row[place] / scale(row))
+
+    return {direction: scale if direction == own else across(place) for direction, place in places.items()}
 
 
 def own_frame(matrix: Array) -> Array:

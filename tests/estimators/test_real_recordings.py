@@ -8,6 +8,8 @@ How much the threshold of stillness matters is tabled in docs/real-recordings.md
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,7 +29,7 @@ from planrunner.plan.selection import Detection
 SITE = Site(math.radians(40.0))
 
 
-def staircase(gyro: str, margin: float = 2.0, **keys: Any) -> Estimate:
+def staircase(gyro: str, margin: float = 2.0, declared: str = "deg/s", **keys: Any) -> Estimate:
     data = table(real("rimu_jig", "rate_staircase.parquet"))
     outputs = tuple(f"{gyro}_gyro_{axis}" for axis in "xyz")
     recorded = []
@@ -36,10 +38,10 @@ def staircase(gyro: str, margin: float = 2.0, **keys: Any) -> Estimate:
         channels = {name: data[f"{name}_deg_per_s"][inside] for name in outputs}
         spin = Spin(math.radians(float(row["rate_about_sensor_y_deg_per_s"])))
         planned = segment(row["label"], np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float), spin)
-        recorded.append(from_samples(planned, data["time_s"][inside], channels, dict.fromkeys(outputs, "deg/s")))
+        recorded.append(from_samples(planned, data["time_s"][inside], channels, dict.fromkeys(outputs, declared)))
     parameters = ScaleFactorParameters(outputs=outputs, **keys)
     return ScaleFactor().estimate(
-        EstimateRequest("scale", tuple(recorded), parameters, SITE, sensor(*outputs, unit="deg/s"))
+        EstimateRequest("scale", tuple(recorded), parameters, SITE, sensor(*outputs, unit=declared))
     )
 
 
@@ -61,6 +63,14 @@ def test_staircase_scale_factors() -> None:
     assert any("Something changes from segment to segment" in warning for warning in lsm.warnings)
 
 
+def test_gyro_declared_in_the_wrong_unit_is_named() -> None:
+    """The staircase's degrees per second, declared as radians per second."""
+    found = staircase("bno", declared="rad/s")
+    assert found["K_bno_gyro_y"].value == pytest.approx(1.0028 * 180 / math.pi, rel=0.001)
+    assert [text for text in found.warnings if "bno_gyro_y" in text and "agree with deg/s" in text]
+    assert not [text for text in staircase("bno").warnings if "declares" in text]
+
+
 def test_unsteady_rate_counts_less_by_its_noise() -> None:
     """At 720 °/s the jig slows down before the two seconds that are left out begin, and drags the equal-weight line; a longer margin or
     weights by noise show the same scale factor without it."""
@@ -69,14 +79,16 @@ def test_unsteady_rate_counts_less_by_its_noise() -> None:
     assert abs(weighted.value - steady.value) < 2.571 * (weighted.standard_uncertainty + steady.standard_uncertainty)
 
 
-def tumble(imu: str, terms: tuple[str, ...] = ("bias", "accel_x", "accel_z")) -> Estimate:
-    """x east, y north, z up, then turned by −angle about the sensor's y: x rises first."""
+def tumble(
+    imu: str, terms: tuple[str, ...] = ("bias", "accel_x", "accel_z"), signs: Mapping[str, int] = MappingProxyType({})
+) -> Estimate:
+    """x east, y north, z up, then turned by −angle about the sensor's y: x rises first. signs: of the channels."""
     data = table(real("rimu_jig", "pitch_tumble.parquet"))
     outputs = tuple(f"{imu}_accel_{axis}" for axis in "xyz")
     recorded = []
     for row in rows_of(real("rimu_jig", "pitch_tumble.segments.csv")):
         inside = (data["time_s"] >= float(row["start_s"]) + 0.5) & (data["time_s"] <= float(row["end_s"]) - 0.5)
-        channels = {name: data[f"{name}_g"][inside] for name in outputs}
+        channels = {name: signs.get(name, 1) * data[f"{name}_g"][inside] for name in outputs}
         attitude = rotation(1, -math.radians(float(row["commanded_top_angle_deg"])))
         recorded.append(
             from_samples(segment(row["label"], attitude), data["time_s"][inside], channels, dict.fromkeys(outputs, "g"))
@@ -109,6 +121,16 @@ def test_tumble_scale_bias_and_residuals() -> None:
         for name, expected in ((f"bias_{axis}", 1e3 * bias), *second_names(axis, cosine, sine)):
             assert abs(lsm[name].value - expected) < lsm[name].standard_uncertainty, name
         assert lsm.extra["root_mean_square"][k] == pytest.approx(math.sqrt(squares[0] / (len(angle) - 3)), rel=0.02)
+
+
+def test_reversed_axis_has_a_negative_scale_factor_and_a_warning() -> None:
+    plain, turned = tumble("bno"), tumble("bno", signs={"bno_accel_x": -1})
+    assert turned["scale_x"].value == -plain["scale_x"].value < -0.9
+    assert turned["scale_x"].standard_uncertainty == pytest.approx(plain["scale_x"].standard_uncertainty)
+    assert turned["misalignment_x_z"].value == pytest.approx(plain["misalignment_x_z"].value)
+    assert turned["scale_z"].value == plain["scale_z"].value
+    said = set(turned.warnings) - set(plain.warnings)
+    assert [text for text in said if "bno_accel_x responds along x with the opposite sign" in text]
 
 
 def second_names(axis: str, cosine: float, sine: float) -> tuple[tuple[str, float], ...]:

@@ -75,3 +75,13 @@ def test_every_coefficient_of_a_device_is_estimated(estimator: str) -> None:
     assert truth.keys() <= found.keys()
     for name, value in truth.items():
         assert abs(found[name].value - value) <= 5 * found[name].standard_uncertainty, name
+
+
+@pytest.mark.parametrize("estimator", [name for name in CAMPAIGNS if name != "allan_deviation"])
+def test_a_reversed_channel_is_reported_by_every_estimator_that_has_a_scale_factor(estimator: str) -> None:
+    """Noise figures do not depend on a channel's sign, so Allan deviations are left out."""
+    campaign, world = CAMPAIGNS[estimator], WORLDS["reversed channel"]
+    _, made = recorded(campaign, world, np.random.default_rng(3))
+    one = estimated(campaign, known(campaign, world), made)
+    assert not isinstance(one, str), one
+    assert [text for text in one.warnings if "opposite sign" in text]

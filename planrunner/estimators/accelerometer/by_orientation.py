@@ -16,6 +16,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel, error_model
 from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import judge, require_basis
+from planrunner.estimators.declared_axes import Row, contradictions
 from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.interface import (
@@ -100,6 +101,7 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     """Residuals by position."""
     fit, observations, basis = found.fit, found.observations, request.parameters.uncertainty
     notes, warnings = judge(fit, basis)
+    warnings += contradictions([_row(axis, found) for axis in range(3)])
     left_out = [name for name in TERMS if name not in found.model.names]
     if left_out:
         notes.append(f"Left out of the model by the plan: {', '.join(left_out)}.")
@@ -122,10 +124,21 @@ def words(request: EstimateRequest[AccelerometerMultiPositionParameters], found:
     )
 
 
+def _excited(model: ErrorModel) -> dict[int, int]:
+    """Axis → place among the terms."""
+    return {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
+
+
+def _row(axis: int, found: AxesQuantities) -> Row:
+    fit, own = found.fit, found.units[axis]
+    responses = {k: float(fit.coefficients[axis, place]) * own.factor for k, place in _excited(found.model).items()}
+    return Row(fit.outputs[axis], axis, own, responses)
+
+
 def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, RowFormula]]:
     """Reported quantities of one axis, each with its formula in the axis's coefficients, SI."""
     letter = _AXES[axis]
-    seen = {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
+    seen = _excited(model)
     if axis in seen and not fit.coefficients[axis, list(seen.values())].any():
         raise UnfitDataError(
             f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check that it is connected"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ from planrunner.error_model import flexure_gyro
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.declared_axes import against_nominal
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
@@ -146,6 +148,12 @@ class FlexureGyroStatic(Method[FlexureGyroStaticParameters, StaticQuantities]):
         """Residuals, both bases of uncertainty, and the determinant of the positions."""
         fit, basis = found.fit, request.parameters.uncertainty
         notes, warnings = judge(fit, basis)
+        factors = [one for one in found.coefficients if one.name in flexure_gyro.SCALE_FACTORS]
+        warnings += against_nominal(
+            [one.name for one in factors],
+            [one.value * unit(one.unit).factor for one in factors],
+            [request.sensor.nominal.get(one.name, math.nan) for one in factors],
+        )
         notes.append(tables.information(found.design)[1])
         return Words(
             headline=flexure_gyro.physical_names(request.parameters.terms),

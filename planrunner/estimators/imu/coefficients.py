@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
+from planrunner.estimators.declared_axes import Row
 from planrunner.estimators.derived import Reported
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.triad import RowFormula, own_frame, scale_and_misalignments, small_angles
@@ -50,6 +51,19 @@ class Response:
     @property
     def sensed(self) -> dict[int, int]:
         return self.places(_SENSED[self.kind])
+
+    def rows(self, channels: Sequence[str]) -> list[Row]:
+        """The responses of the outputs that are recorded in units of what they sense."""
+        return [
+            Row(
+                channels[axis],
+                axis,
+                own,
+                {k: float(self.values[axis, place]) * own.factor for k, place in self.sensed.items()},
+            )
+            for axis, own in enumerate(self.units)
+            if own.dimension == _DIMENSION[self.kind]
+        ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel, error_model, term_names
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
+from planrunner.estimators.declared_axes import contradictions
 from planrunner.estimators.derived import Derived, derived
 from planrunner.estimators.expected import Known
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
@@ -173,6 +174,7 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
                 text if text.startswith(channels) else f"{PLURAL[one.kind].capitalize()}: {text}" for text in said
             ]
             warnings += doubted
+            warnings += contradictions(_response(one).rows(one.observations.channels))
         if len(triads) == 2 and len(triads[0].design.segments) > len(triads[1].design.segments):
             notes.append("The accelerometers are fitted from the segments at rest alone.")
         return Words(

@@ -62,7 +62,9 @@ def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:
         *_on_alignment(request, stop),
         *_on_joint(request, stop, moving),
         *_on_navigation(request, moving),
-        *beyond_full_scale(request, parameters.gyros, shares_by_name(request, parameters.gyros)),
+        *beyond_full_scale(
+            request, parameters.gyros, shares_by_name(request.segments, request.setup.mounting, parameters.gyros)
+        ),
     )
     if any(remark.error for remark in remarks):
         return Design((), remarks=remarks)

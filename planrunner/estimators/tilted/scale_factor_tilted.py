@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.dataclass import dataclass
+from planrunner.estimators.declared_axes import against_nominal
 from planrunner.estimators.interface import (
     Design,
     DesignRequest,
@@ -27,7 +28,15 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.slope_units import rate_and_output
 from planrunner.estimators.tilted import planning as tilted_planning
-from planrunner.estimators.tilted.evaluation import Group, TiltedConditions, answers_of, evaluate, make_group, worst_of
+from planrunner.estimators.tilted.evaluation import (
+    Group,
+    K,
+    TiltedConditions,
+    answers_of,
+    evaluate,
+    make_group,
+    worst_of,
+)
 from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
 from planrunner.estimators.tilted.influences import Rounding, Situation, common_rate, influences
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
@@ -59,7 +68,7 @@ from planrunner.observation.correlated_errors import CorrelatedError, explained
 from planrunner.observation.flicker import SPAN, flicker_errors
 from planrunner.observation.observations import Observations, dithered, observe, within_segment_noise
 from planrunner.plan.schedule import Segment
-from planrunner.plan.units import Unit, unit
+from planrunner.plan.units import DIMENSIONS, Unit, unit
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -176,9 +185,22 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
                 "reference_temperature": situation.groups[situation.reference].label or "not stated",
                 "fixture_angles": "calibrated" if found.calibrated else "as stated",
             },
-            warnings=(*found.doubts, *said.warnings),
+            warnings=(*found.doubts, *_against_nominal(request, found), *said.warnings),
             segments=found.kept,
         )
+
+
+def _against_nominal(request: EstimateRequest[ScaleFactorTiltedParameters], found: TiltedQuantities) -> list[str]:
+    """Of an output of angular rate without nominal value, one is the nominal scale factor."""
+    axes, at = found.situation.conditions.axes, found.situation.reference
+    units = [own for _, own in found.units]
+    nominal = [
+        request.sensor.nominal.get(f"K_{name}", 1.0 if own.dimension == DIMENSIONS["angular rate"] else math.nan)
+        for name, own in zip(axes.outputs, units, strict=True)
+    ]
+    slopes = found.situation.found.means[at, :, K]
+    values = [float(slope * own.factor) for slope, own in zip(slopes, units, strict=True)]
+    return against_nominal([f"K_{name}" for name in axes.names], values, nominal)
 
 
 def _situation(

@@ -1,0 +1,130 @@
+"""Whether outputs respond as their declared axes, signs and units say: reversed and exchanged axes, left-handed triads, wrong units.
+
+A calibration of an output in its own unit against the true rate or specific force gives a row of ratios, close to one along its own axis
+and to zero across it. A row that is not close to this is fitted as well as any other. It is therefore compared with what was declared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.plan.units import DIMENSIONS, Unit, unit
+
+Array = NDArray[np.float64]
+
+LARGEST_DEVIATION = 0.2
+"""Of a scale factor from one. Data sheets of uncalibrated MEMS sensors state tolerances of the sensitivity of up to 10 or 20 %."""
+_UNIT_MATCH = 0.1  # relative: what a scale factor may differ from the ratio of two units
+_UNITS = {
+    "angular rate": ("rad/s", "mrad/s", "deg/s", "deg/min", "deg/h", "rev/s", "rev/min"),
+    "acceleration": ("m/s^2", "g", "mg", "ug"),
+}
+_AXES = "xyz"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """How one output responds. axis: the declared one (0, 1, 2). unit: in which it is recorded. ratios: axis → response in that unit over
+    the true value, of each axis along which it was excited."""
+
+    channel: str
+    axis: int
+    unit: Unit
+    ratios: Mapping[int, float]
+
+    @property
+    def own(self) -> float:
+        return self.ratios.get(self.axis, 0.0)
+
+    @property
+    def largest(self) -> int:
+        """The axis along which it responds most."""
+        return max(self.ratios, key=lambda axis: abs(self.ratios[axis]))
+
+
+def contradictions(rows: Sequence[Row]) -> list[str]:
+    """Warnings about the outputs of one triad or less that were excited along their own axes."""
+    excited = [row for row in rows if row.axis in row.ratios and any(row.ratios.values())]
+    reversed_ = [row for row in excited if row.largest == row.axis and row.own < 0]
+    found = _all_reversed(reversed_[0].unit) if len(reversed_) == 3 else [_reversed(row) for row in reversed_]
+    exchanged = [row for row in excited if row.largest != row.axis]
+    found += [_exchanged(row) for row in exchanged]
+    if len(reversed_) < 3 and (reversed_ or exchanged) and _left_handed(excited):
+        found.append(
+            "The three input axes form a left-handed triad: one axis is reversed, or two channels are exchanged."
+        )
+    return found + [text for row in excited if (text := _size(row))]
+
+
+def against_nominal(names: Sequence[str], values: Sequence[float], nominal: Sequence[float]) -> list[str]:
+    """Warnings about scale factors whose sign or size is not that of the nominal value in the bench file, both in one unit. A nominal value
+    of zero, or none (nan), says nothing."""
+    found = []
+    for name, value, expected in zip(names, values, nominal, strict=True):
+        ratio = value / expected if expected else math.nan
+        if ratio < 0:
+            found.append(
+                f"{name} has the opposite sign to its nominal value in the bench file: the output is reversed, or the senses or labels of "
+                "opposite states are exchanged."
+            )
+        elif abs(ratio - 1) > LARGEST_DEVIATION:
+            found.append(
+                f"{name} is {ratio:.4g} times its nominal value in the bench file: check the nominal value, the unit of the output and the "
+                "planned states."
+            )
+    return found
+
+
+def _all_reversed(own: Unit) -> list[str]:
+    if own.dimension == DIMENSIONS["acceleration"]:
+        return [
+            "All three accelerometers respond with the opposite sign: either the recording contains gravity instead of specific force "
+            "(which points up at rest), or the labels of opposite positions are exchanged."
+        ]
+    return [
+        "All three gyros respond with the opposite sign: either the senses of the planned rotations are exchanged, or the sensor counts "
+        "clockwise rates as positive."
+    ]
+
+
+def _reversed(row: Row) -> str:
+    return (
+        f"{row.channel} responds along {_AXES[row.axis]} with the opposite sign (scale factor {row.own:.5g}): its axis is reversed. Check "
+        "its sign in the bench file, its mounting and the labels of opposite positions."
+    )
+
+
+def _exchanged(row: Row) -> str:
+    most = row.largest
+    return (
+        f"{row.channel} responds mostly along {_AXES[most]} ({row.ratios[most]:.5g}; along {_AXES[row.axis]} {row.own:.5g}): channels, "
+        "axes or positions are exchanged. Check the channels in the bench file and the orientations of the segments."
+    )
+
+
+def _left_handed(rows: Sequence[Row]) -> bool:
+    if len(rows) != 3 or any(len(row.ratios) < 3 for row in rows):
+        return False
+    placed = sorted(rows, key=lambda row: row.axis)
+    return bool(np.linalg.det([[row.ratios[axis] for axis in range(3)] for row in placed]) < 0)
+
+
+def _size(row: Row) -> str:
+    """A warning if the scale factor is far from one."""
+    size = math.hypot(*row.ratios.values())
+    if abs(size - 1) <= LARGEST_DEVIATION:
+        return ""
+    start = f"{row.channel} has a scale factor of {size:.4g}"
+    for dimension, texts in _UNITS.items():
+        for other in (unit(text) for text in texts if row.unit.dimension == DIMENSIONS[dimension]):
+            if other.factor != row.unit.factor and abs(size * other.factor / row.unit.factor - 1) <= _UNIT_MATCH:
+                return (
+                    f"{start}: its samples agree with {other.text}, but the recording declares {row.unit.text}. Correct its unit in the "
+                    "bench file."
+                )
+    return f"{start}, far from 1: check its unit and its sensitivity in the bench file, and the planned states."
