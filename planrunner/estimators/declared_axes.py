@@ -28,7 +28,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class AxisResponse:
     """How one output responds. axis: the declared one (0, 1, 2). unit: in which it is recorded. ratios: axis → response in that unit over
     the true value, of each axis along which it was excited."""
 
@@ -47,7 +47,7 @@ class Row:
         return max(self.ratios, key=lambda axis: abs(self.ratios[axis]))
 
 
-def contradictions(rows: Sequence[Row]) -> list[str]:
+def contradictions(rows: Sequence[AxisResponse]) -> list[str]:
     """Warnings about the outputs of one triad or less that were excited along their own axes."""
     excited = [row for row in rows if row.axis in row.ratios and any(row.ratios.values())]
     reversed_ = [row for row in excited if row.largest == row.axis and row.own < 0]
@@ -92,14 +92,14 @@ def _all_reversed(own: Unit) -> list[str]:
     ]
 
 
-def _reversed(row: Row) -> str:
+def _reversed(row: AxisResponse) -> str:
     return (
         f"{row.channel} responds along {_AXES[row.axis]} with the opposite sign (scale factor {row.own:.5g}): its axis is reversed. Check "
         "its sign in the bench file, its mounting and the labels of opposite positions."
     )
 
 
-def _exchanged(row: Row) -> str:
+def _exchanged(row: AxisResponse) -> str:
     most = row.largest
     return (
         f"{row.channel} responds mostly along {_AXES[most]} ({row.ratios[most]:.5g}; along {_AXES[row.axis]} {row.own:.5g}): channels, "
@@ -107,14 +107,14 @@ def _exchanged(row: Row) -> str:
     )
 
 
-def _left_handed(rows: Sequence[Row]) -> bool:
+def _left_handed(rows: Sequence[AxisResponse]) -> bool:
     if len(rows) != 3 or any(len(row.ratios) < 3 for row in rows):
         return False
     placed = sorted(rows, key=lambda row: row.axis)
     return bool(np.linalg.det([[row.ratios[axis] for axis in range(3)] for row in placed]) < 0)
 
 
-def _size(row: Row) -> str:
+def _size(row: AxisResponse) -> str:
     """A warning if the scale factor is far from one."""
     size = math.hypot(*row.ratios.values())
     if abs(size - 1) <= LARGEST_DEVIATION:

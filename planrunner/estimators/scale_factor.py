@@ -16,7 +16,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.error_model.observed import axis_of
 from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
-from planrunner.estimators.declared_axes import Row, contradictions
+from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
     Cell,
@@ -175,7 +175,7 @@ _ALIKE = 1e-6  # difference of shares that counts as rounding
 _ALONG = 0.5  # share of the rate along an output's axis from which its slope is a scale factor, not a misalignment
 
 
-def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[Row]:
+def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:
     """Of the outputs that measure a rate along a known axis, which all segments turn alike."""
     segments = [one.segment for one in request.segments if isinstance(one.segment.motion, Spin)]
     shares = shares_by_name(segments, request.setup.mounting, found.observations.channels)
@@ -185,7 +185,9 @@ def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities
         if axis is None or own.dimension != unit("rad/s").dimension or not share.size or np.ptp(share) > _ALIKE:
             continue
         if abs(share[0]) >= _ALONG:
-            rows.append(Row(name, axis, own, {axis: float(found.fit.coefficients[k, 1] * own.factor / share[0])}))
+            rows.append(
+                AxisResponse(name, axis, own, {axis: float(found.fit.coefficients[k, 1] * own.factor / share[0])})
+            )
     return rows
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from planrunner.estimators.declared_axes import Row, contradictions
+from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.plan.units import unit
 
 
-def rows(matrix: list[list[float]], text: str = "g") -> list[Row]:
+def rows(matrix: list[list[float]], text: str = "g") -> list[AxisResponse]:
     kind = "accel" if text in ("g", "m/s^2") else "gyro"
     return [
-        Row(f"{kind}_{'xyz'[k]}", k, unit(text), dict(enumerate(ratios))) for k, ratios in enumerate(matrix) if ratios
+        AxisResponse(f"{kind}_{'xyz'[k]}", k, unit(text), dict(enumerate(ratios)))
+        for k, ratios in enumerate(matrix)
+        if ratios
     ]
 
 
@@ -64,4 +66,4 @@ def test_a_scale_factor_far_from_one_without_another_unit() -> None:
 
 
 def test_an_output_that_was_not_excited_along_its_axis_is_not_judged() -> None:
-    assert contradictions([Row("accel_x", 0, unit("g"), {1: -0.7, 2: 0.1})]) == []
+    assert contradictions([AxisResponse("accel_x", 0, unit("g"), {1: -0.7, 2: 0.1})]) == []

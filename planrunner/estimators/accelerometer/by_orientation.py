@@ -16,7 +16,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel, error_model
 from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerMultiPositionParameters
 from planrunner.estimators.basis_judgement import judge, require_basis
-from planrunner.estimators.declared_axes import Row, contradictions
+from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.derived import Reported, derived
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.interface import (
@@ -129,10 +129,10 @@ def _excited(model: ErrorModel) -> dict[int, int]:
     return {_AXES.index(name[-1]): k for k, name in enumerate(model.names) if name != "bias"}
 
 
-def _row(axis: int, found: AxesQuantities) -> Row:
+def _row(axis: int, found: AxesQuantities) -> AxisResponse:
     fit, own = found.fit, found.units[axis]
     responses = {k: float(fit.coefficients[axis, place]) * own.factor for k, place in _excited(found.model).items()}
-    return Row(fit.outputs[axis], axis, own, responses)
+    return AxisResponse(fit.outputs[axis], axis, own, responses)
 
 
 def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported, RowFormula]]:

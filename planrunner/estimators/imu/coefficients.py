@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
-from planrunner.estimators.declared_axes import Row
+from planrunner.estimators.declared_axes import AxisResponse
 from planrunner.estimators.derived import Reported
 from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.estimators.triad import RowFormula, own_frame, scale_and_misalignments, small_angles
@@ -52,10 +52,10 @@ class Response:
     def sensed(self) -> dict[int, int]:
         return self.places(_SENSED[self.kind])
 
-    def rows(self, channels: Sequence[str]) -> list[Row]:
+    def rows(self, channels: Sequence[str]) -> list[AxisResponse]:
         """The responses of the outputs that are recorded in units of what they sense."""
         return [
-            Row(
+            AxisResponse(
                 channels[axis],
                 axis,
                 own,
