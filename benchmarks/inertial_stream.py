@@ -33,20 +33,27 @@ def stream(motion: Any, samples: int, carried: bool = False) -> float:
     """Seconds to stream `samples` of the bench `virtual_imu`."""
     from planrunner.bench.model import read_bench
     from planrunner.bench.opening import open_bench
+    from planrunner.instruments.virtual.imu import VirtualImu
+    from planrunner.instruments.virtual.imu_keys import VirtualImuParameters
+    from planrunner.instruments.virtual.table import VirtualTable
     from planrunner.instruments.virtual.track import Track, TrackProgress
     from planrunner.plan.schedule import Segment
 
     segment = Segment(0, "long", np.eye(3), "", motion, samples / RATE)
     bench = read_bench("virtual_imu")[0]
-    imu = replace(bench.instruments["imu"], parameters=replace(bench.instruments["imu"].parameters, reference=False))
+    keys = bench.instruments["imu"].parameters
+    assert isinstance(keys, VirtualImuParameters)
+    imu = replace(bench.instruments["imu"], parameters=replace(keys, reference=False))
     bench = replace(bench, instruments={**bench.instruments, "imu": imu})
     with open_bench(bench) as opened:
+        table, sensor = opened.table, opened.sensor
+        assert isinstance(table, VirtualTable) and isinstance(sensor, VirtualImu)
         if carried:
             site = opened.site
-            opened.sensor.world.track = Track(site.latitude, site.longitude, 0.0, 0.5, TrackProgress(10.0))
-        opened.clock.sleep(opened.table.begin_motion(motion, segment.dwell or 0.0))
+            sensor.world.track = Track(site.latitude, site.longitude, 0.0, 0.5, TrackProgress(10.0))
+        opened.clock.sleep(table.begin_motion(motion, segment.dwell or 0.0))
         began = time.perf_counter()
-        count = sum(block.time.size for block in opened.sensor.stream(segment))
+        count = sum(block.time.size for block in sensor.stream(segment))
         taken = time.perf_counter() - began
     assert count == samples
     return taken

@@ -146,7 +146,7 @@ class InstrumentEntry(Record):
         {"certificate": "RT-0042 / 2026-117", "date": "2026-03-01", "due": "2027-03-01"},
         default=None,
     )
-    parameters: Any = field(default=None)
+    parameters: Record = field(default_factory=Record)
 
 
 class FixtureSpec(Record):
@@ -256,9 +256,9 @@ class BenchModels:
     origin: DataOrigin = "measured"
 
 
-def driver_of(entry: InstrumentEntry) -> type[Driver]:
+def driver_of(entry: InstrumentEntry) -> type[Driver[Record]]:
     """The driver class of an instrument. Raises `InputError` if it is not installed."""
-    driver: type[Driver] = plugins.load(plugins.INSTRUMENTS, entry.driver)
+    driver: type[Driver[Record]] = plugins.load(plugins.INSTRUMENTS, entry.driver)
     return driver
 
 
@@ -294,7 +294,7 @@ def models(bench: Bench) -> BenchModels:
     return BenchModels(site_of(bench), table, chamber, found.get("sensor"), replays, measures, counts, origin)
 
 
-def _origin(bench: Bench, drivers: Iterable[type[Driver]], replays: bool) -> DataOrigin:
+def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
     """The origin is simulated if one instrument is: in this program (its state is restored after a crash), or in the process behind its
     address."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)

@@ -11,12 +11,11 @@ it needs neither lock nor watchdog.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.lock import bench_lock
@@ -32,7 +31,7 @@ from planrunner.bench.model import (
 from planrunner.bench.protection import own_limits
 from planrunner.bench.simulation import attach
 from planrunner.bench.watchdog import Watchdog
-from planrunner.instruments.interfaces import Addressed, InstrumentError, OwnLimits, RunClock, Surroundings
+from planrunner.instruments.interfaces import Addressed, Instrument, InstrumentError, OwnLimits, RunClock, Surroundings
 from planrunner.physics.earth import Site
 
 
@@ -63,14 +62,30 @@ class OpenBench:
         self.bench = bench
         self.clock = clock
         self.site = site
-        self.table: Any = None
-        self.chamber: Any = None
-        self.sensor: Any = None
-        self.monitors: Any = {}
-        self.instruments: Mapping[str, Any] = {}
+        self.instruments: Mapping[str, Instrument] = {}
+        self._roles: Mapping[str, str] = {}
         self.watchdog: Watchdog | None = None
         self.safe = False
         self._controlled: set[str] = set()
+
+    @property
+    def table(self) -> Instrument | None:
+        return self._of_role("table")
+
+    @property
+    def chamber(self) -> Instrument | None:
+        return self._of_role("chamber")
+
+    @property
+    def sensor(self) -> Instrument | None:
+        return self._of_role("sensor")
+
+    @property
+    def monitors(self) -> Mapping[str, Instrument]:
+        return {name: item for name, item in self.instruments.items() if self._roles[name] not in SINGLE_ROLES}
+
+    def _of_role(self, role: str) -> Instrument | None:
+        return next((item for name, item in self.instruments.items() if self._roles[name] == role), None)
 
     @property
     def limits(self) -> OwnLimits:
@@ -81,13 +96,10 @@ class OpenBench:
         if self.watchdog is not None:
             self.watchdog.sign_of_life()
 
-    def add(self, name: str, role: str, instrument: Any) -> None:
+    def add(self, name: str, role: str, instrument: Instrument) -> None:
         """Add a connected instrument."""
         self.instruments = {**self.instruments, name: instrument}
-        if role in SINGLE_ROLES:
-            setattr(self, role, instrument)
-        else:
-            self.monitors = {**self.monitors, name: instrument}
+        self._roles = {**self._roles, name: role}
 
     def take_control(self, *names: str) -> None:
         """From now on this process commands these instruments (by default all). It makes them safe; if it no longer can, its watchdog
@@ -105,18 +117,17 @@ class OpenBench:
     def make_safe(self) -> list[SafetyFailure]:
         """Bring every controlled instrument to its safe state in the bench's order; returns the failures."""
         self.safe = False
-        failures = self._each("make_safe", self._controlled)
+        failures = self._each(lambda instrument: instrument.make_safe(), self._controlled)
         self.safe = not failures
         return failures
 
     def close(self) -> list[SafetyFailure]:
         """Disconnect every instrument; returns those that failed. May be called twice."""
-        failures = self._each("close", self.instruments)
-        self.instruments, self.monitors = {}, {}
-        self.table = self.chamber = self.sensor = None
+        failures = self._each(lambda instrument: instrument.close(), self.instruments)
+        self.instruments = {}
         return failures
 
-    def _each(self, action: str, names: Container[str]) -> list[SafetyFailure]:
+    def _each(self, action: Callable[[Instrument], None], names: Container[str]) -> list[SafetyFailure]:
         failures = []
         for name in safe_order(self.bench):
             if name not in self.instruments or name not in names:
@@ -124,7 +135,7 @@ class OpenBench:
             with contextlib.suppress(InstrumentError):  # continue although the watchdog is lost
                 self.sign_of_life()
             try:
-                getattr(self.instruments[name], action)()
+                action(self.instruments[name])
             except Exception as error:  # a driver may raise anything; continue with the next instrument
                 failures.append(SafetyFailure(name, f"{error}" or type(error).__name__))
         return failures

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
-from planrunner.instruments.interfaces import (
-    OwnLimits,
-    RunClock,
-)
+from planrunner.instruments.interfaces import Instrument, OwnLimits, RunClock
 
 
 class ConnectedBench(Protocol):
@@ -19,19 +16,16 @@ class ConnectedBench(Protocol):
     def clock(self) -> RunClock: ...
 
     @property
-    def table(self) -> Any: ...
+    def table(self) -> Instrument | None: ...
 
     @property
-    def chamber(self) -> Any: ...
+    def chamber(self) -> Instrument | None: ...
 
     @property
-    def sensor(self) -> Any: ...
+    def sensor(self) -> Instrument | None: ...
 
     @property
-    def monitors(self) -> Any: ...
-
-    @property
-    def instruments(self) -> Mapping[str, Any]: ...
+    def instruments(self) -> Mapping[str, Instrument]: ...
 
     @property
     def limits(self) -> OwnLimits: ...
@@ -44,8 +38,8 @@ class ConnectedBench(Protocol):
     def untouched(self) -> Sequence[str]:
         """Names of the instruments that were never controlled."""
 
-    def make_safe(self) -> list[Any]:
-        """Bring every controlled instrument to its safe state; returns the failures."""
+    def make_safe(self) -> Sequence[object]:
+        """Bring every controlled instrument to its safe state; returns the failures, whose texts name them."""
 
     def sign_of_life(self) -> None:
         """Called often. Raises `InstrumentError` if no watchdog guards the bench any more."""

@@ -5,11 +5,10 @@ The state of a real bench is in the laboratory; after an interruption nothing ab
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from planrunner.archive.resuming import ResumePoint
+from planrunner.base.documents import JsonObject
 from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.reaching import Reaching
 from planrunner.instruments.interfaces import Resumable
@@ -23,7 +22,7 @@ class Continuity:
         self._reaching = reaching
         self._resumable = {name: item for name, item in bench.instruments.items() if isinstance(item, Resumable)}
 
-    def states(self) -> dict[str, Any]:
+    def states(self) -> JsonObject:
         """As JSON data; empty on a real bench."""
         if not self._resumable:
             return {}
@@ -41,7 +40,7 @@ class Continuity:
             "instruments": {name: item.checkpoint() for name, item in self._resumable.items()},
         }
 
-    def states_if_known(self) -> dict[str, Any]:
+    def states_if_known(self) -> JsonObject:
         """The states after a failure, as far as they are known."""
         self._reaching.forget()
         try:

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Literal
 
 from planrunner.archive.journal import finite
 from planrunner.archive.recording import IN_MODE
 from planrunner.archive.run_folder import RunWriter
+from planrunner.base.documents import JsonObject
 from planrunner.execution.connected_bench import ConnectedBench
 from planrunner.execution.continuity import Continuity
 from planrunner.execution.holding import Holding, LimitPassedError
@@ -77,7 +78,7 @@ class _Execution:
         self.segment: Segment | None = None
         self.activity = ""
         self.doing = "preparing the bench"
-        self.streams = isinstance(bench.sensor, StreamsSamples)
+        self.streaming = bench.sensor if isinstance(bench.sensor, StreamsSamples) else None
         self.counts = bench.sensor.counts if isinstance(bench.sensor, Counting) else None
         self.readable = {name: item for name, item in bench.instruments.items() if isinstance(item, Readable)}
         self.channels: Mapping[str, str] = {}
@@ -135,7 +136,7 @@ class _Execution:
         count = len(self.schedule.segments)
         return Outcome(self.completed, count, finished, stopped, tuple(failures), tuple(unsafe), untouched)
 
-    def _how(self) -> Any:
+    def _how(self) -> Literal["at once", "after the segment"]:
         return "at once" if self.stop.at_once else "after the segment"
 
     def _done(self, index: int) -> bool:
@@ -156,7 +157,7 @@ class _Execution:
                 raise InstrumentError(
                     f"'{name}' had serial {before} when the run began and has {now} now: put it back, or start a new run"
                 )
-        self.channels = dict(self.bench.sensor.channels()) if self.streams else {}
+        self.channels = {} if self.streaming is None else dict(self.streaming.channels())
         if self.writer.resume_point.resumed:
             self.doing = "returning to the state in which the run was interrupted"
             self.continuity.restore(self.writer.resume_point)
@@ -245,10 +246,10 @@ class _Execution:
 
     def _dwell(self, segment: Segment, holding: Holding) -> None:
         self._say("recording")
-        if not self.streams:
+        if self.streaming is None:
             self._stand(segment, holding)
             return
-        stream = self.bench.sensor.stream(segment)
+        stream = self.streaming.stream(segment)
         try:
             for block in stream:
                 self._say("writing samples")
@@ -309,7 +310,7 @@ class _Execution:
             )
 
 
-def _frames(counts: FrameCounts | None) -> dict[str, Any] | None:
+def _frames(counts: FrameCounts | None) -> JsonObject | None:
     return None if counts is None else {**asdict(counts), "details": finite(counts.details)}
 
 

@@ -21,6 +21,7 @@ from planrunner.instruments.interfaces import (
     HasModes,
     HoldsOrientation,
     HoldsTemperature,
+    Instrument,
     InstrumentError,
     Moves,
 )
@@ -48,10 +49,7 @@ class Reaching:
         self._say = say
         self._chamber = bench.chamber
         self._table = bench.table
-        self._can_orient = isinstance(bench.table, HoldsOrientation)
         self._sensor = bench.sensor
-        self._can_move = isinstance(bench.table, Moves)
-        self._can_heat = isinstance(bench.chamber, HoldsTemperature)
         self.temperature: float | None = None
         self.attitude: Array | None = None
         self.mode: str | None = None
@@ -83,19 +81,18 @@ class Reaching:
             self._settle(segment)
             self._begin_motion(segment, dwell)
         if segment.ramp_to is not None and self._chamber is not None:
-            self._set_temperature(segment.ramp_to)
+            _heater(self._chamber).set_temperature(segment.ramp_to)
             self.temperature = None
 
     def come_to_rest(self, segment: Segment) -> None:
         """End the segment's motion."""
-        if not isinstance(segment.motion, Rest) and self._table is not None:
-            self._stop_table()
+        if not isinstance(segment.motion, Rest) and isinstance(self._table, Moves):
+            self._stop(self._table)
 
-    def _stop_table(self) -> None:
+    def _stop(self, table: Moves) -> None:
         self._say("coming to rest")
-        self._wait(
-            self._table.end_motion(), self._holds_orientation, "the table does not come to rest", self._patience.table
-        )
+        expected = table.end_motion()
+        self._wait(expected, self._holds_orientation, "the table does not come to rest", self._patience.table)
 
     def pause(self, seconds: float) -> None:
         """Sleep on the bench's clock and supervise the bench. Raises the errors of `Lookout.look`."""
@@ -134,9 +131,10 @@ class Reaching:
             return
         self._say("reaching the temperature")
         self.temperature = None
-        expected = self._set_temperature(kelvin)
+        chamber = _heater(self._chamber)
+        expected = float(chamber.set_temperature(kelvin))
         what = f"the chamber does not reach {kelvin - ZERO_CELSIUS:.1f} degC"
-        self._wait(expected, self._chamber.at_temperature, what, self._patience.chamber)
+        self._wait(expected, chamber.at_temperature, what, self._patience.chamber)
         if segment.soak > 0 and (expected > 0 or self.soak_again):
             self._say("soaking")
             self._wait_until_settled(segment, segment.soak, segment.soaked)
@@ -151,32 +149,24 @@ class Reaching:
         self.pause(self._sensor.set_mode(segment.mode))
         self.mode = segment.mode
 
-    def _set_temperature(self, kelvin: float) -> float:
-        if not self._can_heat:
-            raise InstrumentError(
-                "the chamber's driver cannot set a temperature: use another driver or leave temperature out"
-            )
-        return float(self._chamber.set_temperature(kelvin))
-
     def _orient(self, segment: Segment) -> None:
         attitude = segment.attitude
         if attitude is None or self._table is None or attitude is self.attitude:
             return
         if self.attitude is not None and np.array_equal(attitude, self.attitude):
             return
-        if not self._can_orient:
+        table = self._table
+        if not isinstance(table, HoldsOrientation):
             raise InstrumentError("the table's driver cannot take an orientation: use another driver")
         self._stand_still()
         self._say("moving the table")
         self.attitude = None
-        expected = self._table.orient(attitude)
-        self._wait(
-            expected, self._table.holding, f"the table does not hold '{segment.orientation}'", self._patience.table
-        )
+        expected = table.orient(attitude)
+        self._wait(expected, table.holding, f"the table does not hold '{segment.orientation}'", self._patience.table)
         self.attitude = attitude
 
     def _begin_motion(self, segment: Segment, seconds: float) -> None:
-        if not self._can_move:
+        if not isinstance(self._table, Moves):
             raise InstrumentError(
                 f"the table's driver cannot carry out the motion of '{segment.label}': use another driver"
             )
@@ -188,12 +178,12 @@ class Reaching:
         self._wait(expected, self._holds_orientation, what, self._patience.table)
 
     def _stand_still(self) -> None:
-        if self.moving_perhaps and self._can_move:
-            self._stop_table()
+        if self.moving_perhaps and isinstance(self._table, Moves):
+            self._stop(self._table)
         self.moving_perhaps = False
 
     def _holds_orientation(self) -> bool:
-        return bool(self._table.holding()) if self._can_orient else True
+        return bool(self._table.holding()) if isinstance(self._table, HoldsOrientation) else True
 
     def _wait(self, expected: float, holding: Callable[[], bool], what: str, patience: float) -> None:
         if not 0 <= expected < math.inf:
@@ -209,6 +199,15 @@ class Reaching:
                     "Check its display, cables, interlocks and limits, then resume the run"
                 )
             self.pause(self._patience.poll)
+
+
+def _heater(chamber: Instrument) -> HoldsTemperature:
+    """Raises `InstrumentError` if the chamber cannot set a temperature."""
+    if not isinstance(chamber, HoldsTemperature):
+        raise InstrumentError(
+            "the chamber's driver cannot set a temperature: use another driver or leave temperature out"
+        )
+    return chamber
 
 
 def _unsettled(segment: Segment, stability: Stability, wrong: list[str]) -> str:

@@ -21,12 +21,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
+from planrunner.base.documents import Json
 from planrunner.base.findings import Finding
 from planrunner.instruments.models import ChamberModel, SensorModel, TableModel
 from planrunner.physics.earth import Site
@@ -34,6 +35,7 @@ from planrunner.plan.kinds import Record
 from planrunner.plan.schedule import Motion, Segment
 
 Array = NDArray[np.float64]
+P = TypeVar("P", bound=Record)
 
 
 class InstrumentError(Exception):
@@ -92,20 +94,20 @@ class Surroundings:
     data_root: Path | None = None
     seed: int = 0
     real_time: bool = False
-    world: Any = None
-    instruments: dict[str, Any] = field(default_factory=dict)
+    world: object = None
+    instruments: dict[str, Instrument] = field(default_factory=dict)
 
 
-class Driver(Protocol):
-    """The class-level side of a plug-in."""
+class Driver(Protocol[P]):
+    """The class-level side of a plug-in. P: the record of its keys in a bench file."""
 
     role: str
-    Parameters: type[Record]
+    Parameters: type[P]
 
     @classmethod
-    def model(cls, parameters: Any) -> TableModel | ChamberModel | SensorModel | None: ...
+    def model(cls, parameters: P) -> TableModel | ChamberModel | SensorModel | None: ...
     @classmethod
-    def connect(cls, parameters: Any, surroundings: Surroundings) -> Instrument: ...
+    def connect(cls, parameters: P, surroundings: Surroundings) -> Instrument: ...
 
 
 class PlaysBack:
@@ -119,7 +121,7 @@ class TakesEffects:
 @runtime_checkable
 class Addressed(Protocol):
     @classmethod
-    def address(cls, parameters: Any) -> str:
+    def address(cls, parameters: Record) -> str:
         """Address of a real instrument that two runs cannot share, such as a VISA resource or a serial port."""
 
 
@@ -288,7 +290,7 @@ class Remarking(Protocol):
 class Resumable(Protocol):
     """A simulated instrument whose state is restored after a crash. Real instruments have nothing to restore."""
 
-    def checkpoint(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Json]:
         """The state as JSON data."""
 
-    def restore(self, state: Mapping[str, Any]) -> None: ...
+    def restore(self, state: Mapping[str, Json]) -> None: ...

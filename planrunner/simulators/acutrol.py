@@ -10,7 +10,6 @@ import math
 import re
 from dataclasses import dataclass, field
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.simulators.conversation import NotUnderstoodError, first_with, number, shown
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
@@ -283,6 +282,6 @@ class Acutrol:
         return [self._axis(arguments)]
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+def simulated(keys: object, live: LiveWorld) -> Conversation:
     """The instrument of a bench file."""
     return Conversation(Acutrol(TablePlant(live)), framed=True)

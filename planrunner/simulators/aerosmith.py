@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.simulators.conversation import NotUnderstoodError, number, shown
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
@@ -95,6 +94,6 @@ class Aerosmith:
             raise NotUnderstoodError("the table is switched off")
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+def simulated(keys: object, live: LiveWorld) -> Conversation:
     """The instrument of a bench file."""
     return Conversation(Aerosmith(TablePlant(live)), Manner(b"\r\n", b"\r", "prompt"))

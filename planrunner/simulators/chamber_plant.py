@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from planrunner.instruments.virtual.chamber import VirtualChamber
 from planrunner.simulators.live_world import LiveWorld
 
 FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
@@ -22,9 +21,9 @@ class ChamberPlant:
     OVER, UNDER = 5, 4
 
     def __init__(self, live: LiveWorld):
-        chamber: VirtualChamber = live.chamber
+        assert live.chamber is not None  # a simulated chamber is only made where the virtual bench has one
         self.live = live
-        self.model = chamber.model(chamber.parameters)
+        self.model = live.chamber.model(live.chamber.parameters)
         self.setpoint = self.model.ambient
         self.ramp = FULL_RAMP
         self.running = False

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.findings import InputError, closest
-from planrunner.bench.model import InstrumentEntry
 from planrunner.instruments.interfaces import Block
+from planrunner.plan.kinds import Origin
 from planrunner.plan.units import unit
 from planrunner.simulators.frames import CRC_32, Bytes, Crc, Order, exclusive_or, floats, integers, sum_to_zero
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
@@ -167,13 +167,55 @@ class DeclaredUnit:
 _WORD_BYTES = {"u8": 1, "u16": 2, "u24": 3, "u32": 4}
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+class PartKeys(Protocol):
+    """A part of the frame that a bench file declares."""
+
+    type: str
+    little_endian: bool
+
+
+class PlacedKeys(PartKeys, Protocol):
+    place: int
+
+
+class FieldKeys(PlacedKeys, Protocol):
+    scale: float
+    zero: float
+    unit: str
+
+
+class CounterKeys(PlacedKeys, Protocol):
+    step: int
+    modulus: int | None
+
+
+class StatusKeys(PlacedKeys, Protocol):
+    bits: Mapping[str, int]
+    set_is_good: bool
+
+
+class ChecksumKeys(PartKeys, Protocol):
+    start: int
+
+
+class DeclaredFrameKeys(Protocol):
+    origin: Origin
+    sync: str
+    length: int
+    fields: Mapping[str, FieldKeys]
+    counter: CounterKeys | None
+    checksum: ChecksumKeys | None
+    status: StatusKeys | None
+    modes: Mapping[str, str]
+
+
+def simulated(keys: DeclaredFrameKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
     """The frame that the bench file declares, filled with the virtual sensor's outputs of the same names."""
-    keys, own = entry.parameters, live.sensor.channels()
+    own = feed.sensor.channels()
     missing = [name for name in keys.fields if name not in own]
     if missing:
         message = f"the virtual sensor has no output '{missing[0]}', only {', '.join(own)}"
-        raise InputError.at(entry.origin.mark, "meaning-simulation", message, closest(missing[0], own))
+        raise InputError.at(keys.origin.mark, "meaning-simulation", message, closest(missing[0], own))
     fields = {
         name: FieldPlace(item.place, item.type, _order(item), item.scale, item.zero, item.unit)
         for name, item in keys.fields.items()
@@ -192,5 +234,5 @@ def simulated(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> Sens
     return DeclaredUnit(own, form, words, feed.set_mode, alarms)
 
 
-def _order(item: Any) -> Any:
+def _order(item: PartKeys) -> Order:
     return "little" if item.little_endian else "big"

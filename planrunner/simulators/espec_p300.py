@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Protocol
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
@@ -110,7 +110,11 @@ def _tenths(kelvin: float) -> str:
     return f"{kelvin - ZERO_CELSIUS:.1f}"
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+class EspecP300Keys(Protocol):
+    station: int
+
+
+def simulated(keys: EspecP300Keys, live: LiveWorld) -> Conversation:
     """The instrument of a bench file, at its station."""
-    controller = EspecP300(ChamberPlant(live), address=entry.parameters.station)
+    controller = EspecP300(ChamberPlant(live), address=keys.station)
     return Conversation(controller, Manner(b"\r\n", b"\r\n"))

@@ -6,22 +6,40 @@ Drivers are only known by name, and their settings only as the keys of the bench
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Protocol, runtime_checkable
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError, closest
-from planrunner.bench.model import Bench, InstrumentEntry, driver_of, read_bench, site_of
+from planrunner.bench.model import SINGLE_ROLES, Bench, InstrumentEntry, driver_of, read_bench, site_of
 from planrunner.bench.simulation import SimulationSpec
-from planrunner.instruments.interfaces import Addressed, Surroundings
+from planrunner.instruments.interfaces import Addressed, Clock, Instrument, Surroundings
+from planrunner.instruments.virtual.chamber import VirtualChamber
+from planrunner.instruments.virtual.table import VirtualTable
 from planrunner.instruments.virtual.world import World
+from planrunner.plan.quantity import Quantity
 from planrunner.simulators.interface import ConversationSimulator, PlantController, SensorSimulator
 from planrunner.simulators.live_world import LiveWorld, RunsFreely, SensorFeed
 from planrunner.simulators.message_port import Manner
 from planrunner.simulators.ports import Address
 from planrunner.simulators.sensor_units import SensorUnit
+
+
+@runtime_checkable
+class DeclaresAxes(Protocol):
+    """Keys of a driver of a table, as far as a simulation must know them."""
+
+    axes: Sequence[object]
+
+
+@runtime_checkable
+class DeclaresLine(Protocol):
+    """Keys of a driver of a sensor on a serial line, likewise."""
+
+    sample_rate: Quantity
+    baud: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +80,15 @@ def simulation_of(bench: Bench) -> SimulationSpec:
         message = "the bench does not name the virtual bench that is served at its addresses"
         hint = "add for example `simulation: {bench: virtual, control: 127.0.0.1:9870}`"
         raise InputError.at(bench.origin.mark, "form-missing-key", message, hint)
-    found: SimulationSpec = bench.simulation
-    return found
+    return bench.simulation
 
 
-def simulated(bench: Bench, path: str, clock: Any, seed: int | None = None) -> Simulated:
+def simulated(bench: Bench, path: str, clock: Clock, seed: int | None = None) -> Simulated:
     """The simulated instruments for `bench`, read from `path`. Raises `InputError` if it cannot be simulated, and `PortError` for an
     address that cannot be served."""
     simulation = simulation_of(bench)
     truth, _, _ = read_bench(simulation.bench, beside=Path(path).parent)
-    live = _alive(truth, clock, truth.seed if seed is None else seed)
+    live, virtual = _alive(truth, clock, truth.seed if seed is None else seed)
     spoken: list[Spoken] = []
     sensor = None
     for name, entry in bench.instruments.items():
@@ -79,20 +96,20 @@ def simulated(bench: Bench, path: str, clock: Any, seed: int | None = None) -> S
         role = driver.role
         if not issubclass(driver, Addressed):
             continue  # simulated within the run itself
-        if getattr(live, role, None) is None:
+        if role not in virtual:
             message = f"the bench '{simulation.bench}' has no {role} to stand behind '{name}'"
             raise InputError.at(entry.origin.mark, "meaning-simulation", message, "name another virtual bench")
         address = Address.of(driver.address(entry.parameters))
         if role == "sensor":
-            sensor = _streamed(name, entry, live, address)
+            sensor = _streamed(name, entry, live, virtual[role], address)
         else:
             spoken.append(_spoken(name, role, entry, live, address, simulation.framing))
     roles = {item.name: item.role for item in spoken} | ({sensor.name: "sensor"} if sensor else {})
     return Simulated(live, tuple(spoken), sensor, roles)
 
 
-def _alive(truth: Bench, clock: Any, seed: int) -> LiveWorld:
-    """The virtual instruments of a bench, in running time."""
+def _alive(truth: Bench, clock: Clock, seed: int) -> tuple[LiveWorld, dict[str, Instrument]]:
+    """The virtual instruments of a bench, in running time, by role."""
     site = site_of(truth)
     world = World(clock, site, seed, real_time=True)
     live = LiveWorld(world, clock)
@@ -101,43 +118,49 @@ def _alive(truth: Bench, clock: Any, seed: int) -> LiveWorld:
         driver = driver_of(entry)
         instrument = driver.connect(entry.parameters, surroundings)
         surroundings.instruments[driver.role] = instrument
-        if driver.role in ("table", "chamber", "sensor"):
-            setattr(live, driver.role, instrument)
-    return live
+        if isinstance(instrument, VirtualTable):
+            live.table = instrument
+        elif isinstance(instrument, VirtualChamber):
+            live.chamber = instrument
+    return live, {role: item for role, item in surroundings.instruments.items() if role in SINGLE_ROLES}
 
 
 def _spoken(name: str, role: str, entry: InstrumentEntry, live: LiveWorld, address: Address, framing: str) -> Spoken:
-    simulator: ConversationSimulator = _simulator(entry)
-    if role == "table":
+    simulator: ConversationSimulator = plugins.load(plugins.SIMULATORS, _simulated(entry))
+    if live.table is not None and isinstance(entry.parameters, DeclaresAxes):
         axes, own = len(live.table.axes), len(entry.parameters.axes)
         if axes != own:
             message = f"'{name}' has {own} axes, the virtual table behind it {axes}"
             hint = "declare the axes of the virtual table"
             raise InputError.at(entry.origin.mark, "meaning-simulation", message, hint)
-    made = simulator(entry, live)
+    made = simulator(entry.parameters, live)
     manner = made.manner
     if made.framed and address.link is None:
         manner = replace(manner, framing=framing)
     return Spoken(name, role, made.controller, manner, address)
 
 
-def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, address: Address) -> Streamed:
-    simulator: SensorSimulator = _simulator(entry)
-    if not isinstance(live.sensor, RunsFreely):
-        message = f"the virtual sensor '{type(live.sensor).__name__}' cannot run freely"
+def _streamed(name: str, entry: InstrumentEntry, live: LiveWorld, virtual: Instrument, address: Address) -> Streamed:
+    simulator: SensorSimulator = plugins.load(plugins.SIMULATORS, _simulated(entry))
+    if not isinstance(virtual, RunsFreely):
+        message = f"the virtual sensor '{type(virtual).__name__}' cannot run freely"
         raise InputError.at(entry.origin.mark, "meaning-simulation", message, "use a virtual gyro or inertial sensor")
-    rate, fastest = entry.parameters.sample_rate.value, live.sensor.parameters.sample_rate.value
+    keys = entry.parameters
+    if not isinstance(keys, DeclaresLine):
+        message = f"the driver '{entry.driver}' has no keys sample_rate and baud, which its simulation needs"
+        raise InputError.at(entry.origin.mark, "meaning-simulation", message, "declare both in its Parameters")
+    rate, fastest = keys.sample_rate.value, virtual.parameters.sample_rate.value
     if rate > fastest * (1 + 1e-9):
         message = f"'{name}' is said to give {rate:g} Hz; the virtual sensor behind it gives {fastest:g} Hz at most"
         raise InputError.at(entry.parameters.at("sample_rate"), "meaning-simulation", message, "make it slower")
-    feed = SensorFeed(live, rate)
-    return Streamed(name, simulator(entry, live, feed), feed, address, float(entry.parameters.baud))
+    feed = SensorFeed(live, virtual, rate)
+    return Streamed(name, simulator(entry.parameters, live, feed), feed, address, float(keys.baud))
 
 
-def _simulator(entry: InstrumentEntry) -> Any:
-    """The simulator that is installed for the entry's driver."""
+def _simulated(entry: InstrumentEntry) -> str:
+    """The entry's driver, for which a simulator is installed. Raises `InputError` otherwise."""
     known = plugins.names(plugins.SIMULATORS)
     if entry.driver not in known:
         message = f"there is no simulated instrument for the driver '{entry.driver}'"
         raise InputError.at(entry.origin.mark, "meaning-simulation", message, closest(entry.driver, known))
-    return plugins.load(plugins.SIMULATORS, entry.driver)
+    return entry.driver

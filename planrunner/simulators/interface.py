@@ -1,8 +1,8 @@
 """What a simulator of an instrument is. It is found under its driver's name in the entry-point group `planrunner.simulators`.
 
 For a table or a chamber it is a function that gives a `Conversation`, for a sensor one that gives the `SensorUnit` on its line. Both
-receive the instrument's entry in the bench file and the virtual bench; a sensor also receives the feed of its samples. Simulators share
-no code with drivers.
+receive the driver's keys in the bench file and the virtual bench; a sensor also receives the feed of its samples. Simulators share no
+code with drivers: a simulator declares the keys that it reads as a protocol.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from planrunner.bench.model import InstrumentEntry
+from planrunner.plan.kinds import Record
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import Controller
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
@@ -36,5 +36,5 @@ class Conversation:
     framed: bool = False
 
 
-ConversationSimulator = Callable[[InstrumentEntry, LiveWorld], Conversation]
-SensorSimulator = Callable[[InstrumentEntry, LiveWorld, SensorFeed], SensorUnit]
+ConversationSimulator = Callable[[Record, LiveWorld], Conversation]
+SensorSimulator = Callable[[Record, LiveWorld, SensorFeed], SensorUnit]

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from planrunner.instruments.interfaces import Block
+from planrunner.instruments.interfaces import Block, Clock, HasModes, InstrumentError
+from planrunner.instruments.virtual.chamber import VirtualChamber
 from planrunner.instruments.virtual.noise import generator
 from planrunner.instruments.virtual.streaming import Sampling
+from planrunner.instruments.virtual.table import VirtualTable
 from planrunner.instruments.virtual.world import World
 from planrunner.plan.quantity import Quantity
 
@@ -53,24 +55,23 @@ class RunsFreely(Protocol):
     @property
     def parameters(self) -> SampledAtRate: ...
 
+    def channels(self) -> Mapping[str, str]: ...
+
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]: ...
 
 
 @dataclass(slots=True)
 class LiveWorld:
-    """table, chamber, sensor: the virtual instruments that know the truth, or None. recorders: called with the time before the world
-    changes."""
+    """table, chamber: the virtual instruments that know the truth, or None. recorders: called with the time before the world changes."""
 
     world: World
-    clock: Any
-    table: Any = None
-    chamber: Any = None
-    sensor: Any = None
+    clock: Clock
+    table: VirtualTable | None = None
+    chamber: VirtualChamber | None = None
     recorders: list[Callable[[float], None]] = field(default_factory=list)
 
     def now(self) -> float:
-        now: float = self.clock.now()
-        return now
+        return self.clock.now()
 
     def before_change(self) -> float:
         """Let everybody catch up; the time."""
@@ -88,8 +89,9 @@ _FREE_RUNNING = 2  # second part of the key of its noise: apart from those of se
 class SensorFeed:
     """Samples of a live world's sensor. rate: Hz that it is set to; each sample is a mean over its interval."""
 
-    def __init__(self, live: LiveWorld, rate: float):
+    def __init__(self, live: LiveWorld, sensor: RunsFreely, rate: float):
         self.live = live
+        self.sensor = sensor
         self.rate = rate
         self.runs = 0
         self.waiting: list[Block] = []
@@ -102,7 +104,7 @@ class SensorFeed:
         now = self.live.now()
         self.sampling = Sampling(now, self.rate, 0, hold, hold)
         draw = generator(self.live.world.seed, self.runs, _FREE_RUNNING)
-        self.make: Callable[[int, int], Block] = self.live.sensor.sampler(self.sampling, draw)
+        self.make: Callable[[int, int], Block] = self.sensor.sampler(self.sampling, draw)
         self.made = 0
         self.runs += 1
 
@@ -123,6 +125,8 @@ class SensorFeed:
 
     def set_mode(self, mode: str) -> None:
         """Switch the sensor into one of its modes."""
+        if not isinstance(self.sensor, HasModes):
+            raise InstrumentError(f"the virtual sensor '{type(self.sensor).__name__}' has no modes")
         self.live.before_change()
-        self.live.sensor.set_mode(mode)
+        self.sensor.set_mode(mode)
         self.start_over()

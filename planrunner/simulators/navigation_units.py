@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.instruments.interfaces import Block
 from planrunner.simulators import vectornav, xsens
 from planrunner.simulators.frames import Bytes
@@ -147,18 +147,26 @@ class VectorNavUnit:
         return vectornav.line(command) if words[0] == "VNWRG" else b""
 
 
-def simulated_xsens(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+class XsensKeys(Protocol):
+    outputs: Sequence[str]
+
+
+def simulated_xsens(keys: XsensKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
     """The Xsens MTi of a bench file."""
     names = {"acceleration": 0x4020, "delta_v": 0x4010, "rate": 0x8020, "delta_q": 0x8030, "temperature": 0x0810}
-    items = (0x1020, *(names[name] for name in entry.parameters.outputs), 0xE020)
-    return XsensUnit(Outputs(live.sensor.channels()), xsens.Xsens(items), feed.rate)
+    items = (0x1020, *(names[name] for name in keys.outputs), 0xE020)
+    return XsensUnit(Outputs(feed.sensor.channels()), xsens.Xsens(items), feed.rate)
 
 
-def simulated_vectornav(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+class VectorNavKeys(Protocol):
+    fields: Sequence[str]
+    output: str
+
+
+def simulated_vectornav(keys: VectorNavKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
     """The VectorNav of a bench file."""
-    keys = entry.parameters
     return VectorNavUnit(
-        Outputs(live.sensor.channels()),
+        Outputs(feed.sensor.channels()),
         vectornav.VectorNav(keys.fields),
         "" if keys.output == "binary" else keys.output,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.simulators.conversation import NotUnderstoodError, number, shown
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
@@ -115,6 +114,6 @@ class ScpiTable:
         return value
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+def simulated(keys: object, live: LiveWorld) -> Conversation:
     """The instrument of a bench file."""
     return Conversation(ScpiTable(TablePlant(live)))

@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.instruments.interfaces import Block
 from planrunner.plan.units import STANDARD_GRAVITY, unit
 from planrunner.simulators.frames import CRC_8, Bytes
@@ -186,17 +185,28 @@ class KvhUnit:
         return replies
 
 
-def simulated_stim300(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+class Stim300Keys(Protocol):
+    datagram: int
+    acceleration_range: str
+    gyro_output: str
+
+
+def simulated_stim300(keys: Stim300Keys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
     """The STIM300 of a bench file."""
-    keys = entry.parameters
     form = Stim300(keys.datagram, int(keys.acceleration_range.split()[0]), keys.gyro_output == "increment")
-    return Stim300Unit(Outputs(live.sensor.channels()), form, feed.rate)
+    return Stim300Unit(Outputs(feed.sensor.channels()), form, feed.rate)
 
 
-def simulated_kvh1775(entry: InstrumentEntry, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
+class Kvh1775Keys(Protocol):
+    format: str
+    angle_unit: str
+    rotation: str
+    temperature_unit: str
+
+
+def simulated_kvh1775(keys: Kvh1775Keys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
     """The KVH 1775 of a bench file."""
-    keys = entry.parameters
     form, degrees, increments = Kvh1775(keys.format), keys.angle_unit == "deg", keys.rotation == "delta"
     return KvhUnit(
-        Outputs(live.sensor.channels()), form, feed.rate, degrees, increments, keys.temperature_unit == "C_100"
+        Outputs(feed.sensor.channels()), form, feed.rate, degrees, increments, keys.temperature_unit == "C_100"
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from planrunner.instruments.virtual.table import VirtualTable
 from planrunner.physics.kinematics import TableAxis, attitude
 from planrunner.simulators.joint_paths import JointPaths, Path, Swing
 from planrunner.simulators.live_world import LiveWorld
@@ -38,9 +37,9 @@ class TablePlant:
     """The axes of a live world's virtual table."""
 
     def __init__(self, live: LiveWorld):
-        table: VirtualTable = live.table
+        assert live.table is not None  # a simulated table is only made where the virtual bench has one
         self.live = live
-        self.table = table
+        self.table = table = live.table
         self.paths = JointPaths([Path.standing(0.0) for _ in table.axes])
         self.interlock_fault = False
         self.interlock_open = False

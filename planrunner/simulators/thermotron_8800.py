@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
@@ -79,6 +78,6 @@ class Thermotron8800:
         return _RUNNING if self.plant.running else _STOPPED_REMOTELY
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+def simulated(keys: object, live: LiveWorld) -> Conversation:
     """The instrument of a bench file."""
     return Conversation(Thermotron8800(ChamberPlant(live)), Manner(b"\r", b"\r"))

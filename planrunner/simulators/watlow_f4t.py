@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-from planrunner.bench.model import InstrumentEntry
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import FULL_RAMP, ChamberPlant
 from planrunner.simulators.conversation import NotUnderstoodError, number
@@ -112,6 +111,6 @@ class WatlowF4t:
         return (value if self.unit == "C" else (value - 32) * 5 / 9) + ZERO_CELSIUS
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
+def simulated(keys: object, live: LiveWorld) -> Conversation:
     """The instrument of a bench file."""
     return Conversation(WatlowF4t(ChamberPlant(live)))

@@ -12,10 +12,10 @@ from pathlib import Path
 from planrunner.archive.played_back import played
 from planrunner.base.findings import Mark
 from planrunner.bench.clock import VirtualClock
-from planrunner.bench.model import driver_of
 from planrunner.estimators.analysis import analyse
 from planrunner.instruments.interfaces import InstrumentError, Surroundings
 from planrunner.instruments.recording import RecordingPlayer
+from planrunner.instruments.recording_keys import RecordingParameters
 from planrunner.tasks.check import Checked, Sound
 
 
@@ -27,7 +27,7 @@ def check_recording(checked: Checked, data_root: Path, progress: Callable[[int],
         return
     segments = checked.schedule.segments if checked.schedule else ()
     for entry in bench.instruments.values():
-        if not issubclass(driver_of(entry), RecordingPlayer):
+        if not isinstance(entry.parameters, RecordingParameters):
             continue
         try:
             player = RecordingPlayer.connect(entry.parameters, Surroundings(VirtualClock(), models.site, data_root))

@@ -21,7 +21,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
 from planrunner.bench.clock import VirtualClock
-from planrunner.bench.model import Bench, driver_of, shipped_benches
+from planrunner.bench.model import Bench, shipped_benches
 from planrunner.instruments.interfaces import Block, InstrumentError, UnservedError
 from planrunner.instruments.recording import RecordingPlayer
 from planrunner.instruments.recording_keys import RecordingParameters, SegmentColumns
@@ -275,9 +275,8 @@ def _bench_for_others(bench: str, plan: Path | None) -> str:
 
 def _parameters(bench: Bench, plan: str) -> RecordingParameters:
     for entry in bench.instruments.values():
-        if issubclass(driver_of(entry), RecordingPlayer):
-            found: RecordingParameters = entry.parameters
-            return found
+        if isinstance(entry.parameters, RecordingParameters):
+            return entry.parameters
     message = (
         f"the bench '{bench.name}' has no sensor with `driver: recording`, so it does not assign the columns of a "
         "file to channels"

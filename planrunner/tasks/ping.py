@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
 
+from planrunner.base.documents import JsonObject
 from planrunner.bench.clock import VirtualClock, WallClock
 from planrunner.bench.lock import bench_lock
 from planrunner.bench.model import Bench, driver_of, runs_on_virtual_clock, site_of
 from planrunner.bench.opening import real_clock
-from planrunner.instruments.interfaces import Alive, InstrumentError, Readable, Surroundings, Watched
+from planrunner.instruments.interfaces import Alive, Instrument, InstrumentError, Readable, Surroundings, Watched
 
 TIMES = 3
 """Exchanges whose median is the round trip."""
@@ -32,7 +32,7 @@ class Ping:
     round_trip: float | None = None
     failure: str = ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         return {
             "name": self.name,
             "driver": self.driver,
@@ -67,7 +67,7 @@ def ping(bench: Bench, shown: str, data_root: Path | None = None) -> list[Ping]:
     return answers
 
 
-def _asked(name: str, driver: str, instrument: Any) -> Ping:
+def _asked(name: str, driver: str, instrument: Instrument) -> Ping:
     identity = {key: str(value) for key, value in instrument.identify().items()}
     ask = instrument.heartbeat if isinstance(instrument, Alive) else instrument.identify
     trips = []

@@ -13,6 +13,9 @@ from planrunner.bench.model import parse_bench, read_bench
 from planrunner.bench.opening import open_bench
 from planrunner.bench.watchdog import Watchdog
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.instruments.virtual.chamber import VirtualChamber
+from planrunner.instruments.virtual.flexure_gyro import VirtualFlexureGyro
+from planrunner.instruments.virtual.table import VirtualTable
 from planrunner.plan import source
 from planrunner.plan.kinds import Boolean, Record, key
 
@@ -184,8 +187,12 @@ def test_clocks():
 def test_the_virtual_bench_shares_one_world(monkeypatch):
     monkeypatch.undo()
     with open_bench(read_bench("virtual")[0], seed=3) as opened:
+        assert isinstance(opened.table, VirtualTable)
+        assert isinstance(opened.chamber, VirtualChamber)
+        assert isinstance(opened.sensor, VirtualFlexureGyro)
         assert opened.table.world is opened.chamber.world is opened.sensor.world
         assert opened.sensor.world.seed == 3
         assert not opened.sensor.world.real_time
     with open_bench(read_bench("virtual")[0]) as opened:
+        assert isinstance(opened.sensor, VirtualFlexureGyro)
         assert opened.sensor.world.seed == 20

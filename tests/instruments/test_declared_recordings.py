@@ -106,6 +106,7 @@ def test_a_laboratory_recording_is_played_back_segment_by_segment(tmp_path):
     listed = rows()
     assert [segment.label for segment in sound.schedule.segments] == [row.label for row in listed]
     parameters = sound.bench.instruments["imu"].parameters
+    assert isinstance(parameters, RecordingParameters)
     player = RecordingPlayer.connect(
         parameters, Surroundings(VirtualClock(), models(sound.bench).site, data_root=tmp_path)
     )

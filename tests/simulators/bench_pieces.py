@@ -44,6 +44,12 @@ def live_world() -> LiveWorld:
     return LiveWorld(World(clock, SITE, 1), clock)
 
 
+def clock_of(live: LiveWorld) -> SteppedClock:
+    """The clock that `live_world` gave it."""
+    assert isinstance(live.clock, SteppedClock)
+    return live.clock
+
+
 def with_table(*axes: AxisSpec) -> LiveWorld:
     live = live_world()
     surroundings = Surroundings(live.clock, SITE, world=live.world)

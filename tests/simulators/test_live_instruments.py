@@ -44,7 +44,7 @@ def table(**limits: str) -> tuple[Acutrol, TablePlant]:
 def test_a_rate_beyond_the_limit_is_held_to_it_and_said() -> None:
     unit, plant = table()
     unit.answer(":lim:rate rate,1,50;:dem:rate 1,80")
-    plant.live.clock.time = 10.0
+    bench_pieces.clock_of(plant.live).time = 10.0
     assert unit.answer(":read:rate? 1") == "50"
     assert int(unit.answer(":status:a1dyn?") or "none") & 16
 
@@ -52,9 +52,9 @@ def test_a_rate_beyond_the_limit_is_held_to_it_and_said() -> None:
 def test_an_axis_that_turns_faster_than_its_trip_switches_itself_off() -> None:
     unit, plant = table()
     unit.answer(":limit:global 1,-1000,1000,30,1;:dem:rate 1,60")
-    plant.live.clock.time = 1.0
+    bench_pieces.clock_of(plant.live).time = 1.0
     unit.watch()
-    plant.live.clock.time = 5.0
+    bench_pieces.clock_of(plant.live).time = 5.0
     assert unit.answer(":read:rate? 1") == "0"
     assert unit.answer(":mode? 1") == "Abort"
     assert int(unit.answer("*STB?") or "none") & 64
@@ -65,14 +65,14 @@ def test_an_axis_that_turns_faster_than_its_trip_switches_itself_off() -> None:
 def test_a_limited_axis_does_not_go_beyond_its_end() -> None:
     unit, plant = table(lowest="-30 deg", highest="30 deg")
     unit.answer(":dem:pos 1,90;:mode:pos 1")
-    plant.live.clock.time = 60.0
+    bench_pieces.clock_of(plant.live).time = 60.0
     assert unit.answer(":read:pos? 1") == "30"
 
 
 def test_a_continuous_axis_takes_the_shorter_way_and_reads_within_a_turn() -> None:
     unit, plant = table()
     unit.answer(":dem:pos 1,350;:mode:pos 1")
-    plant.live.clock.time = 60.0
+    bench_pieces.clock_of(plant.live).time = 60.0
     assert unit.answer(":read:pos? 1") == "350"
     assert math.degrees(plant.state(0)[0]) == pytest.approx(-10)
 
@@ -98,9 +98,9 @@ def test_a_chamber_follows_its_ramp() -> None:
     """A lag of 2 min behind 3 K/min is 6 K behind on the ramp, and nothing an hour later."""
     plant = ChamberPlant(bench_pieces.with_chamber(-55, 85, 3))
     plant.regulate(60 + ZERO_CELSIUS)
-    plant.live.clock.time = 600.0
+    bench_pieces.clock_of(plant.live).time = 600.0
     assert celsius(plant) == pytest.approx(25 + 30 - 6 * (1 - math.exp(-5)), abs=1e-6)
-    plant.live.clock.time = 4200.0
+    bench_pieces.clock_of(plant.live).time = 4200.0
     assert celsius(plant) == pytest.approx(60, abs=1e-3)
 
 
@@ -113,24 +113,24 @@ def test_a_chamber_that_overshoots_trips_on_its_own_limit() -> None:
     unit.answer("MODE,CONSTANT")
     plant.disturb(overshoot=30.0)
     for minute in range(90):
-        live.clock.time = 60.0 * minute
+        bench_pieces.clock_of(live).time = 60.0 * minute
         unit.watch()
     assert plant.alarms
     assert unit.answer("MODE,CONSTANT") == "NA:CHB NOT READY"
-    live.clock.time += 7200
+    bench_pieces.clock_of(live).time += 7200
     assert celsius(plant) == pytest.approx(25, abs=0.1)
 
 
 def test_a_chamber_that_sticks_stays_where_it_is() -> None:
     plant = ChamberPlant(bench_pieces.with_chamber(-55, 85, 3))
     plant.regulate(60 + ZERO_CELSIUS)
-    plant.live.clock.time = 300.0
+    bench_pieces.clock_of(plant.live).time = 300.0
     stuck = celsius(plant)
     plant.disturb(stuck=True)
-    plant.live.clock.time = 3000.0
+    bench_pieces.clock_of(plant.live).time = 3000.0
     assert celsius(plant) == pytest.approx(stuck, abs=1e-6)
     plant.disturb(stuck=False)
-    plant.live.clock.time = 9000.0
+    bench_pieces.clock_of(plant.live).time = 9000.0
     assert celsius(plant) == pytest.approx(60, abs=0.01)
 
 
@@ -142,11 +142,11 @@ def test_the_sensor_feels_the_table_turn_from_the_moment_of_the_command() -> Non
     live = plant.live
     keys = parse("{sample_rate: 100 Hz, gyros: {axes: {z: {}}}}", "sensor")
     parameters = RecordOf(VirtualImuParameters).read(keys, Findings())
-    live.sensor = VirtualImu.connect(parameters, Surroundings(live.clock, bench_pieces.SITE, world=live.world))
-    feed = SensorFeed(live, 100.0)
-    live.clock.time = 10.0
+    sensor = VirtualImu.connect(parameters, Surroundings(live.clock, bench_pieces.SITE, world=live.world))
+    feed = SensorFeed(live, sensor, 100.0)
+    bench_pieces.clock_of(live).time = 10.0
     unit.answer(":lim:acc rate,1,200;:dem:rate 1,100")
-    live.clock.time = 20.0
+    bench_pieces.clock_of(live).time = 20.0
     blocks = feed.take()
     time = np.concatenate([block.time for block in blocks])
     rate = np.concatenate([block.channels["gyro_z"] for block in blocks])

@@ -234,7 +234,7 @@ def test_a_run_takes_its_clock_from_the_simulated_bench(served: dict[str, Any]) 
     with open_bench(bench) as opened:
         assert isinstance(opened.clock, Hastens)
         assert opened.clock.speed == 20
-        assert "ACUTRO" in opened.table.identify()["model"]
+        assert opened.table is not None and "ACUTRO" in opened.table.identify()["model"]
     elsewhere = SimulationSpec(bench="virtual", control=served["control"])
     with pytest.raises(InstrumentError, match="the bench file says TCPIP"):
         attach(elsewhere, {"table": "TCPIP::127.0.0.1::9878::SOCKET"})

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from typing import Protocol
 
 import pytest
 
 from planrunner.base import plugins
 from planrunner.base.findings import InputError
 from planrunner.bench.clock import VirtualClock
-from planrunner.bench.model import InstrumentEntry, read_bench
+from planrunner.bench.model import read_bench
+from planrunner.plan.quantity import Quantity
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
 from planrunner.simulators.from_bench import Simulated
@@ -23,6 +25,11 @@ from planrunner.simulators.message_port import Manner
 LABORATORY = Path(__file__).resolve().parents[2] / "plans" / "benches" / "lab_simulated.yaml"
 DRIVER = EntryPoint("house_chamber", "planrunner.instruments.chambers.watlow_f4t:WatlowF4t", plugins.INSTRUMENTS)
 SIMULATOR = EntryPoint("house_chamber", f"{__name__}:simulated", plugins.SIMULATORS)
+
+
+class HouseChamberKeys(Protocol):
+    lowest: Quantity
+    highest: Quantity
 
 
 class HouseChamber:
@@ -43,8 +50,8 @@ class HouseChamber:
         """Has no limits."""
 
 
-def simulated(entry: InstrumentEntry, live: LiveWorld) -> Conversation:
-    assert entry.driver == "house_chamber"
+def simulated(keys: HouseChamberKeys, live: LiveWorld) -> Conversation:
+    assert keys.lowest.value < keys.highest.value
     return Conversation(HouseChamber(ChamberPlant(live)), Manner(b"\r", b"\r"))
 
 

@@ -107,7 +107,7 @@ def test_instrument_says_what_the_transcript_says(path: Path) -> None:
             pending = instrument.answer(rest)
         elif rest.startswith("wait"):
             count, unit = rest.split()[1:]
-            live.clock.time += float(count) * {"s": 1.0, "min": 60.0}[unit]
+            bench_pieces.clock_of(live).time += float(count) * {"s": 1.0, "min": 60.0}[unit]
             instrument.watch()
             instrument.later()
         else:

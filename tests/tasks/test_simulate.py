@@ -10,6 +10,7 @@ from planrunner.base.findings import InputError
 from planrunner.base.shipped import shipped
 from planrunner.bench.model import parse_bench
 from planrunner.cli import main
+from planrunner.error_model.virtual_instrument import AddedEffectsParameters
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
 from planrunner.plan import source
 from planrunner.tasks.check import check_plan
@@ -64,7 +65,9 @@ def test_effects_fit_into_every_shipped_bench(bench: Path) -> None:
     found, log = parse_bench(source.parse(text, bench.name))
     assert not log.errors
     assert found is not None
-    assert found.instruments["added"].parameters.effects["table_tilt"]["about_east"] == "20 arcsec"
+    added = found.instruments["added"].parameters
+    assert isinstance(added, AddedEffectsParameters)
+    assert added.effects["table_tilt"]["about_east"] == "20 arcsec"
     assert found.safe_order[-1] == "added"
 
 

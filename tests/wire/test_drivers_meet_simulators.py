@@ -118,7 +118,8 @@ def turned(degrees: float) -> Any:
 def check_cycle(bench: OpenBench, control: str) -> None:
     """Two cycles of turns, one of them the longer way: in the middle of every stop the axis has truly turned as far as the cycle says,
     whole turns counted, which a position that is read does not. A stop takes a second: what is read after it counts for nothing."""
-    table, clock = bench.table, bench.clock
+    table: Any = bench.table
+    clock = bench.clock
     degrees = (180.0, 90.0, -270.0)
     motion = Cycle({}, tuple(Move("", math.radians(turn), "") for turn in degrees), math.radians(40), 30.0)
     planned = RotationCycle.of(motion, math.radians(200))
@@ -150,7 +151,8 @@ def test_what_the_driver_asks_for_is_what_the_world_does(
     monkeypatch.setenv("PLANRUNNER_LOCKS", str(tmp_path / "locks"))
     with meeting(tmp_path, pair) as (bench, control):
         bench.take_control()
-        table, chamber = bench.table, bench.chamber
+        table: Any = bench.table
+        chamber: Any = bench.chamber
         table.limit(OwnLimits(rate=math.radians(300)))
         outer = next(iter(table.read()))
         wait_for(bench, table.holding, table.orient(turned(70.0)))

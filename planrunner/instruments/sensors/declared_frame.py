@@ -142,7 +142,7 @@ class DeclaredFrameParameters(SerialSensorParameters):
     )
 
 
-class DeclaredFrame(SerialSensor):
+class DeclaredFrame(SerialSensor[DeclaredFrameParameters]):
     """A sensor on a serial line whose frames the bench file describes."""
 
     Parameters = DeclaredFrameParameters
@@ -150,21 +150,21 @@ class DeclaredFrame(SerialSensor):
     product = "sensor"
 
     @classmethod
-    def model(cls, parameters: Any) -> SensorModel:
+    def model(cls, parameters: DeclaredFrameParameters) -> SensorModel:
         _check(parameters)
         layout = cls.decoder_of(parameters)
         resolutions = {name: abs(item.scale) for name, item in layout.fields.items() if item.kind != FLOAT}
         return replace(sensor_model(parameters, layout.units, resolutions), modes=tuple(parameters.modes))
 
     def set_mode(self, mode: str) -> float:
-        modes: dict[str, str] = self.parameters.modes
+        modes = self.parameters.modes
         if mode not in modes:
             raise InstrumentError(f"it has no mode '{mode}'; the bench file names {', '.join(modes) or 'none'}")
         self.link.write(modes[mode].encode("ascii") + b"\r")
         return 0.0
 
     @classmethod
-    def decoder_of(cls, parameters: Any) -> FrameLayout:
+    def decoder_of(cls, parameters: DeclaredFrameParameters) -> FrameLayout:
         rate = parameters.sample_rate.value
         fields = {name: _field(item, item.scale) for name, item in parameters.fields.items()}
         units = {name: item.unit for name, item in parameters.fields.items()}

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as data_field
-from typing import Any
 
 import numpy as np
 
@@ -56,7 +55,7 @@ class Kvh1775Parameters(SerialSensorParameters):
     )
 
 
-class Kvh1775(SerialSensor):
+class Kvh1775(SerialSensor[Kvh1775Parameters]):
     """A KVH 1775 or DSP-1760 on a serial line."""
 
     Parameters = Kvh1775Parameters
@@ -64,16 +63,16 @@ class Kvh1775(SerialSensor):
     product = "1775"
 
     @classmethod
-    def model(cls, parameters: Any) -> SensorModel:
+    def model(cls, parameters: Kvh1775Parameters) -> SensorModel:
         return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
 
     @classmethod
-    def decoder_of(cls, parameters: Any) -> Decoder:
+    def decoder_of(cls, parameters: Kvh1775Parameters) -> Decoder:
         plain = layout(parameters)
         return MultiplexedTemperature(plain) if parameters.format == "C" else plain
 
     @classmethod
-    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+    def configure(cls, parameters: Kvh1775Parameters, link: SerialStream, clock: Clock) -> Mapping[str, str]:
         if not parameters.configure:
             return {}
         rotation, temperature = parameters.rotation, parameters.temperature_unit

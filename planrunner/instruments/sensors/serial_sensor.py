@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar, Generic, TypeVar
 
 from planrunner.instruments.interfaces import (
     Block,
@@ -22,6 +22,7 @@ from planrunner.instruments.interfaces import (
     Surroundings,
 )
 from planrunner.instruments.models import rate_refused
+from planrunner.instruments.sensors.keys import SerialSensorParameters
 from planrunner.instruments.sensors.samples import Decoder
 from planrunner.instruments.sensors.segment_stream import SegmentStream
 from planrunner.instruments.wire.framing import Framer, Piece
@@ -98,10 +99,12 @@ LISTENINGS = 3
 """How often another rate must be heard until it is believed."""
 SKEW_TOLERANCE = 0.02
 
+P = TypeVar("P", bound=SerialSensorParameters)
 
-class SerialSensor:
-    """A sensor that streams frames. Derived drivers give `Parameters`, `manufacturer`, `product`, `model`, `decoder` and perhaps
-    `configure`."""
+
+class SerialSensor(Generic[P]):
+    """A sensor that streams frames; P: the record of its keys. Derived drivers give `Parameters`, `manufacturer`, `product`, `model`,
+    `decoder_of` and perhaps `configure`."""
 
     role = "sensor"
     manufacturer: ClassVar[str] = ""
@@ -109,13 +112,13 @@ class SerialSensor:
 
     def __init__(
         self,
-        parameters: Any,
+        parameters: P,
         decoder: Decoder,
         link: SerialStream,
         clock: Clock,
         identity: Mapping[str, str] | None = None,
     ):
-        self.parameters: Any = parameters
+        self.parameters = parameters
         self.decoder = decoder
         self.link = link
         self.clock = clock
@@ -129,12 +132,12 @@ class SerialSensor:
         self._lasting = self.lasting_doubts(self.identity)
 
     @classmethod
-    def decoder_of(cls, parameters: Any) -> Decoder:
+    def decoder_of(cls, parameters: P) -> Decoder:
         """How the frames of a sensor that is set as its keys say are read."""
         raise NotImplementedError
 
     @classmethod
-    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+    def configure(cls, parameters: P, link: SerialStream, clock: Clock) -> Mapping[str, str]:
         """Configure the sensor and query its identity, if possible. Raises `InstrumentError`."""
         return {}
 
@@ -144,11 +147,11 @@ class SerialSensor:
         return ()
 
     @classmethod
-    def address(cls, parameters: Any) -> str:
-        return str(parameters.port)
+    def address(cls, parameters: P) -> str:
+        return parameters.port
 
     @classmethod
-    def connect(cls, parameters: Any, surroundings: Surroundings) -> SerialSensor:
+    def connect(cls, parameters: P, surroundings: Surroundings) -> SerialSensor[P]:
         if not surroundings.real_time:
             raise InstrumentError("a sensor on a serial line works in real time: write `clock: wall` in the bench file")
         clock, decoder = surroundings.clock, cls.decoder_of(parameters)
@@ -227,7 +230,7 @@ class SerialSensor:
 
     def _patience(self) -> float:
         """How long it may be silent, s by the bench's clock: cables and computers keep to the wall's."""
-        return float(self.parameters.silence.value) * self._speed
+        return self.parameters.silence.value * self._speed
 
     def _byte_time(self) -> float:
         """Seconds that a byte takes on the line: ten bits; nothing to speak of through a network."""

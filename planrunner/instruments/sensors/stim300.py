@@ -7,7 +7,6 @@ of internal samples at 2000 Hz, the latency in µs, and a CRC-32 over all of it,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from planrunner.base.findings import Findings, InputError
 from planrunner.instruments.models import SensorModel
@@ -79,7 +78,7 @@ class Stim300Parameters(SerialSensorParameters):
     )
 
 
-class Stim300(SerialSensor):
+class Stim300(SerialSensor[Stim300Parameters]):
     """A STIM300 on a serial line."""
 
     Parameters = Stim300Parameters
@@ -87,7 +86,7 @@ class Stim300(SerialSensor):
     product = "STIM300"
 
     @classmethod
-    def model(cls, parameters: Any) -> SensorModel:
+    def model(cls, parameters: Stim300Parameters) -> SensorModel:
         step = INTERNAL_RATE / parameters.sample_rate.value
         if step < 1 or abs(step - round(step)) > 1e-9:
             message = f"a STIM300 does not send {parameters.sample_rate.value:g} datagrams a second"
@@ -97,7 +96,7 @@ class Stim300(SerialSensor):
         return sensor_model(parameters, layout.units, {name: item.scale for name, item in layout.fields.items()})
 
     @classmethod
-    def decoder_of(cls, parameters: Any) -> FrameLayout:
+    def decoder_of(cls, parameters: Stim300Parameters) -> FrameLayout:
         rate = parameters.sample_rate.value
         gyro_scale = 2.0**-14 if parameters.gyro_output == "rate" else 2.0**-21 * rate
         return layout(parameters.datagram, ACCELERATION_SCALES[parameters.acceleration_range], gyro_scale, rate)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -77,7 +76,7 @@ class VectorNavParameters(SerialSensorParameters):
     )
 
 
-class VectorNav(SerialSensor):
+class VectorNav(SerialSensor[VectorNavParameters]):
     """A VectorNav VN-100 on a serial line."""
 
     Parameters = VectorNavParameters
@@ -85,7 +84,7 @@ class VectorNav(SerialSensor):
     product = "VN-100"
 
     @classmethod
-    def model(cls, parameters: Any) -> SensorModel:
+    def model(cls, parameters: VectorNavParameters) -> SensorModel:
         channels = cls.decoder_of(parameters).channels()
         if not channels:
             message = "messages with these fields contain no samples"
@@ -97,14 +96,14 @@ class VectorNav(SerialSensor):
         return sensor_model(parameters, channels, {})
 
     @classmethod
-    def decoder_of(cls, parameters: Any) -> Decoder:
+    def decoder_of(cls, parameters: VectorNavParameters) -> Decoder:
         rate = parameters.sample_rate.value
         return (
             binary(parameters.fields, rate) if parameters.output == "binary" else LineDecoder(parameters.output, rate)
         )
 
     @classmethod
-    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+    def configure(cls, parameters: VectorNavParameters, link: SerialStream, clock: Clock) -> Mapping[str, str]:
         if parameters.configure is None or parameters.output != "binary":
             return {}
         divisor = BASE_RATE / parameters.sample_rate.value

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Any
 
 import numpy as np
 
@@ -72,7 +71,7 @@ class XsensParameters(SerialSensorParameters):
     )
 
 
-class XsensMti(SerialSensor):
+class XsensMti(SerialSensor[XsensParameters]):
     """An Xsens MTi on a serial line (MTData2)."""
 
     Parameters = XsensParameters
@@ -80,15 +79,15 @@ class XsensMti(SerialSensor):
     product = "MTi"
 
     @classmethod
-    def model(cls, parameters: Any) -> SensorModel:
+    def model(cls, parameters: XsensParameters) -> SensorModel:
         return sensor_model(parameters, cls.decoder_of(parameters).channels(), {})
 
     @classmethod
-    def decoder_of(cls, parameters: Any) -> MtData2:
+    def decoder_of(cls, parameters: XsensParameters) -> MtData2:
         return MtData2(parameters.outputs, parameters.sample_rate.value)
 
     @classmethod
-    def configure(cls, parameters: Any, link: SerialStream, clock: Clock) -> Mapping[str, str]:
+    def configure(cls, parameters: XsensParameters, link: SerialStream, clock: Clock) -> Mapping[str, str]:
         if not parameters.configure:
             return {}
         rate = round(parameters.sample_rate.value)

@@ -52,9 +52,10 @@ class World:
     @classmethod
     def of(cls, surroundings: Surroundings) -> World:
         """The world that the drivers of one bench share; the first to ask makes it."""
-        if not isinstance(surroundings.world, World):
-            surroundings.world = cls(surroundings.clock, surroundings.site, surroundings.seed, surroundings.real_time)
-        world: World = surroundings.world
+        if isinstance(surroundings.world, World):
+            return surroundings.world
+        world = cls(surroundings.clock, surroundings.site, surroundings.seed, surroundings.real_time)
+        surroundings.world = world
         return world
 
     def now(self) -> float:
