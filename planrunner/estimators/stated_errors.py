@@ -8,7 +8,7 @@ Signs are those of a stated value that is too large; of positions, those of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -25,6 +25,8 @@ from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
 from planrunner.physics.stimulus import Poses, Stimulus
 from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.uncertainty.conditions import StatedCondition
+from planrunner.uncertainty.derivatives import central
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 Array = NDArray[np.float64]
@@ -52,8 +54,15 @@ class _Outputs:
 
     def follow(self, felt: Callable[[float], Stimulus], step: float = _STEP) -> Array:
         """Change of the observations, (m, n), per unit of an input. felt: what was felt with the input moved by so much."""
-        low, high = self.model.columns(felt(-step)), self.model.columns(felt(step))
-        return np.asarray(self.coefficients @ ((high - low) / (2 * step)).T)
+        return np.asarray(self.coefficients @ central(lambda by: self.model.columns(felt(by)), step).T)
+
+
+def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
+    """Latitude and gravity, where they are stated with an uncertainty. The azimuth turns what stands on the table, not the site."""
+    if latitude := inputs.get("latitude"):
+        yield StatedCondition.single(latitude, lambda by: replace(site, latitude=site.latitude + by))
+    if gravity := inputs.get("gravity"):
+        yield StatedCondition.single(gravity, lambda by: replace(site, gravity=site.gravity + by))
 
 
 def site_errors(
@@ -61,15 +70,12 @@ def site_errors(
 ) -> tuple[CorrelatedError, ...]:
     """Of latitude and gravity, where they are stated with an uncertainty. The outputs are as they are: a model that expects more of them
     is answered as if they had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
-    outputs, poses = _Outputs(model, coefficients), mean_poses(segments)
-    found = []
-    if latitude := inputs.get("latitude"):
-        moved = outputs.follow(lambda by: poses.felt(replace(site, latitude=site.latitude + by)))
-        found.append(_of_one(latitude, [-moved]))
-    if gravity := inputs.get("gravity"):
-        moved = outputs.follow(lambda by: poses.felt(replace(site, gravity=site.gravity * (1 + by))))
-        found.append(_of_one(gravity, [-moved / site.gravity]))
-    return tuple(found)
+    poses = mean_poses(segments)
+
+    def read_less(moved: Site) -> Array:
+        return -coefficients @ model.columns(poses.felt(moved)).T
+
+    return tuple(_of_one(one.quantity, one.answers(read_less)) for one in stated_site(inputs, site))
 
 
 def table_errors(

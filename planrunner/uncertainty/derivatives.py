@@ -3,7 +3,7 @@
 The complex step (Squire and Trapp, SIAM Review 40, 1998, 110): f(x + i·h) = f(x) + i·h·f′(x) + O(h²). Nothing is subtracted, so that h can
 be so small that the derivative is exact to rounding. It asks that the formula is analytic: sums, products, powers, `np.sqrt`, `np.sin`,
 `np.arctan`, `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not; `length` and `angle_of` stand in for the last two. Comparisons
-look at the real part.
+look at the real part. A formula that asks for more than that is differentiated by `central` differences.
 """
 
 from __future__ import annotations
@@ -26,6 +26,11 @@ def jacobian(formula: Formula, at: Array) -> Array:
     """∂formula/∂x, shape (q, p), at x (p,). Calls the formula once."""
     moved = at[:, None] + 1j * _STEP * np.eye(len(at))
     return np.asarray(formula(cast(Array, moved)).imag / _STEP)
+
+
+def central(function: Callable[[float], Array], step: float) -> Array:
+    """∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice."""
+    return np.asarray((function(step) - function(-step)) / (2 * step))
 
 
 def length(vector: Array) -> Array:

@@ -223,7 +223,8 @@ def test_ten_micro_g_in_the_budget(dwell, release, seconds, expected):
     stability = influences["accelerometer stability"]
     assert stability.in_scatter
     size = math.sqrt(stability.covariance[0, 0])
-    assert size == pytest.approx(1e-5 * 9.80665 / GRAVITY / seconds * 180 / math.pi * 3600, rel=1e-3)
+    # An element at rest in inertial space tilts by up to 3.75 deg in 900 s, and the cosine of that is 0.998.
+    assert size == pytest.approx(1e-5 * 9.80665 / GRAVITY / seconds * 180 / math.pi * 3600, rel=2.2e-3)
     assert round(size, 4) == expected
     # 7 arcsec of azimuth through Ω·cos φ, four runs with ±½
     heading = influences["azimuth of the element"]

@@ -8,8 +8,9 @@ added; nearly all of it cancels between static and dynamic runs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +18,18 @@ from numpy.typing import NDArray
 from planrunner.estimators.interface import EstimateRequest
 from planrunner.estimators.rocking.parameters import INSTALLATION, RockingDriftParameters
 from planrunner.estimators.rocking.solution import ReducedRun, RockingConditions, accelerometer_drift, gimbal_drift
-from planrunner.estimators.rocking.statistics import WEIGHTS, CombinedDrifts
+from planrunner.estimators.rocking.statistics import AXES, WEIGHTS, CombinedDrifts
+from planrunner.estimators.stated_errors import stated_site
 from planrunner.physics.earth import Site
 from planrunner.plan.units import unit
+from planrunner.uncertainty.budget import merged
+from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 Array = NDArray[np.float64]
 Runs = Sequence[Sequence[Sequence[ReducedRun]]]
 """State by state, quadruple by quadruple, four runs each."""
 DEG_PER_HOUR = math.degrees(1.0) * 3600
-STEP = 1e-5  # rad, of the difference quotients
 
 
 def conditions_of(site: Site, parameters: RockingDriftParameters) -> RockingConditions:
@@ -47,37 +50,29 @@ def influences_of(
     conditions: RockingConditions,
     request: EstimateRequest[RockingDriftParameters],
 ) -> tuple[Influence, ...]:
-    found = _shared(runs, combined, conditions, request)
-    for quantity, change in _of_each_run(request):
-        columns = [
-            combined.shares[s] @ (change(reduced) * weight / len(state))
-            for s, state in enumerate(runs)
-            for four in state
-            for reduced, weight in zip(four, WEIGHTS, strict=True)
-        ]
-        found.append(Influence(quantity, np.concatenate(columns, axis=1), in_scatter=True))
-    return tuple(found)
+    def formula(moved: RockingConditions) -> Array:
+        return _coefficients(runs, combined, moved)
+
+    found = list(influences_on(formula, _of_all_runs(conditions, request)))
+    for share, state in zip(combined.shares, runs, strict=True):
+        for four in state:
+            for reduced, weight in zip(four, WEIGHTS, strict=True):
+                own = influences_on(lambda moved: drifts_of(moved, conditions), _of_one_run(reduced, request))
+                found += [one.through(share * weight / len(state)) for one in own]
+    return merged(found)
 
 
-def _shared(
-    runs: Runs,
-    combined: CombinedDrifts,
-    conditions: RockingConditions,
-    request: EstimateRequest[RockingDriftParameters],
-) -> list[Influence]:
+def _of_all_runs(
+    conditions: RockingConditions, request: EstimateRequest[RockingDriftParameters]
+) -> Iterator[StatedCondition[RockingConditions]]:
     """Latitude, gravity, azimuth and installation angles act on all runs alike."""
-    inputs, site = request.setup.inputs, request.site
-    parameters = request.parameters
-    changes: list[tuple[InputQuantity, RockingConditions, float]] = []
-    if (latitude := inputs.get("latitude")) is not None:
-        farther = replace(site, latitude=site.latitude + STEP).earth_rate_enu
-        changes.append((latitude, replace(conditions, earth=farther), STEP))
-    if (gravity := inputs.get("gravity")) is not None:
-        changes.append((gravity, replace(conditions, gravity=site.gravity * (1 + STEP)), site.gravity * STEP))
+    inputs = request.setup.inputs
+    for stated in stated_site(inputs, request.site):
+        yield stated.seen_by(lambda site: replace(conditions, earth=site.earth_rate_enu, gravity=site.gravity))
     if (azimuth := inputs.get("azimuth")) is not None:
-        changes.append((azimuth, replace(conditions, turned=STEP), STEP))
+        yield StatedCondition.single(azimuth, lambda by: replace(conditions, turned=by))
     for k, name in enumerate(INSTALLATION):
-        angle = getattr(parameters.installation_angles, name)
+        angle = getattr(request.parameters.installation_angles, name)
         if angle.standard_uncertainty:
             quantity = InputQuantity(
                 f"installation angle {name}",
@@ -88,13 +83,11 @@ def _shared(
                 angle.shape,
                 source=f"plan installation_angles.{name}",
             )
-            moved = conditions.installation + STEP * (np.arange(len(INSTALLATION)) == k)
-            changes.append((quantity, replace(conditions, installation=moved), STEP))
-    before = _coefficients(runs, combined, conditions)
-    return [
-        Influence(quantity, ((_coefficients(runs, combined, changed) - before) / step)[:, None])
-        for quantity, changed, step in changes
-    ]
+            yield StatedCondition.single(quantity, partial(_installed, conditions, k))
+
+
+def _installed(conditions: RockingConditions, k: int, by: float) -> RockingConditions:
+    return replace(conditions, installation=conditions.installation + by * (np.arange(len(INSTALLATION)) == k))
 
 
 def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingConditions) -> Array:
@@ -106,25 +99,18 @@ def _coefficients(runs: Runs, combined: CombinedDrifts, conditions: RockingCondi
     return total
 
 
-def _of_each_run(
-    request: EstimateRequest[RockingDriftParameters],
-) -> list[tuple[InputQuantity, Callable[[ReducedRun], Array]]]:
-    """Quantities that are drawn anew in each run, with ∂drift [deg/h]/∂input of a run, shape (k, inputs)."""
-    parameters = request.parameters
-    found: list[tuple[InputQuantity, Callable[[ReducedRun], Array]]] = []
-
-    def accelerometers(reduced: ReducedRun) -> Array:
-        """∂/∂(change of an accelerometer between the windows), 1/(g·(t1 − t0)) for the one that shows the tilt: (k, 2)."""
-        columns = np.zeros((2 if reduced.first.turn is None else 4, 2))
-        columns[0, 0] = columns[1, 1] = DEG_PER_HOUR / (request.site.gravity * reduced.seconds)
-        return columns
-
+def _of_one_run(
+    reduced: ReducedRun, request: EstimateRequest[RockingDriftParameters]
+) -> Iterator[StatedCondition[ReducedRun]]:
+    """Quantities that are drawn anew in each run."""
+    parameters, label = request.parameters, reduced.run.label
+    accelerometers = {f"{label} {AXES[axis]}": partial(_tilted, reduced, axis) for axis in reduced.run.state.level}
     stability = parameters.accelerometer_stability
     if stability is not None and stability.value:
         quantity = InputQuantity(
             "accelerometer stability", 0.0, "m/s^2", stability.value, source="plan accelerometer_stability"
         )
-        found.append((quantity, accelerometers))
+        yield StatedCondition(quantity, accelerometers, in_scatter=True)
     count = resolution(request, parameters)
     if count:
         # Two readings, each rounded: √2 · count/√12.
@@ -136,32 +122,32 @@ def _of_each_run(
             distribution="triangular",
             source="bench sensor",
         )
-        found.append((quantity, accelerometers))
+        yield StatedCondition(quantity, accelerometers, in_scatter=True)
     azimuth = azimuth_uncertainty(request)
     if azimuth is not None:
-        conditions = conditions_of(request.site, parameters)
-
-        def heading(reduced: ReducedRun) -> Array:
-            moved = drifts_of(replace(reduced, off=STEP), conditions)
-            return np.asarray((moved - drifts_of(reduced, conditions)) / STEP)[:, None]
-
-        found.append((azimuth, heading))
-    if request.setup.table is not None and request.setup.table.position_uncertainty:
+        yield StatedCondition(azimuth, {label: lambda by: replace(reduced, off=by)}, in_scatter=True)
+    table = request.setup.table
+    if reduced.second.turn is not None and table is not None and table.position_uncertainty:
         # The error of a ring differs between t0 and t1; the gimbal method interprets the difference as drift of the element.
-        off = math.sqrt(2) * request.setup.table.position_uncertainty
+        off = math.sqrt(2) * table.position_uncertainty
         quantity = InputQuantity(
             "table position", 0.0, "rad", off, source="bench table position_uncertainty, at t0 and at t1"
         )
-        found.append((quantity, _gimbal_columns))
-    return found
+        rings = {f"{label} {AXES[axis]}": partial(_ringed, reduced, axis) for axis in reduced.run.state.level}
+        yield StatedCondition(quantity, rings, in_scatter=True)
 
 
-def _gimbal_columns(reduced: ReducedRun) -> Array:
-    """∂/∂(change of the base's attitude that the rings do not show), (k, 2)."""
-    columns = np.zeros((2 if reduced.first.turn is None else 4, 2))
-    if reduced.first.turn is not None:
-        columns[2, 0] = columns[3, 1] = DEG_PER_HOUR / reduced.seconds
-    return columns
+def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
+    """With an accelerometer that reads more by so much in the second window than in the first."""
+    second = reduced.second
+    return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
+
+
+def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
+    """With an attitude by the encoders that has turned by so much from the first window to the second, and the element has not."""
+    second = reduced.second
+    assert second.turn is not None
+    return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))
 
 
 def azimuth_uncertainty(request: EstimateRequest[RockingDriftParameters]) -> InputQuantity | None:

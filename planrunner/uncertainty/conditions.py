@@ -1,0 +1,68 @@
+"""Stated inputs as conditions of a formula: a method names them, and the influences on its results follow from the formula.
+
+A result is a pure function of observations and conditions. Each condition that is stated with an uncertainty is one `StatedCondition`: the
+input quantity, and the conditions with that input moved. The formula is computed again with the input larger and smaller by its standard
+uncertainty, and half of the difference is the contribution (JCGM 100:2008, 5.1.3, note 2): rounding in the formula stays rounding in the
+contribution, whatever the unit and the size of the input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.dataclass import dataclass
+from planrunner.uncertainty.derivatives import central
+from planrunner.uncertainty.influences import Influence, InputQuantity
+
+Array = NDArray[np.float64]
+C = TypeVar("C")
+D = TypeVar("D")
+
+Moved = Callable[[float], C]
+"""Conditions with an input larger by so much, in the input's unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatedCondition(Generic[C]):
+    """An input that is stated with an uncertainty above zero. parts: how each of its independent parts moves the conditions, by name; the
+    name is empty where there is one part only. in_scatter: the scatter of the data contains it."""
+
+    quantity: InputQuantity
+    parts: Mapping[str, Moved[C]]
+    in_scatter: bool = False
+
+    @classmethod
+    def single(cls, quantity: InputQuantity, moved: Moved[C]) -> StatedCondition[C]:
+        """Of one part."""
+        return cls(quantity, {"": moved})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its parts, as for `Influence`."""
+        return () if tuple(self.parts) == ("",) else tuple(self.parts)
+
+    def seen_by(self, view: Callable[[C], D]) -> StatedCondition[D]:
+        """The same input as a condition of a formula that knows these conditions as `view` gives them."""
+        parts = {name: _after(moved, view) for name, moved in self.parts.items()}
+        return StatedCondition(self.quantity, parts, self.in_scatter)
+
+
+    def answers(self, formula: Callable[[C], Array]) -> list[Array]:
+        """For each part, ∂(results)/∂input in the shape of the formula's results. Calls the formula twice for each."""
+        step = self.quantity.standard_uncertainty
+        return [central(_after(moved, formula), step) for moved in self.parts.values()]
+
+
+def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
+    """Influences on the results (m,) of a formula."""
+    return tuple(
+        Influence(one.quantity, np.column_stack(one.answers(formula)), one.in_scatter, one.names) for one in stated
+    )
+
+
+def _after(moved: Moved[C], view: Callable[[C], D]) -> Moved[D]:
+    return lambda by: view(moved(by))
