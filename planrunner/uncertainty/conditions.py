@@ -50,11 +50,9 @@ class StatedCondition(Generic[C]):
         parts = {name: _after(moved, view) for name, moved in self.parts.items()}
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
-
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """For each part, ∂(results)/∂input in the shape of the formula's results. Calls the formula twice for each."""
-        step = self.quantity.standard_uncertainty
-        return [central(_after(moved, formula), step) for moved in self.parts.values()]
+        """For each part, ∂(results)/∂input in the shape of the formula's results."""
+        return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 
 def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedCondition[C]]) -> tuple[Influence, ...]:
@@ -62,6 +60,11 @@ def influences_on(formula: Callable[[C], Array], stated: Iterable[StatedConditio
     return tuple(
         Influence(one.quantity, np.column_stack(one.answers(formula)), one.in_scatter, one.names) for one in stated
     )
+
+
+def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
+    """The derivative along each way of moving the conditions, in the shape of the formula's results. Calls the formula twice for each."""
+    return [central(_after(one, formula), step) for one in moved]
 
 
 def _after(moved: Moved[C], view: Callable[[C], D]) -> Moved[D]:

@@ -1,7 +1,6 @@
 """From means to scale factors of tilted axes: F_j − F_r over the input of each axis, per repeat, then over repeats and temperatures.
 
-One function of the recorded means and of the conditions under which they were recorded. Uncertainties follow from it by changing the
-means or the conditions a little (JCGM 100:2008, 5.1.3, note 2), so that a formula stands here once.
+One function of the recorded means and of the conditions under which they were recorded; uncertainties follow from it.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.rate_lines import RateLines, fit_lines
 from planrunner.estimators.tilted.rate_series import RateSeries
+from planrunner.uncertainty.derivatives import jacobian
 
 Array = NDArray[np.float64]
 
@@ -185,19 +185,18 @@ def answers_to_averages(answers: Array) -> Array:
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
+    """An axis follows its own output alone, so that the outputs of all axes change at once."""
     x, full_scale = conditions.inputs(group), group.full_scale
-    n, m = x.shape[1:]
-    step = 1e-6 * full_scale
-    found = np.empty((n, m, len(QUANTITIES)))
-    for row in range(n):
-        change = np.zeros((n, m))
-        change[row] = step
-        up, down = (
-            quantities(fit_lines(x, group.outputs + sense * change), full_scale, rate, sign).mean(axis=0)
-            for sense in (1, -1)
-        )
-        found[row] = np.nan_to_num((up - down) / (2 * step[:, None]))
-    return found
+    q, n, m = x.shape
+
+    def means(changes: Array) -> Array:
+        """Of the outputs at each rate by so much, (n, k): (m·5, k)."""
+        outputs = group.outputs + changes.T[:, None, :, None]
+        lines = fit_lines(np.broadcast_to(x, outputs.shape).reshape(-1, n, m), outputs.reshape(-1, n, m))
+        found = quantities(lines, full_scale, rate, sign)
+        return np.asarray(found.reshape(-1, q, m * len(QUANTITIES)).mean(axis=1).T)
+
+    return jacobian(means, np.zeros(n)).T.reshape(n, m, len(QUANTITIES))
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:

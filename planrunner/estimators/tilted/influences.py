@@ -1,14 +1,14 @@
 """Type B influences on scale factors of tilted axes: fixture, table, site, temperature, resolution, drift of the zero.
 
-Sensitivities are taken by computing everything again with the input changed by its standard uncertainty, up and down (JCGM 100:2008,
-5.1.3, note 2).
+Fixture, table and site are conditions of the results' formula. The others act on the means, through how the results answer to these.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,16 +27,18 @@ from planrunner.estimators.tilted.evaluation import (
     evaluate,
 )
 from planrunner.estimators.tilted.fixture_gains import tilt_part
-from planrunner.estimators.tilted.mounted_axes import MountedAxes
 from planrunner.estimators.tilted.turning_rates import mean_rates
 from planrunner.estimators.turned_segments import UP, turned
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
+from planrunner.uncertainty.conditions import StatedCondition, influences_on, slopes
 from planrunner.uncertainty.influences import Aspect, Influence, InputQuantity, Inputs
 
 Array = NDArray[np.float64]
+
+_BESIDE = 1e-6  # rad, of differences
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +62,8 @@ class Situation:
     fixture: tuple[Influence, ...] = ()
 
     def again(self, conditions: TiltedConditions) -> Array:
-        """The results' vector under other conditions."""
-        return evaluate(self.groups, conditions, self.reference, self.worst).vector
+        """The results' vector under other conditions; zero where there is no such result."""
+        return np.nan_to_num(evaluate(self.groups, conditions, self.reference, self.worst).vector)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +95,8 @@ def influences(
     rounding: by output; flicker: declared, on the segments' means, where the basis takes it; drifts: by axis, half of
     how far its zero moved."""
     found = [
-        *_fixture(situation, inputs),
-        *_table(situation, inputs, common),
-        *_earth(situation, inputs),
+        *influences_on(situation.again, _conditions(situation, inputs, common)),
+        *_calibrated_fixture(situation),
         *_temperature(situation, inputs),
         *_resolution(situation, inputs, rounding or {}),
         *_flicker(situation, flicker, basis),
@@ -104,68 +105,48 @@ def influences(
     return [item for item in found if item.quantity.standard_uncertainty > 0]
 
 
-def _by_change(
-    quantity: InputQuantity, compute: Iterable[Callable[[float], Array]], parts: Sequence[str] = ()
-) -> Influence:
-    """One column for each way of computing with the input changed."""
-    step = quantity.standard_uncertainty or 1.0
-    columns = [(one(step) - one(-step)) / (2 * step) for one in compute]
-    return Influence(quantity, np.nan_to_num(np.column_stack(columns)), parts=tuple(parts))
-
-
-def _fixture(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
-    axes = situation.conditions.axes
-    if situation.fixture:
-        gradient = np.column_stack([_angle_gradient(situation, k, 1e-6) for k in range(len(axes.names))])
-        yield from (item.through(gradient) for item in situation.fixture)
-        return
-    for k, name in enumerate(axes.names):
-        stated = inputs.get(f"fixture angle {name}")
-        if stated is not None:
-            yield Influence(stated, _angle_gradient(situation, k, stated.standard_uncertainty or 1e-6)[:, None])
-
-
-def _angle_gradient(situation: Situation, axis: int, step: float) -> Array:
-    def changed(by: float) -> Array:
-        angles = situation.conditions.axes.angles.copy()
-        angles[axis] += by
-        return situation.again(_with_axes(situation, angles=angles))
-
-    return np.asarray(np.nan_to_num((changed(step) - changed(-step)) / (2 * step)))
-
-
-def _table(situation: Situation, inputs: Inputs, common: InputQuantity) -> Iterator[Influence]:
+def _conditions(
+    situation: Situation, inputs: Inputs, common: InputQuantity
+) -> Iterator[StatedCondition[TiltedConditions]]:
     """The bench states how well each rate is held, the same whenever it comes again; the plan what all rates share."""
-    commanded = situation.conditions.commanded
-    rate = inputs.get("table rate")
-    if rate is not None:
+    conditions, site = situation.conditions, situation.site
+    axes, commanded = conditions.axes, conditions.commanded
+    if not situation.fixture:
+        for k, name in enumerate(axes.names):
+            if stated := inputs.get(f"fixture angle {name}"):
+                yield StatedCondition.single(stated, partial(_with_angle, conditions, k))
+    if rate := inputs.get("table rate"):
         different = np.unique(commanded[commanded != 0])
-        each = [_with_rates(situation, commanded == value) for value in different]
-        yield _by_change(rate, each, [rate_part(value) for value in different])
+        yield StatedCondition(
+            rate, {rate_part(one): partial(_with_rates, conditions, commanded == one) for one in different}
+        )
     if common.standard_uncertainty:
-        yield _by_change(common, [_with_rates(situation, np.ones(len(commanded)))])
-    tilts = [
-        lambda by: situation.again(_with_axes(situation, tilt=(by, 0.0))),
-        lambda by: situation.again(_with_axes(situation, tilt=(0.0, by))),
-    ]
-    position = inputs.get("table position")
-    if position is not None:
-        yield _by_change(position, tilts, [tilt_part(situation.home, axis) for axis in ("x", "y")])
-
-
-def _earth(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
-    if situation.conditions.felt is None:
+        yield StatedCondition.single(common, partial(_with_rates, conditions, np.ones(len(commanded))))
+    if position := inputs.get("table position"):
+        parts = {
+            tilt_part(situation.home, name): partial(_with_tilt, conditions, axis) for axis, name in enumerate("xy")
+        }
+        yield StatedCondition(position, parts)
+    if conditions.felt is None:
         return
 
-    def at(site: Site, segments: Sequence[Segment]) -> Array:
-        return situation.again(replace(situation.conditions, felt=mean_rates(segments, site, situation.seconds)))
+    def felt(site: Site, turn: float = 0.0) -> TiltedConditions:
+        segments = turned(situation.segments, UP, -turn) if turn else situation.segments
+        return replace(conditions, felt=mean_rates(segments, site, situation.seconds))
 
-    site, segments = situation.site, situation.segments
-    latitude, azimuth = inputs.get("latitude"), inputs.get("azimuth")
-    if latitude is not None:
-        yield _by_change(latitude, [lambda by: at(replace(site, latitude=site.latitude + by), segments)])
-    if azimuth is not None:
-        yield _by_change(azimuth, [lambda by: at(site, turned(segments, UP, -by))])
+    if latitude := inputs.get("latitude"):
+        yield StatedCondition.single(latitude, lambda by: felt(replace(site, latitude=site.latitude + by)))
+    if azimuth := inputs.get("azimuth"):
+        yield StatedCondition.single(azimuth, lambda by: felt(site, by))
+
+
+def _calibrated_fixture(situation: Situation) -> Iterator[Influence]:
+    """Through the axes' angles."""
+    if situation.fixture:
+        angles = range(len(situation.conditions.axes.names))
+        moved = [partial(_with_angle, situation.conditions, k) for k in angles]
+        gradient = np.column_stack(slopes(situation.again, moved, _BESIDE))
+        yield from (item.through(gradient) for item in situation.fixture)
 
 
 def _temperature(situation: Situation, inputs: Inputs) -> Iterator[Influence]:
@@ -243,10 +224,15 @@ def _by_courses(
     return Influence(quantity, np.column_stack(columns), parts=tuple(parts))
 
 
-def _with_rates(situation: Situation, which: NDArray[Any]) -> Callable[[float], Array]:
-    return lambda by: situation.again(replace(situation.conditions, rate_error=by * which))
+def _with_rates(conditions: TiltedConditions, which: NDArray[Any], by: float) -> TiltedConditions:
+    return replace(conditions, rate_error=by * which)
 
 
-def _with_axes(situation: Situation, **changes: object) -> TiltedConditions:
-    axes: MountedAxes = replace(situation.conditions.axes, **changes)  # type: ignore[arg-type]
-    return replace(situation.conditions, axes=axes)
+def _with_angle(conditions: TiltedConditions, axis: int, by: float) -> TiltedConditions:
+    angles = conditions.axes.angles + by * (np.arange(len(conditions.axes.angles)) == axis)
+    return replace(conditions, axes=replace(conditions.axes, angles=angles))
+
+
+def _with_tilt(conditions: TiltedConditions, about: int, by: float) -> TiltedConditions:
+    x, y = by * np.eye(2)[about]
+    return replace(conditions, axes=replace(conditions.axes, tilt=(float(x), float(y))))

@@ -59,7 +59,7 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 def _asymmetry(x: Array, f: Array) -> Array:
     """By normal equations of columns divided by the largest rate; NaN for axes that did not feel the rates on both sides of zero, as where
     the Earth's rotation is larger than they are, or felt too few to separate the half-lines."""
-    told = np.full((x.shape[0], x.shape[2]), np.nan)
+    told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told
     scaled = np.moveaxis(x / np.abs(x).max(), 1, 2)
