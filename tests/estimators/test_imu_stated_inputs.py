@@ -25,7 +25,7 @@ def stated(name: str, unit: str, u: float) -> Setup:
 def test_sensitivities_are_those_of_a_refit(name: str, step: float, misalignment: str) -> None:
     recorded = imu.recorded(imu.plan(), imu.drawn_truth(np.random.default_rng(2)))
     keys: dict[str, Any] = {**BOTH, "misalignment": misalignment}
-    found = calibrate(recorded, stated(name, "rad", 1.0), **keys)
+    found = calibrate(recorded, stated(name, "rad", step), **keys)
     up, down = (
         calibrate(recorded, site=replace(imu.SITE, **{name: getattr(imu.SITE, name) + s}), **keys)
         for s in (step, -step)
