@@ -115,6 +115,11 @@ def rate_part(rate: float) -> str:
     return f"{np.degrees(rate):.9g} deg/s"
 
 
+def pair_parts(table: TableModel) -> tuple[str, ...]:
+    """Names of the right angles between neighbouring axes of a table."""
+    return tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
+
+
 def orthogonality_tilts(
     axes: Sequence[TableAxis], attitudes: Sequence[Array | None], azimuth: float
 ) -> tuple[Array, ...]:
@@ -187,8 +192,7 @@ def _right_angles(
     for tilt in tilts:
         turning, tipping = np.cross(tilt, felt.omega), np.cross(tilt, felt.specific_force)
         moved.append(-outputs.follow(partial(_leaning, felt, turning, tipping), _LEAN))
-    parts = tuple(f"{one.name} and {other.name}" for one, other in zip(table.axes, table.axes[1:], strict=False))
-    return (_of_one(quantity, moved, parts),)
+    return (_of_one(quantity, moved, pair_parts(table)),)
 
 
 def _turned(poses: Poses, site: Site, about: Sequence[float], by: float) -> Stimulus:

@@ -124,7 +124,7 @@ def quantities(request: EstimateRequest[AccelerometerMultiPositionParameters]) -
     return MagnitudeQuantities(
         coefficients=shown.coefficients(basis),
         covariance=shown.covariance(basis),
-        influences=shown.influences([(*_gravity(values, request), *fit.influences(basis))]),
+        influences=shown.influences([(*_gravity(request, fit), *fit.influences(basis))]),
         extra={"root_mean_square": _size(fit, residuals), "poses": len(poses.labels), "condition": found.condition},
         poses=poses,
         sphere=found,
@@ -194,14 +194,10 @@ def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
     return replace(effect, changes={0: np.asarray(change)}, within={0: np.asarray(within)})
 
 
-def _gravity(values: Array, request: EstimateRequest[AccelerometerMultiPositionParameters]) -> tuple[Influence, ...]:
-    """Readings and biases are in m/s², so that scale factors alone follow the magnitude that they are held against: ∂s/∂g = −s/g."""
+def _gravity(request: EstimateRequest[AccelerometerMultiPositionParameters], fit: OutputsFit) -> tuple[Influence, ...]:
+    """The magnitude that |f| is held against."""
     gravity = request.setup.inputs.get("gravity")
-    if gravity is None:
-        return ()
-    sensitivities = np.zeros((len(NAMES), 1))
-    sensitivities[3:6, 0] = -values[3:6] / request.site.gravity
-    return (Influence(gravity, sensitivities),)
+    return (Influence(gravity, fit.gains[0].sum(axis=1)[:, None]),) if gravity else ()
 
 
 def _fitted(

@@ -43,7 +43,7 @@ from planrunner.estimators.tilted.fixture_gains import (
     gain_model,
     held_rates,
     polar,
-    stated_changes,
+    stated_conditions,
 )
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes
 from planrunner.estimators.tilted.turning_rates import recorded_seconds
@@ -51,6 +51,7 @@ from planrunner.observation.flicker import SPAN, flicker_errors
 from planrunner.observation.observations import Observations, observe
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, Text, key
 from planrunner.plan.units import unit
+from planrunner.uncertainty.conditions import influences_on
 from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
@@ -204,13 +205,13 @@ def _acting(
     request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
 ) -> tuple[Influence, ...]:
     """What acts on the offsets and gains of one axis."""
-    how, gain = request.parameters.azimuth, fit.coefficients[0, len(model.orientations) :]
-    stated = (
-        # The outputs are as they are: what is stated differently is answered by the opposite change of the fit.
-        Influence(quantity, -fit.gains[0] @ np.column_stack(list(changes.values())), parts=tuple(changes))
-        for quantity, changes in stated_changes(model, request.setup, request.site, axes, k, how, gain)
-    )
-    return (*stated, *fit.influences(request.parameters.uncertainty))
+
+    def answered(matrix: Array) -> Array:
+        """The outputs are as they are: what is stated differently is answered by the opposite change of the fit."""
+        return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
+
+    stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)
+    return (*influences_on(answered, stated), *fit.influences(request.parameters.uncertainty))
 
 
 def _remarks(model: GainModel, azimuth: str) -> list[Remark]:

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError, Setup
-from planrunner.estimators.stated_errors import orthogonality_tilts, rate_errors
+from planrunner.estimators.stated_errors import orthogonality_tilts, pair_parts, rate_errors
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, rotation_axis
 from planrunner.estimators.tilted.turning_rates import as_recording_begins, mean_rates
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis
 from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.uncertainty.conditions import StatedCondition
 from planrunner.uncertainty.derivatives import Formula, angle_of, length
-from planrunner.uncertainty.influences import InputQuantity
 
 Array = NDArray[np.float64]
 
@@ -123,22 +125,30 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
     return formula
 
 
-def stated_changes(
-    model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str, gain: Array
-) -> Iterator[tuple[InputQuantity, dict[str, Array]]]:
-    """What is stated with an uncertainty and moves the gains of an orientation as a whole, so that hardly anything scatters for it; and by
-    part how the outputs predicted for `gain` (r,) change with it, (n,) per unit."""
+def stated_conditions(
+    model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
+) -> Iterator[StatedCondition[Array]]:
+    """What is stated with an uncertainty and moves the gains of an orientation as a whole, so that hardly anything scatters for it, as a
+    condition of the design matrix of axis k."""
     basis = gain_basis(axes, k, azimuth)
-    vector = basis @ gain
+
+    def seen(by: Array) -> Array:
+        """With the rates in the fixture's frame changed by (n, 3)."""
+        return replace(model, felt=model.felt + by).matrix(basis)
+
+    def turned(o: int, about: Array, by: float) -> Array:
+        return seen(np.where((model.place == o)[:, None], by * np.cross(model.felt, about), 0.0))
+
+    def leaning(tilt: Array, by: float) -> Array:
+        return seen(by * np.cross(tilt, model.felt))
+
     if position := setup.inputs.get("table position"):
-        yield (
-            position,
-            {
-                tilt_part(text, name): np.where(model.place == o, -np.cross(np.eye(3)[j], model.felt) @ vector, 0.0)
-                for o, text in enumerate(model.orientations)
-                for j, name in enumerate(AXES)
-            },
-        )
+        parts = {
+            tilt_part(text, name): partial(turned, o, about)
+            for o, text in enumerate(model.orientations)
+            for name, about in zip(AXES, np.eye(3), strict=True)
+        }
+        yield StatedCondition(position, parts)
     if (
         (orthogonality := setup.inputs.get("table orthogonality"))
         and setup.table is not None
@@ -149,18 +159,15 @@ def stated_changes(
             tilts = orthogonality_tilts(setup.table.axes, [one.attitude for one in model.segments], site.azimuth)
         except Unreachable:
             tilts = ()
-        names = [axis.name for axis in setup.table.axes]
         if tilts:
-            yield (
+            yield StatedCondition(
                 orthogonality,
-                {
-                    f"{names[pair]} and {names[pair + 1]}": np.cross(tilt, model.felt) @ vector
-                    for pair, tilt in enumerate(tilts)
-                },
+                dict(zip(pair_parts(setup.table), (partial(leaning, tilt) for tilt in tilts), strict=True)),
             )
     if azimuth == STATED and (mounted := setup.inputs.get(f"fixture azimuth {axes.names[k]}")):
-        turned = np.array([-math.sin(axes.azimuths[k]), math.cos(axes.azimuths[k]), 0.0])
-        yield mounted, {"": gain[0] * (model.felt @ turned)}
+        yield StatedCondition.single(
+            mounted, lambda by: model.matrix(gain_basis(replace(axes, azimuths=axes.azimuths + by), k, azimuth))
+        )
 
 
 def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[CorrelatedError, ...]:
