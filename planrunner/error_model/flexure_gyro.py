@@ -106,15 +106,18 @@ def physical_coefficients(outputs: Array) -> Array:
 
 
 def compensated_rates(outputs: Array, observed: Array, specific_force: Array) -> Array:
-    """[ω_Y, ω_X] recovered from the two outputs, shape (n, 2), rad/s: the compensation model G0.
+    """[ω_Y, ω_X] recovered from the two outputs, shape (n, 2) or (n, 2, k), rad/s: the compensation model G0.
 
-    outputs: [U; V], (2, p) with p = 6; observed: (n, 2), i_x and i_y; specific_force: (n, 3), m/s^2. M⁻¹ applied to the outputs gives
+    outputs: [U; V], (2, p) with p = 6, or k of them, (2, p, k); observed: (n, 2), i_x and i_y; specific_force: (n, 3), m/s^2.
+    M⁻¹ applied to the outputs gives
     [ω_Y + D(X); ω_X + D(Y)], from which D(X) = D(X)_F + D(X)_X·a_X + D(X)_Y·a_Y + D(X)_Z·a_Z and D(Y) likewise are subtracted.
     """
     _, inverse = _mixing(outputs)
-    drifts = physical_coefficients(outputs)[4:].reshape(2, -1)
+    drifts = physical_coefficients(outputs)[4:].reshape(2, -1, *outputs.shape[2:])
     felt = np.column_stack([np.ones(len(observed)), specific_force])
-    return observed @ inverse.T - felt @ drifts[:, :4].T
+    return np.asarray(
+        np.einsum("ni,ai...->na...", observed, inverse) - np.einsum("nf,af...->na...", felt, drifts[:, :4])
+    )
 
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:

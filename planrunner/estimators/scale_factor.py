@@ -36,7 +36,7 @@ from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.residual_plot import residual_plot
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.slope_units import rate_and_output, slope_unit
-from planrunner.estimators.stated_errors import rate_errors
+from planrunner.estimators.stated_errors import common_rate, rate_errors
 from planrunner.estimators.tilted.rate_lines import asymmetry, line_through
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.flicker import drift_span, flicker_errors
@@ -45,8 +45,9 @@ from planrunner.plan.kinds import CHANNEL, Choice, ListOf, QuantityOf, Record, T
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Rock, Segment, Spin
 from planrunner.plan.units import Unit, unit
+from planrunner.uncertainty.conditions import StatedCondition, influences_on
 from planrunner.uncertainty.derivatives import jacobian
-from planrunner.uncertainty.influences import Influence, InputQuantity
+from planrunner.uncertainty.influences import Influence
 
 Array = NDArray[np.float64]
 
@@ -236,7 +237,7 @@ def _found(
     full = np.zeros((2 * m + len(metrics), 2 * m + len(metrics)))
     full[: 2 * m, : 2 * m] = covariance
     full[range(2 * m, len(full)), range(2 * m, len(full))] = [item.standard_uncertainty**2 for item, _, _ in metrics]
-    stated = _common(request, functionals, fit.coefficients[:, 1], rates)
+    stated = _common(request, functionals, fit.coefficients, rates)
     recorded = resolution_influences(request, observations.channels, functionals)
     return LineQuantities(
         coefficients=tuple(coefficients),
@@ -256,21 +257,22 @@ def _held(request: EstimateRequest[ScaleFactorParameters], slopes: Array, rates:
 
 
 def _common(
-    request: EstimateRequest[ScaleFactorParameters], functionals: Array, slopes: Array, rates: Array
+    request: EstimateRequest[ScaleFactorParameters], functionals: Array, coefficients: Array, rates: Array
 ) -> tuple[Influence, ...]:
     """The error common to all rates, as declared in the plan, such as that of the table's clock: it changes the slope and causes no
     scatter.
 
-    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); slopes: (m,), output unit per rad/s.
+    functionals: (q, m, n), ∂coefficient/∂(mean of output k over segment n); coefficients: (m, 2) of the lines.
     """
-    common = request.parameters.rate_uncertainty
-    if common is None or not common.value:
+    common = common_rate(request.name, request.parameters.rate_uncertainty)
+    if not common.standard_uncertainty:
         return ()
-    source = f"plan estimates.{request.name}.rate_uncertainty"
-    quantity = InputQuantity(
-        "table rate, common", 0.0, "1", common.value, source=source, shown="ppm", shown_factor=1e-6
-    )
-    return (Influence(quantity, -np.einsum("qmn,m,n->q", functionals, slopes, rates)[:, None]),)
+
+    def answered(moved: Array) -> Array:
+        """The outputs are as they are: what is expected beyond them is answered by the opposite change."""
+        return -np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T)
+
+    return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
 
 
 def _metrics(

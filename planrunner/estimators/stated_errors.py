@@ -24,6 +24,7 @@ from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
 from planrunner.physics.kinematics import TableAxis, Unreachable, cross, joint_angles, rotation_about
 from planrunner.physics.stimulus import Poses, Stimulus
+from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.conditions import StatedCondition
 from planrunner.uncertainty.derivatives import central
@@ -108,6 +109,13 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
     own = rates[:, None] == different
     changes = {output: -change[:, None] * own for output, change in enumerate(moved)}
     return (CorrelatedError(quantity, changes, tuple(map(rate_part, different))),)
+
+
+def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
+    """The error that all rates share, as the plan states it for an estimate."""
+    source = f"plan estimates.{estimate}.rate_uncertainty"
+    width = stated.value if stated else 0.0
+    return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
 
 
 def rate_part(rate: float) -> str:

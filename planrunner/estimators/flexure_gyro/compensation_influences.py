@@ -2,13 +2,10 @@
 
 With c the coefficients of a set, X the verification positions' design and i the outputs, the residual is r = M⁻¹·(i − X·c). An input
 that is stated wrong reaches it twice: through X, and through c, whose calibration used the same latitude, gravity, azimuth and
-table. Both ways stand in the list as influences of the same input, so that they are added with their signs.
-M is a part of c: with X̃, whose rates are those that were recovered (ω + r) instead of the planned ones, dr = −M⁻¹·X̃·dc has both.
+table. Both ways stand in the list as influences of the same input, so that they are added with their signs. M is a part of c.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,28 +16,33 @@ from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.uncertainty.budget import merged
+from planrunner.uncertainty.derivatives import jacobian
 from planrunner.uncertainty.influences import Aspect, Influence
 
 Array = NDArray[np.float64]
 
 
 def residual_influences(
-    request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, residuals: Mapping[str, Array], rate: float
+    request: EstimateRequest[object], units: tuple[str, ...], matrix: Array, observed: Array, rate: float
 ) -> tuple[Influence, ...]:
     """On the residuals of the sets in their order, of each first those of one rate at all positions, then of the other, (sets·2·v,).
 
-    units: of the outputs; matrix: (v, p) of the verification positions, SI; residuals: by set, (v, 2), in units of `rate` rad/s.
+    units: of the outputs; matrix: (v, p) of the verification positions, SI; observed: (v, 2), outputs, giving residuals in units of `rate`
+    rad/s.
     """
     found: list[Influence] = []
-    for place, (name, values) in enumerate(residuals.items()):
-        coefficients = np.array(request.uses[name].extra["coefficients"])
-        own = np.zeros((len(residuals), values.size, values.size))
-        own[place] = recovery(coefficients, len(values), rate)
-        of_all = own.reshape(-1, values.size)
+
+    def recovered(flat: Array) -> Array:
+        """By k sets of coefficients (2·p, k): (2·v, k)."""
+        rates = flexure_gyro.compensated_rates(flat.reshape(2, -1, flat.shape[1]), observed, matrix[:, 3:6])
+        return np.asarray(np.swapaxes(rates, 0, 1).reshape(-1, flat.shape[1]) / rate)
+
+    for place, used in enumerate(request.uses.values()):
+        coefficients = np.array(used.extra["coefficients"])
+        own = np.eye(len(request.uses))[:, [place]]
+        of_all = np.kron(own, recovery(coefficients, len(matrix), rate))
         found += [one.through(of_all) for one in _here(request, matrix, coefficients)]
-        recovered = matrix.copy()
-        recovered[:, 1:3] += values * rate
-        found += [one.through(-of_all @ np.kron(np.eye(2), recovered)) for one in _carried(request.uses[name], units)]
+        found += [one.through(np.kron(own, jacobian(recovered, coefficients.ravel()))) for one in _carried(used, units)]
     return merged(found)
 
 

@@ -141,7 +141,7 @@ class CompensationResidual:
             for name, used in request.uses.items()
         }
         noise = noise_maps(matrix, sets, _covariances(request, observations))
-        stated = residual_influences(request, observations.units, matrix, residuals, _DEG_H)
+        stated = residual_influences(request, observations.units, matrix, observations.mean, _DEG_H)
         prediction = predict_residuals(
             {name: rates[name] @ own for name, own in noise.items()},
             dict(zip(sets, _stated_maps(stated, len(sets), 2 * len(matrix)), strict=True)),

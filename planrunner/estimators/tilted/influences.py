@@ -31,7 +31,6 @@ from planrunner.estimators.tilted.turning_rates import mean_rates
 from planrunner.estimators.turned_segments import UP, turned
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.physics.earth import Site
-from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.conditions import StatedCondition, influences_on, slopes
 from planrunner.uncertainty.influences import Aspect, Influence, InputQuantity, Inputs
@@ -75,13 +74,6 @@ class Rounding:
     in_scatter: bool
 
 
-def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
-    """The error that all rates share, as the plan states it for an estimate."""
-    source = f"plan estimates.{estimate}.rate_uncertainty"
-    width = stated.value if stated else 0.0
-    return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)
-
-
 def influences(
     situation: Situation,
     inputs: Inputs,
@@ -95,8 +87,8 @@ def influences(
     rounding: by output; flicker: declared, on the segments' means, where the basis takes it; drifts: by axis, half of
     how far its zero moved."""
     found = [
-        *influences_on(situation.again, _conditions(situation, inputs, common)),
         *_calibrated_fixture(situation),
+        *influences_on(situation.again, _conditions(situation, inputs, common)),
         *_temperature(situation, inputs),
         *_resolution(situation, inputs, rounding or {}),
         *_flicker(situation, flicker, basis),

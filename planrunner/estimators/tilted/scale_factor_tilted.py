@@ -27,6 +27,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.slope_units import rate_and_output
+from planrunner.estimators.stated_errors import common_rate
 from planrunner.estimators.tilted import planning as tilted_planning
 from planrunner.estimators.tilted.evaluation import (
     Group,
@@ -38,7 +39,7 @@ from planrunner.estimators.tilted.evaluation import (
     worst_of,
 )
 from planrunner.estimators.tilted.fixture_calibration import calibrated_axes
-from planrunner.estimators.tilted.influences import Rounding, Situation, common_rate, influences
+from planrunner.estimators.tilted.influences import Rounding, Situation, influences
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.tilted.parameters import THERMOMETER, ScaleFactorTiltedParameters
 from planrunner.estimators.tilted.rate_series import RateSeries, by_temperature, split_series, temperature_label
