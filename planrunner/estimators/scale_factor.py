@@ -270,7 +270,7 @@ def _common(
 
     def answered(moved: Array) -> Array:
         """The outputs are as they are: what is expected beyond them is answered by the opposite change."""
-        return -np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T)
+        return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
 

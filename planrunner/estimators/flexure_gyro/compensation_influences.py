@@ -40,9 +40,10 @@ def residual_influences(
     for place, used in enumerate(request.uses.values()):
         coefficients = np.array(used.extra["coefficients"])
         own = np.eye(len(request.uses))[:, [place]]
-        of_all = np.kron(own, recovery(coefficients, len(matrix), rate))
-        found += [one.through(of_all) for one in _here(request, matrix, coefficients)]
-        found += [one.through(np.kron(own, jacobian(recovered, coefficients.ravel()))) for one in _carried(used, units)]
+        by_outputs = np.asarray(np.kron(own, recovery(coefficients, len(matrix), rate)))
+        by_coefficients = np.asarray(np.kron(own, jacobian(recovered, coefficients.ravel())))
+        found += [one.through(by_outputs) for one in _here(request, matrix, coefficients)]
+        found += [one.through(by_coefficients) for one in _carried(used, units)]
     return merged(found)
 
 
