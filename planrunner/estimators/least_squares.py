@@ -49,10 +49,23 @@ def fit(
     names: Sequence[str] = (),
     covariance: Array | None = None,
 ) -> LinearFit:
-    """Least-squares coefficients for `matrix` (n, p) and `observed` (n,).
+    """Least-squares coefficients for `matrix` (n, p) and `observed` (n,); see `fit_each`, of one output."""
+    one, spread = None if covariance is None else covariance[None], None if sigma is None else np.asarray(sigma)[None]
+    return fit_each(matrix, observed[None], spread, magnitudes, names, one)[0]
 
-    sigma: (n,) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares of the
-    columns. covariance: (n, n), positive definite, of the observations, instead of `sigma`. Raises `EstimationError` for too few
+
+def fit_each(
+    matrix: Array,
+    observed: Array,
+    sigma: Array | None = None,
+    magnitudes: Array | None = None,
+    names: Sequence[str] = (),
+    covariance: Array | None = None,
+) -> tuple[LinearFit, ...]:
+    """Least-squares coefficients of m outputs for `matrix` (n, p) and `observed` (m, n), each output by itself.
+
+    sigma: (m, n) standard uncertainties, by default all 1. magnitudes: (p,) declared column sizes, by default the root mean squares of the
+    columns. covariance: (m, n, n), positive definite, of the observations, instead of `sigma`. Raises `EstimationError` for too few
     observations, values that are not finite, and terms that cannot be identified, which are named by `names`.
     """
     n, p = matrix.shape
@@ -67,32 +80,44 @@ def fit(
         else np.asarray(magnitudes, dtype=float)
     )
     scale = np.where(scale > 0, scale, 1.0)
-    if covariance is None:
-        triangle = _triangle(matrix, observed, None if sigma is None else 1.0 / _positive(sigma), 1.0 / scale)
-    else:
-        white = whitened(np.column_stack([matrix, observed]), covariance)
-        triangle = _triangle(white[:, :p], white[:, p], None, 1.0 / scale)
-    if not np.isfinite(triangle).all():
+    weight = None if sigma is None or covariance is not None else 1.0 / _positive(sigma)
+    triangles = _triangles(matrix, observed, weight, covariance, 1.0 / scale)
+    if not np.isfinite(triangles).all():
         raise UnfitDataError(
             "an observation or a planned value is not a finite number: check the segments for missing data"
         )
-    left, singular, rows = np.linalg.svd(triangle[:p, :p])
-    if singular[-1] <= rank.TOLERANCE * singular[0]:
-        null = rows[int(np.sum(singular > rank.TOLERANCE * singular[0])) :]
-        raise EstimationError(f"the segments cannot separate all terms: {rank.explain(null, names)}")
-    solution = rows.T @ ((left.T @ triangle[:p, p]) / singular)
-    inverse = rows.T / singular
-    cofactor = (inverse @ inverse.T) / np.outer(scale, scale)
-    coefficients = solution / scale
-    chi_squared = float(triangle[p, p] ** 2) if n > p else 0.0
-    return LinearFit(
-        coefficients, cofactor, observed - matrix @ coefficients, chi_squared, n - p, float(singular[0] / singular[-1])
-    )
+    left, singular, rows = np.linalg.svd(triangles[:, :p, :p])
+    for values, own in zip(singular, rows, strict=True):
+        if values[-1] <= rank.TOLERANCE * values[0]:
+            null = own[int(np.sum(values > rank.TOLERANCE * values[0])) :]
+            raise EstimationError(f"the segments cannot separate all terms: {rank.explain(null, names)}")
+    inverse = rows.swapaxes(1, 2) / singular[:, None]
+    coefficients = (inverse @ (left.swapaxes(1, 2) @ triangles[:, :p, p:]))[..., 0] / scale
+    cofactors = (inverse @ inverse.swapaxes(1, 2)) / (scale[:, None] * scale)
+    residuals = observed - coefficients @ matrix.T
+    chi_squared = (triangles[:, p, p] ** 2).tolist() if n > p else [0.0] * len(observed)
+    conditions = (singular[:, 0] / singular[:, -1]).tolist()
+    each = zip(coefficients, cofactors, residuals, chi_squared, [n - p] * len(observed), conditions, strict=True)
+    return tuple(LinearFit(*one) for one in each)
 
 
 def whitened(rows: Array, covariance: Array) -> Array:
-    """Combinations of the rows (n, k) that are uncorrelated and have variance one."""
+    """Combinations of the rows (…, n, k) that are uncorrelated and have variance one. covariance: (…, n, n)."""
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows))
+
+
+def _triangles(matrix: Array, observed: Array, weight: Array | None, covariance: Array | None, scale: Array) -> Array:
+    """R of the QR factorisations of the weighted [matrix·scale | observed] of m outputs, shape (m, p + 1, p + 1) or fewer rows."""
+    if covariance is None and len(matrix) >= 2 * _CHUNK:
+        weights = [None] * len(observed) if weight is None else list(weight)
+        return np.array([_triangle(matrix, one, own, scale) for one, own in zip(observed, weights, strict=True)])
+    rows = np.empty((len(observed), len(matrix), len(scale) + 1))
+    rows[..., :-1], rows[..., -1] = matrix * scale, observed
+    if covariance is not None:
+        rows = whitened(rows, covariance)
+    elif weight is not None:
+        rows *= weight[..., None]
+    return _r(rows)
 
 
 _CHUNK = 256  # rows that one factorisation takes
@@ -100,14 +125,14 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 
 
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
-    """R of the QR factorisation of weight·[matrix·scale | observed], shape (p + 1, p + 1) or fewer rows.
+    """R of the QR factorisation of weight·[matrix·scale | observed] of many rows, shape (p + 1, p + 1).
 
     Chunks of rows are reduced first and then their triangles together (Demmel et al., SIAM J. Sci. Comput. 34, 2012).
     """
     n, p = matrix.shape
     widened = np.append(scale, 1.0)
-    whole = n - n % _CHUNK if n >= 2 * _CHUNK else 0
-    buffer = np.empty((max(_CHUNK * _BATCH, n - whole), p + 1))
+    whole = n - n % _CHUNK
+    buffer = np.empty((_CHUNK * _BATCH, p + 1))
 
     def scaled(low: int, high: int) -> Array:
         rows = buffer[: high - low]
@@ -123,7 +148,7 @@ def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array
         rows = scaled(low, min(low + _CHUNK * _BATCH, whole))
         pieces.append(_r(rows.reshape(-1, _CHUNK, p + 1)).reshape(-1, p + 1))
     pieces.append(scaled(whole, n))
-    return _r(np.vstack(pieces) if whole else pieces[0])
+    return _r(np.vstack(pieces))
 
 
 def _r(matrix: Array) -> Array:

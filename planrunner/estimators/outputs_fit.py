@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators import least_squares
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, moved_together
+from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, stacked_roots
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
 from planrunner.uncertainty.influences import Influence
 
@@ -81,7 +82,7 @@ class OutputsFit:
         """Covariance (n, n) of an output's observations that the basis rests on, before its variance factor."""
         if basis == "within_segment":
             return np.diag(self.noises[output].sigma ** 2)
-        return mixed(self.spreads[output], moved_together(self.effects, output, output))
+        return mixed(self.spreads[output], stacked_roots(self.effects, len(self.outputs), len(self.labels))[output])
 
     def covariance(self, basis: str) -> Array:
         """Covariance of all coefficients, output after output, shape (m·p, m·p)."""
@@ -115,11 +116,8 @@ class OutputsFit:
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
     """The coefficients (m, p) of every observed channel by the noise within the segments alone. Raises `EstimationError`."""
-    means = enumerate(observations.mean.T)
-    fits = (
-        least_squares.fit(matrix, mean, within_segment_noise(observations, k).sigma, magnitudes, names)
-        for k, mean in means
-    )
+    sigma = [within_segment_noise(observations, k).sigma for k in range(len(observations.channels))]
+    fits = least_squares.fit_each(matrix, observations.mean.T, np.array(sigma), magnitudes, names)
     return np.array([fit.coefficients for fit in fits])
 
 
@@ -144,129 +142,130 @@ def fit_outputs(
     noises = [within_segment_noise(observations, k) for k in range(m)]
     acting, left = (tuple(effects), ()) if all(noise.known for noise in noises) else ((), tuple(effects))
     noises = [within_segment_noise(observations, k, explained(acting, k)) for k in range(m)]
-    pairs = [(a, b) for a in range(m) for b in range(a + 1) if pooled or a == b]
-    moved = {pair: moved_together(acting, *pair) for pair in pairs} if acting else {}
-    found = []
-    for k, noise in enumerate(noises):
-        own = moved[k, k] if any(k in effect.changes for effect in acting) else None
-        weighting = _Weighting(matrix, observations.mean[:, k], magnitudes, names, own, observations.expected)
-        found.append(weighting.equal(noise) if equal else weighting.known(noise, basis == "residual"))
-    spreads, gains = np.array([one.spread for one in found]), np.array([one.gains for one in found])
-    between, ratios = np.array([one.between for one in found]), np.array([one.ratio for one in found])
-    pooled = pooled and all(noise.known for noise in noises) and not between.any()
+    roots = stacked_roots(acting, m, len(matrix))
+    weighting = _Weighting(matrix, observations.mean.T, magnitudes, names, roots, observations.expected)
+    found = weighting.equal(noises) if equal else weighting.known(noises, basis == "residual")
+    pooled = pooled and all(noise.known for noise in noises) and not found.between.any()
     return OutputsFit(
         observations.channels,
         observations.units,
         observations.labels,
         matrix,
-        tuple(one.fit for one in found),
+        found.fits,
         tuple(noises),
-        spreads,
-        between,
-        ratios,
+        found.spreads,
+        found.between,
+        found.ratios,
         acting,
         left,
-        _cofactors(gains, noises, spreads, observations.correlation, acting),
-        gains,
+        _cofactors(found, noises, observations.correlation, roots),
+        found.gains,
         pooled,
-        _pooled_freedom(matrix, gains, spreads, observations.correlation, moved) if pooled else 0.0,
+        _pooled_freedom(matrix, found, observations.correlation, roots) if pooled else 0.0,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """One fitted output; see `OutputsFit`. gains: (p, n); spread: (n,)."""
+    """The m fitted outputs; see `OutputsFit`."""
 
-    fit: LinearFit
+    fits: tuple[LinearFit, ...]
     gains: Array
-    spread: Array
-    ratio: float
-    between: float = 0.0
+    spreads: Array
+    between: Array
+    ratios: Array
 
 
 @dataclass(frozen=True, slots=True)
 class _Weighting:
-    """One output's observations (n,) and the effects on them in addition to noise. moved: (n, n), what the effects add to their
-    covariance; None where none acts. expected: the means have no noise, so that chi² is put at its expectation."""
+    """Observations (m, n) of the outputs and the effects on them in addition to noise. roots: (m, n, r), of the effects
+    (`stacked_roots`). expected: the means have no noise, so that chi² is put at its expectation."""
 
     matrix: Array
     observed: Array
     magnitudes: Array
     names: Sequence[str]
-    moved: Array | float | None = None
+    roots: Array
     expected: bool = False
 
-    def known(self, noise: WithinSegmentNoise, residual: bool) -> _Fitted:
+    def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
         """By noise and effects; residual: with a part between segments where the residuals ask for it."""
-        spread, between = noise.sigma, 0.0
-        found = self._fit(spread)
-        ratio = found.variance_factor
-        if residual and (noise.unequal or self.moved is not None) and exceeds_noise(found, noise):
-            between = between_segments(self._fit, spread)
-            spread = np.hypot(spread, between)
-            found = self._fit(spread)
-        covariance = self._covariance(spread)
-        variances = spread[:, None] ** 2
-        weighted = self.matrix / variances if covariance is None else np.linalg.solve(covariance, self.matrix)
-        return _Fitted(found, found.cofactor @ weighted.T, spread, ratio, between)  # (AᵀV⁻¹A)⁻¹·AᵀV⁻¹
+        spreads, between = np.array([noise.sigma for noise in noises]), np.zeros(len(noises))
+        found = self._fits(spreads)
+        ratios = _factors(found)
+        for k, noise in enumerate(noises):
+            if residual and (noise.unequal or self.roots[k].any()) and exceeds_noise(found[k], noise):
+                between[k] = between_segments(partial(self._fit_of, k), spreads[k])
+                spreads[k] = np.hypot(spreads[k], between[k])
+                found[k] = self._fit_of(k, spreads[k])
+        weighted = self.matrix / spreads[..., None] ** 2
+        if self.roots.size:
+            weighted = np.linalg.solve(mixed(spreads, self.roots), self.matrix)
+        return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios)
 
-    def equal(self, noise: WithinSegmentNoise) -> _Fitted:
+    def equal(self, noises: Sequence[WithinSegmentNoise]) -> _Fitted:
         """All segments alike. How large the residuals are for what is known is judged by the fit that weights them by it: of residuals of
         unlike size a few would decide."""
-        spread = np.full(len(self.observed), np.sqrt(np.mean(noise.sigma**2)))
-        found = least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names)
-        found = replace(found, chi_squared=self._fit(spread).chi_squared)
-        gains = found.cofactor @ (self.matrix / spread[:, None] ** 2).T
-        return _Fitted(found, gains, spread, self._fit(noise.sigma).variance_factor)
+        sigma = np.array([noise.sigma for noise in noises])
+        spreads = np.broadcast_to(np.sqrt(np.mean(sigma**2, axis=1, keepdims=True)), sigma.shape)
+        found = least_squares.fit_each(self.matrix, self.observed, spreads, self.magnitudes, self.names)
+        judged = zip(found, self._fits(spreads), strict=True)
+        fits = tuple(replace(one, chi_squared=by.chi_squared) for one, by in judged)
+        gains = _gains(fits, self.matrix / spreads[..., None] ** 2)
+        return _Fitted(fits, gains, spreads, np.zeros(len(noises)), _factors(self._fits(sigma)))
 
-    def _fit(self, spread: Array) -> LinearFit:
-        covariance = self._covariance(spread)
-        found = least_squares.fit(self.matrix, self.observed, spread, self.magnitudes, self.names, covariance)
-        return replace(found, chi_squared=float(found.degrees_of_freedom)) if self.expected else found
+    def _fit_of(self, output: int, spread: Array) -> LinearFit:
+        return self._fits(spread[None], slice(output, output + 1))[0]
 
-    def _covariance(self, spread: Array) -> Array | None:
-        return None if self.moved is None else mixed(spread, self.moved)
+    def _fits(self, spreads: Array, outputs: slice = slice(None)) -> list[LinearFit]:
+        covariance = mixed(spreads, self.roots[outputs]) if self.roots.size else None
+        observed = self.observed[outputs]
+        found = least_squares.fit_each(self.matrix, observed, spreads, self.magnitudes, self.names, covariance)
+        return [replace(one, chi_squared=float(one.degrees_of_freedom)) if self.expected else one for one in found]
+
+
+def _factors(fits: Sequence[LinearFit]) -> Array:
+    return np.array([one.variance_factor for one in fits])
+
+
+def _gains(fits: Sequence[LinearFit], weighted: Array) -> Array:
+    """(AᵀV⁻¹A)⁻¹·AᵀV⁻¹, (m, p, n). weighted: V⁻¹A, (m, n, p)."""
+    return np.asarray(np.array([one.cofactor for one in fits]) @ weighted.swapaxes(1, 2))
 
 
 def _cofactors(
-    gains: Array,
-    noises: Sequence[WithinSegmentNoise],
-    spreads: Array,
-    correlation: Array,
-    effects: Sequence[CorrelatedError],
+    found: _Fitted, noises: Sequence[WithinSegmentNoise], correlation: Array, effects: Array
 ) -> dict[str, Array]:
     """By basis. The noise's correlation between outputs is that of the samples on either basis: the residuals of a few segments would
-    say next to nothing of it."""
-    cofactors = {}
-    for name, spread in (("residual", spreads), ("within_segment", np.array([noise.sigma for noise in noises]))):
-        roots = gains * spread[:, None, :]
-        m, p, n = roots.shape
-        products = roots.reshape(-1, n) @ roots.reshape(-1, n).T
-        cofactors[name] = products.reshape(m, p, m, p) * correlation[:, None, :, None]
-    if effects:
-        functionals = functionals_of(gains)
-        moved = sum(effect.through(functionals).covariance for effect in effects)
-        cofactors["residual"] = cofactors["residual"] + np.reshape(moved, cofactors["residual"].shape)
-    return cofactors
+    say next to nothing of it. effects: (m, n, r), their roots."""
+    m, p, _ = found.gains.shape
+
+    def products(roots: Array) -> Array:
+        own = roots.reshape(m * p, -1)
+        return np.asarray(own @ own.T).reshape(m, p, m, p)
+
+    between = correlation[:, None, :, None]
+    within = np.array([noise.sigma for noise in noises])
+    return {
+        "residual": products(found.gains * found.spreads[:, None]) * between + products(found.gains @ effects),
+        "within_segment": products(found.gains * within[:, None]) * between,
+    }
 
 
-def _pooled_freedom(
-    matrix: Array, gains: Array, spreads: Array, correlation: Array, moved: Mapping[tuple[int, int], Array | float]
-) -> float:
-    """Of the mean of the outputs' variance factors: that of a chi-squared variable with its mean and variance (Satterthwaite). moved: by
-    pair of outputs, what the effects add to the covariance of their observations."""
-    m, p, n = gains.shape
-    if not moved:
+def _pooled_freedom(matrix: Array, found: _Fitted, correlation: Array, roots: Array) -> float:
+    """Of the mean of the outputs' variance factors: that of a chi-squared variable with its mean and variance (Satterthwaite). roots:
+    (m, n, r), of the effects."""
+    m, p, n = found.gains.shape
+    if not roots.size:
         return float((n - p) * m**2 / np.sum(correlation**2))
     # Residuals of weight one of each output: what two outputs' have in common decides how much the second adds.
-    white = [
-        least_squares.whitened(np.eye(n) - matrix @ own, mixed(spread, moved[k, k]))
-        for k, (own, spread) in enumerate(zip(gains, spreads, strict=True))
-    ]
-    common = 0.0
-    for (a, b), added in moved.items():
-        joint = np.diag(correlation[a, b] * spreads[a] * spreads[b]) + added
-        common += float(np.sum((white[a] @ joint @ white[b].T) ** 2)) * (1 if a == b else 2)
+    white = least_squares.whitened(np.eye(n) - matrix @ found.gains, mixed(found.spreads, roots))
+    noise = white * found.spreads[:, None]
+    moved = white @ roots
+    joint = correlation[..., None, None] * (noise[:, None] @ noise.swapaxes(1, 2)) + moved[:, None] @ moved.swapaxes(
+        1, 2
+    )
+    common = float(np.sum(joint**2))
     return (m * (n - p)) ** 2 / common if common else 0.0
 
 

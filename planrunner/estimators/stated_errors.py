@@ -8,14 +8,14 @@ Signs are those of a stated value that is too large; of positions, those of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators.interface import Setup
 from planrunner.estimators.turned_segments import DIRECTIONS, UP
@@ -27,13 +27,11 @@ from planrunner.physics.stimulus import Poses, Stimulus
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.uncertainty.conditions import StatedCondition
-from planrunner.uncertainty.derivatives import central
 from planrunner.uncertainty.influences import InputQuantity, Inputs
 
 Array = NDArray[np.float64]
 
-_STEP = 1e-5  # rad, or relative: of central differences, whose error is of the order of its square
-_LEAN = 1e-3  # rad; central differences of terms up to the second degree are exact for any step
+_STEP = 1e-4  # of an input; central differences of terms up to the second degree are exact for any step
 
 
 def mean_poses(segments: Sequence[Segment]) -> Poses:
@@ -44,18 +42,6 @@ def mean_poses(segments: Sequence[Segment]) -> Poses:
 def mean_stimulus(segments: Sequence[Segment], site: Site) -> Stimulus:
     """The mean stimulus, for spins over whole turns."""
     return mean_poses(segments).felt(site)
-
-
-@dataclass(frozen=True, slots=True)
-class _Outputs:
-    """m outputs of known coefficients (m, p), SI columns and the outputs' units."""
-
-    model: ErrorModel
-    coefficients: Array
-
-    def follow(self, felt: Callable[[float], Stimulus], step: float = _STEP) -> Array:
-        """Change of the observations, (m, n), per unit of an input. felt: what was felt with the input moved by so much."""
-        return np.asarray(self.coefficients @ central(lambda by: self.model.columns(felt(by)), step).T)
 
 
 def stated_site(inputs: Inputs, site: Site) -> Iterator[StatedCondition[Site]]:
@@ -73,29 +59,71 @@ def site_errors(
     is answered as if they had read less. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
     poses = mean_poses(segments)
 
-    def read_less(moved: Site) -> Array:
-        return -coefficients @ model.columns(poses.felt(moved)).T
+    def felt(at: Site) -> Array:
+        return np.array((poses.mean @ at.earth_rate_enu, poses.mean @ at.specific_force_enu))
 
-    return tuple(_of_one(one.quantity, one.answers(read_less)) for one in stated_site(inputs, site))
+    stated = list(stated_site(inputs, site))
+    if not stated:
+        return ()
+    moves = np.array([one.answers(felt) for one in stated])[:, 0].swapaxes(0, 1)
+    moved = -_followed(model, poses.felt(site), moves, coefficients)
+    return tuple(_error(one.quantity, moved[:, :, k : k + 1]) for k, one in enumerate(stated))
 
 
 def table_errors(
     model: ErrorModel, segments: Sequence[Segment], site: Site, setup: Setup, coefficients: Array
 ) -> tuple[CorrelatedError, ...]:
     """Those for which the bench states an uncertainty. coefficients: (m, p) of m outputs, SI columns and the outputs' units."""
-    inputs, outputs, poses = setup.inputs, _Outputs(model, coefficients), mean_poses(segments)
+    position, azimuth = setup.inputs.get("table position"), setup.inputs.get("azimuth")
+    orthogonality, rate = setup.inputs.get("table orthogonality"), setup.inputs.get("table rate")
+    poses = mean_poses(segments)
+    felt = poses.felt(site)
+    both = np.array((felt.omega, felt.specific_force))
+    tilts = _tilts(setup.table, segments, site) if orthogonality else np.zeros((0, len(segments), 3))
+    directions = np.moveaxis(poses.attitude, 2, 0)  # of the site, in the sensor's axes
+    turned = np.cross(both[:, None], np.concatenate([directions, tilts]))
+    up = np.array(UP)
+    about_up = [[poses.mean @ cross(vector, up)] for vector in (site.earth_rate_enu, site.specific_force_enu)]
+    hastened = np.array([[poses.spin], [np.zeros_like(poses.spin)]])
+    moves = np.concatenate([turned, about_up, hastened], axis=1)
+    table_rate = np.zeros(moves.shape[1:3])
+    table_rate[-1] = poses.table_rate
+    moved = _followed(model, felt, moves, coefficients, table_rate)
     found: list[CorrelatedError] = []
-    if position := inputs.get("table position"):
-        found.append(_positions(position, outputs, segments, poses, site))
-    if azimuth := inputs.get("azimuth"):
-        found.append(_of_one(azimuth, [outputs.follow(lambda by: poses.felt(site, rotation_about(UP, by)))]))
-    if (orthogonality := inputs.get("table orthogonality")) and setup.table is not None:
-        found += _right_angles(orthogonality, setup.table, outputs, segments, poses.felt(site), site)
-    if rate := inputs.get("table rate"):
-        rates = np.array([one.motion.rate if isinstance(one.motion, Spin) else 0.0 for one in segments])
-        moved = outputs.follow(lambda by: mean_stimulus(_hastened(segments, 1 + by), site))
-        found += rate_errors(rate, moved, rates)
+    if position:
+        found.append(_positions(position, segments, moved[:, :, : len(directions)]))
+    if azimuth:
+        found.append(_error(azimuth, moved[:, :, -2:-1]))
+    if orthogonality and setup.table is not None and len(tilts):
+        found.append(_error(orthogonality, moved[:, :, len(directions) : -2], pair_parts(setup.table)))
+    if rate:
+        found += rate_errors(rate, moved[:, :, -1], poses.table_rate)
     return tuple(found)
+
+
+def _followed(
+    model: ErrorModel, felt: Stimulus, moves: Array, coefficients: Array, table_rate: Array | float = 0.0
+) -> Array:
+    """Change of the observations of m outputs per unit of each of r inputs, (m, n, r).
+
+    moves: (2, r, n, 3), change of angular rate and specific force per unit of each input; table_rate: (r, n), of the table's rate.
+    coefficients: (m, p), SI columns and the outputs' units.
+    """
+    _, r, n, _ = moves.shape
+    sides = np.array([-_STEP, _STEP])[:, None, None]
+    rate = felt.table_rate + sides * np.broadcast_to(table_rate, (r, n))
+    temperature, time, angle = np.tile((felt.temperature, felt.time, felt.table_angle), 2 * r)
+    moved = Stimulus(
+        (felt.omega + sides[..., None] * moves[0]).reshape(-1, 3),
+        (felt.specific_force + sides[..., None] * moves[1]).reshape(-1, 3),
+        temperature,
+        time,
+        rate.ravel(),
+        angle,
+        np.tile(felt.moving, 2 * r),
+    )
+    low, high = model.columns(moved).reshape(2, r, n, -1)
+    return np.asarray(np.einsum("mp,rnp->mnr", coefficients, (high - low) / (2 * _STEP)))
 
 
 def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[CorrelatedError, ...]:
@@ -166,58 +194,27 @@ def _orthogonality_tilts(
     return tuple(tilts)
 
 
-def _positions(
-    position: InputQuantity, outputs: _Outputs, segments: Sequence[Segment], poses: Poses, site: Site
-) -> CorrelatedError:
+def _positions(position: InputQuantity, segments: Sequence[Segment], moved: Array) -> CorrelatedError:
     """About each direction at each orientation, the same whenever that orientation is taken. It acts across a vector and not along it: an
-    accelerometer that points up feels nothing of it, one that lies level all."""
-    m, n = len(outputs.coefficients), len(segments)
+    accelerometer that points up feels nothing of it, one that lies level all. moved: (m, n, 3), by direction."""
     names = list(dict.fromkeys(segment.orientation for segment in segments))
     place = [names.index(segment.orientation) for segment in segments]
+    m, n, _ = moved.shape
     changes = np.zeros((m, n, len(DIRECTIONS), len(names)))
-    for k, about in enumerate(DIRECTIONS.values()):
-        changes[:, np.arange(n), k, place] = outputs.follow(partial(_turned, poses, site, about))
+    changes[:, np.arange(n), :, place] = moved.swapaxes(0, 1)
     parts = tuple(f"{name} about {word}" for word in DIRECTIONS for name in names)
-    return CorrelatedError(position, dict(enumerate(changes.reshape(m, n, -1))), parts)
+    return _error(position, changes.reshape(m, n, -1), parts)
 
 
-def _right_angles(
-    quantity: InputQuantity,
-    table: TableModel,
-    outputs: _Outputs,
-    segments: Sequence[Segment],
-    felt: Stimulus,
-    site: Site,
-) -> tuple[CorrelatedError, ...]:
-    """One input for each pair of neighbouring axes; nothing where the table cannot be at the orientations, or turns."""
-    if len(table.axes) < 2 or not all(isinstance(segment.motion, Rest) for segment in segments):
-        return ()
-    try:
-        tilts = orthogonality_tilts(table.axes, [segment.attitude for segment in segments], site.azimuth)
-    except Unreachable:
-        return ()
-    moved = []
-    for tilt in tilts:
-        turning, tipping = np.cross(tilt, felt.omega), np.cross(tilt, felt.specific_force)
-        moved.append(-outputs.follow(partial(_leaning, felt, turning, tipping), _LEAN))
-    return (_of_one(quantity, moved, pair_parts(table)),)
+def _tilts(table: TableModel | None, segments: Sequence[Segment], site: Site) -> Array:
+    """Of one input for each pair of neighbouring axes, (pairs, n, 3); of none where the table cannot be at the orientations, or turns."""
+    if table is not None and len(table.axes) > 1 and all(isinstance(segment.motion, Rest) for segment in segments):
+        with suppress(Unreachable):
+            attitudes = [segment.attitude for segment in segments]
+            return np.array(orthogonality_tilts(table.axes, attitudes, site.azimuth))
+    return np.zeros((0, len(segments), 3))
 
 
-def _turned(poses: Poses, site: Site, about: Sequence[float], by: float) -> Stimulus:
-    return poses.felt(site, rotation_about(about, by), axis_too=False)
-
-
-def _leaning(felt: Stimulus, turning: Array, tipping: Array, by: float) -> Stimulus:
-    return replace(felt, omega=felt.omega + by * turning, specific_force=felt.specific_force + by * tipping)
-
-
-def _of_one(quantity: InputQuantity, moved: Sequence[Array], parts: tuple[str, ...] = ()) -> CorrelatedError:
-    """moved: for each input, (m, n)."""
-    return CorrelatedError(quantity, dict(enumerate(np.stack(moved, axis=2))), parts)
-
-
-def _hastened(segments: Sequence[Segment], factor: float) -> list[Segment]:
-    return [
-        replace(one, motion=replace(one.motion, rate=one.motion.rate * factor)) if isinstance(one.motion, Spin) else one
-        for one in segments
-    ]
+def _error(quantity: InputQuantity, changes: Array, parts: tuple[str, ...] = ()) -> CorrelatedError:
+    """changes: (m, n, r)."""
+    return CorrelatedError(quantity, dict(enumerate(changes)), parts)

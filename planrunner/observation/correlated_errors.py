@@ -58,12 +58,24 @@ def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
     return sum(shares, 0.0)
 
 
-def moved_together(effects: Sequence[CorrelatedError], one: int, other: int) -> Array | float:
-    """What all effects add to the covariance between the observations of two outputs, (n, n); 0.0 where nothing acts on both."""
-    return sum((effect.covariance(one, other) for effect in effects), 0.0)
+def stacked_roots(effects: Sequence[CorrelatedError], outputs: int, n: int) -> Array:
+    """Changes of the n observations of each output per standard uncertainty of every input, (outputs, n, r); 0 where an effect does not
+    act. With L of two outputs, L·Lᵀ is what the effects add to the covariance between their observations."""
+    roots = []
+    for effect in effects:
+        columns = next(iter(effect.changes.values())).shape[1]
+        root = np.zeros((outputs, n, columns))
+        for output, change in effect.changes.items():
+            root[output] = effect.quantity.standard_uncertainty * change
+        roots.append(root)
+    return np.concatenate(roots, axis=2) if roots else np.zeros((outputs, n, 0))
 
 
-def mixed(spread: Array, moved: Array | float) -> Array:
-    """Covariance (n, n) of an output's observations: noise of standard uncertainty `spread` (n,), and what the effects add to it."""
-    covariance = np.diag(spread**2) + moved
-    return np.asarray(covariance + _RESOLVED * covariance.diagonal().max() * np.eye(len(spread)))
+def mixed(spread: Array, roots: Array) -> Array:
+    """Covariance (…, n, n) of outputs' observations: noise of standard uncertainty `spread` (…, n), and what the effects add to it by
+    `roots` (…, n, r)."""
+    covariance = np.asarray(roots @ roots.swapaxes(-1, -2))
+    i = np.arange(spread.shape[-1])
+    variances = covariance[..., i, i] + spread**2
+    covariance[..., i, i] = variances + _RESOLVED * variances.max(axis=-1, keepdims=True)
+    return covariance

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.earth import Site
-from planrunner.physics.kinematics import cross
 from planrunner.plan.schedule import Rest, Segment, Spin
 
 Array = NDArray[np.float64]
@@ -57,15 +56,18 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Attitude and spin of n segments. They give the mean stimulus at any site, also for a sensor that is mounted differently from the
-    plan.
+    """How n segments stand and turn. They give the mean stimulus at any site.
 
-    attitude: (n, 3, 3). spins: row, motion and turned angle [rad] of the segments that spin; the angle is None for whole turns.
-    temperature, time: as in `Stimulus`.
+    attitude: (n, 3, 3), at the beginning. mean: (n, 3, 3), takes a vector that is fixed at the site to its mean over the segment in the
+    sensor's axes. spin: (n, 3), rad/s, mean rate of the table in the sensor's axes. table_rate, table_angle, temperature, time: as in
+    `Stimulus`.
     """
 
     attitude: Array
-    spins: tuple[tuple[int, Spin, float | None], ...]
+    mean: Array
+    spin: Array
+    table_rate: Array
+    table_angle: Array
     temperature: Array
     time: Array
 
@@ -73,14 +75,18 @@ class Poses:
     def of(cls, segments: Sequence[Segment], durations: Sequence[float | None] | None = None) -> Poses:
         """See `segment_means`. Raises `StimulusError`."""
         n = len(segments)
-        lasting = [segment.dwell for segment in segments] if durations is None else durations
-        attitude, temperature, time = np.empty((n, 3, 3)), np.full(n, np.nan), np.empty(n)
-        spins: list[tuple[int, Spin, float | None]] = []
-        for row, (segment, seconds) in enumerate(zip(segments, lasting, strict=True)):
-            attitude[row] = _attitude(segment)
+        attitude = np.array([_attitude(segment) for segment in segments], dtype=float).reshape(n, 3, 3)
+        mean, spin, rate, angle = attitude, np.zeros((n, 3)), np.zeros(n), np.zeros(n)
+        temperature, time = np.full(n, np.nan), np.empty(n)
+        for row, segment in enumerate(segments):
+            seconds = segment.dwell if durations is None else durations[row]
             motion, kelvin, ramp_to = segment.motion, segment.temperature, segment.ramp_to
             if isinstance(motion, Spin):
-                spins.append((row, motion, None if seconds is None else motion.rate * seconds))
+                mean = mean.copy() if mean is attitude else mean
+                turned, axis = None if seconds is None else motion.rate * seconds, _unit(motion.about)
+                mean[row] = attitude[row] @ mean_while_turning(axis, turned)
+                spin[row] = attitude[row] @ (motion.rate * axis)
+                rate[row], angle[row] = motion.rate, (turned or 0.0) / 2
             elif not isinstance(motion, Rest):
                 kind = type(motion).__name__.lower()
                 message = f"segment '{segment.label}' moves ({kind}): its mean is no static observation; choose segments at rest"
@@ -88,39 +94,36 @@ class Poses:
             if kelvin is not None:
                 temperature[row] = kelvin if ramp_to is None else (kelvin + ramp_to) / 2
             time[row] = segment.start + (seconds or 0.0) / 2
-        return cls(attitude, tuple(spins), temperature, time)
+        return cls(attitude, mean, spin, rate, angle, temperature, time)
 
-    def felt(self, site: Site, turn: Array | None = None, axis_too: bool = True) -> Stimulus:
-        """The mean stimulus at a site. turn: rotation (3, 3) in East-North-Up from the planned attitude of the sensor to the actual one;
-        axis_too: also rotates the axes of spins."""
-        n = len(self.time)
-        attitude = self.attitude if turn is None else self.attitude @ turn.T
-        rates, angle = np.zeros(n), np.zeros(n)
-        earth_rate, at_rest = site.earth_rate_enu, site.specific_force_enu
-        omega, force = attitude @ earth_rate, attitude @ at_rest
-        for row, motion, turned in self.spins:
-            axis = _unit(motion.about) if turn is None or not axis_too else turn @ _unit(motion.about)
-            whole, by = turned is None, turned or 0.0
-            omega[row] = attitude[row] @ (mean_while_turning(earth_rate, axis, by, whole) + motion.rate * axis)
-            force[row] = attitude[row] @ mean_while_turning(at_rest, axis, by, whole)
-            rates[row], angle[row] = motion.rate, by / 2
-        return Stimulus(omega, force, self.temperature, self.time, rates, angle, rates != 0)
+    def felt(self, site: Site) -> Stimulus:
+        """The mean stimulus at a site."""
+        return Stimulus(
+            self.mean @ site.earth_rate_enu + self.spin,
+            self.mean @ site.specific_force_enu,
+            self.temperature,
+            self.time,
+            self.table_rate,
+            self.table_angle,
+            self.table_rate != 0,
+        )
 
 
-def mean_while_turning(vector: Array, axis: Array, turned: float, whole_turns: bool = False) -> Array:
-    """The mean of a site-fixed vector, shape (3,), in axes that turn with the table about `axis` by `turned` rad.
+def mean_while_turning(axis: Array, turned: float | None) -> Array:
+    """Takes a site-fixed vector to its mean in axes that turn with the table about the unit vector `axis` by `turned` rad, (3, 3).
 
     With p the part along the axis, q the rest and r = axis × vector, the vector in these axes is p + q·cos θ − r·sin θ at angle θ; its mean
-    over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns only p is left.
+    over 0 … Θ is p + q·sin Θ/Θ − r·(1 − cos Θ)/Θ. Over whole turns, where `turned` is None, only p is left.
     """
-    along = (vector @ axis) * axis
-    if whole_turns:
+    along = np.outer(axis, axis)
+    if turned is None:
         return along
-    across, side = vector - along, cross(axis, vector)
+    x, y, z = axis.tolist()
+    side = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     half = turned / 2
     mean_cos = float(np.sinc(turned / np.pi))
     mean_sin = float(np.sin(half) * np.sinc(half / np.pi))
-    return along + across * mean_cos - side * mean_sin
+    return np.asarray(along + (np.eye(3) - along) * mean_cos - side * mean_sin)
 
 
 def _attitude(segment: Segment) -> Array:
